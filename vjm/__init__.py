@@ -1,0 +1,1 @@
+"""Virtual joint models of flexible robot arms, identified from camera markers."""

@@ -1,0 +1,139 @@
+"""The errors vjm raises.
+
+Every one descends from `VjmError`, carries the data it speaks of as attributes, and says in one message
+where the fault is and what was expected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class VjmError(Exception):
+    """Root of every error that vjm raises on purpose."""
+
+
+class InputError(VjmError):
+    """The input is unusable; the command line exits with status 2."""
+
+
+class ExperimentError(InputError):
+    """A fault in an experiment file.
+
+    Attributes:
+        file: the experiment file.
+        table: the TOML table, as `link[0]` or `recording[2]`; empty for the file as a whole.
+        key: the key inside the table; empty where the table itself is at fault.
+        expected: what would have been right.
+    """
+
+    def __init__(self, file: Path | str, table: str, key: str, problem: str, expected: str) -> None:
+        self.file = Path(file)
+        self.table = table
+        self.key = key
+        self.problem = problem
+        self.expected = expected
+        place = ", ".join(part for part in (f"[{table}]" if table else "", f"key '{key}'" if key else "") if part)
+        super().__init__(f"{file}: {place + ': ' if place else ''}{problem}; expected {expected}")
+
+
+class RecordingError(InputError):
+    """A fault in a recording's CSV file.
+
+    Attributes:
+        file: the CSV file.
+        row: line of the file, the header being line 1; None where no single row is at fault.
+        column: the column's name; None where no single column is at fault.
+        expected: what would have been right.
+    """
+
+    def __init__(self, file: Path | str, row: int | None, column: str | None, problem: str, expected: str) -> None:
+        self.file = Path(file)
+        self.row = row
+        self.column = column
+        self.problem = problem
+        self.expected = expected
+        parts = [f"row {row}" if row is not None else "", f"column '{column}'" if column is not None else ""]
+        place = ", ".join(part for part in parts if part)
+        super().__init__(f"{file}: {place + ': ' if place else ''}{problem}; expected {expected}")
+
+
+class ModelFileError(InputError):
+    """A model file (model.json or URDF) cannot be read.
+
+    Attributes:
+        file: the file.
+        problem: what is wrong with it.
+        expected: what would have been right.
+    """
+
+    def __init__(self, file: Path | str, problem: str, expected: str) -> None:
+        self.file = Path(file)
+        self.problem = problem
+        self.expected = expected
+        super().__init__(f"{file}: {problem}; expected {expected}")
+
+
+class ChoiceError(InputError):
+    """A name that is not among the choices.
+
+    Attributes:
+        what: what was to be chosen.
+        given: the name given.
+        choices: the names there are.
+    """
+
+    def __init__(self, what: str, given: object, choices: Iterable[object]) -> None:
+        self.what = what
+        self.given = given
+        self.choices = tuple(choices)
+        super().__init__(f"unknown {what} {given!r}; choose one of: {', '.join(map(str, self.choices))}")
+
+
+class ShapeError(InputError):
+    """Arrays, or values in them, that do not fit together.
+
+    Attributes:
+        name: the argument at fault.
+        given: what was given.
+        expected: what was expected.
+    """
+
+    def __init__(self, name: str, given: object, expected: str) -> None:
+        self.name = name
+        self.given = given
+        self.expected = expected
+        super().__init__(f"{name}: got {given}; expected {expected}")
+
+
+class InsufficientDataError(InputError):
+    """The recordings cannot determine what was asked for.
+
+    Attributes:
+        what: what was asked for.
+        reason: why the data do not give it.
+        remedy: what would.
+    """
+
+    def __init__(self, what: str, reason: str, remedy: str) -> None:
+        self.what = what
+        self.reason = reason
+        self.remedy = remedy
+        super().__init__(f"{what}: {reason}; {remedy}")
+
+
+class SimulationDivergedError(VjmError):
+    """A simulation left the finite numbers.
+
+    Attributes:
+        time: last finite instant [s].
+        step: integration step [s].
+        remedy: what to change.
+    """
+
+    def __init__(self, time: float, step: float, remedy: str) -> None:
+        self.time = time
+        self.step = step
+        self.remedy = remedy
+        super().__init__(f"the simulation diverged after t = {time:.6g} s with steps of {step:.3g} s; {remedy}")
