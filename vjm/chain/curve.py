@@ -1,0 +1,146 @@
+"""The curve through the virtual joints: where a chain's markers are.
+
+A virtual joint bent by phi_j stands for the curvature kappa(s_j) = phi_j / cell_j (its moment K_j phi_j is the
+beam's EI kappa there). Between the joints the curvature is an interpolating spline that vanishes at a free end;
+heading and position follow by integrating it. The chords of the virtual links are up to a centimetre off this curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline, make_interp_spline
+
+from vjm.chain.records import Chain, Distal, LinkChain
+
+Array = NDArray[np.float64]
+
+_NODES = 6  # Gauss-Legendre nodes a panel
+_PANELS = 4  # least number of panels a link
+
+
+@dataclass(frozen=True)
+class CurveMap:
+    """Linear maps from a link's phi to headings, and from headings to positions, at chosen arc lengths.
+
+    Attributes:
+        arcs: (k,) arc lengths [m].
+        heading: (k, n) d psi(arcs) / d phi.
+        node_heading: (Q, n) the same at the quadrature nodes.
+        weights: (k, Q) quadrature weights from the proximal end to each arc length [m].
+    """
+
+    arcs: Array
+    heading: Array
+    node_heading: Array
+    weights: Array
+
+    def positions(self, phi: ArrayLike) -> Array:
+        """(..., k, 2) positions in the link frame [m] for phi (..., n) [rad]."""
+        psi = np.asarray(phi, dtype=float) @ self.node_heading.T
+        return np.stack([np.cos(psi) @ self.weights.T, np.sin(psi) @ self.weights.T], axis=-1)
+
+    def jacobian(self, phi: ArrayLike) -> Array:
+        """(..., k, 2, n) derivative of `positions` by phi [m/rad]."""
+        psi = np.asarray(phi, dtype=float) @ self.node_heading.T
+        by_x = np.einsum("...q,kq,qn->...kn", -np.sin(psi), self.weights, self.node_heading, optimize=True)
+        by_y = np.einsum("...q,kq,qn->...kn", np.cos(psi), self.weights, self.node_heading, optimize=True)
+        return np.stack([by_x, by_y], axis=-2)
+
+
+def curvature_spline(joint_arcs: Array, cells: Array, length: float, distal: Distal) -> BSpline:
+    """Curvature along the link as a spline linear in phi: evaluates to (..., n) [1/m per rad]."""
+    n = joint_arcs.size
+    knots, values = joint_arcs, np.diag(1 / cells)
+    if distal == "free":
+        knots, values = np.r_[knots, length], np.vstack([values, np.zeros(n)])
+    return make_interp_spline(knots, values, k=min(3, knots.size - 1))
+
+
+def curve_map(link: LinkChain, arcs: ArrayLike) -> CurveMap:
+    """The map from a link's phi to its curve at the given arc lengths [m]."""
+    return _curve_map(
+        tuple(link.joint_arcs.tolist()),
+        tuple(link.cells.tolist()),
+        link.length,
+        link.distal,
+        tuple(np.asarray(arcs, dtype=float).ravel().tolist()),
+    )
+
+
+@lru_cache(maxsize=256)
+def _curve_map(
+    joints: tuple[float, ...], cells: tuple[float, ...], length: float, distal: Distal, arcs: tuple[float, ...]
+) -> CurveMap:
+    joint_arcs, ends = np.array(joints), np.array(arcs)
+    edges = np.unique(np.r_[0.0, np.linspace(0.0, length, _PANELS + 1), ends])
+    abscissae, gauss = np.polynomial.legendre.leggauss(_NODES)
+    half = np.diff(edges) / 2
+    nodes = (edges[:-1, None] + half[:, None] * (1 + abscissae)).ravel()
+    weights = (half[:, None] * gauss).ravel()
+    spline = curvature_spline(joint_arcs, np.array(cells), length, distal).antiderivative()
+    offset = spline(0.0)
+    return CurveMap(
+        arcs=ends,
+        heading=spline(ends) - offset,
+        node_heading=spline(nodes) - offset,
+        weights=np.where(nodes < ends[:, None], weights, 0.0),
+    )
+
+
+def link_poses(chain: Chain, q: ArrayLike) -> tuple[Array, Array]:
+    """Frames Sigma_i of the links in the base frame (eq. 9).
+
+    Args:
+        chain: the arm.
+        q: (..., nv) joint angles [rad].
+
+    Returns:
+        Origins (..., N, 2) [m] and headings (..., N) [rad] of the link frames, active angles included.
+    """
+    angles = np.asarray(q, dtype=float)
+    origin, heading = np.zeros((*angles.shape[:-1], 2)), np.zeros(angles.shape[:-1])
+    origins, headings = [], []
+    for link, part in zip(chain.links, chain.passive_slices, strict=True):
+        if link.joint == "revolute":
+            heading = heading + angles[..., part.start - 1]
+        origins.append(origin)
+        headings.append(heading)
+        tip = curve_map(link, [link.length])
+        phi = angles[..., part]
+        origin = origin + rotate(tip.positions(phi)[..., 0, :], heading)
+        heading = heading + phi @ tip.heading[0]
+    return np.stack(origins, axis=-2), np.stack(headings, axis=-1)
+
+
+def rotate(vectors: Array, angle: Array) -> Array:
+    """Vectors (..., 2) turned by angle (...) [rad]."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
+def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_link_frame: tuple[bool, ...]) -> Array:
+    """Markers on the curves of a chain.
+
+    Args:
+        chain: the arm.
+        q: (..., nv) joint angles [rad].
+        arcs: for each link, (k_i,) the arc lengths of its markers [m].
+        in_link_frame: for each link, whether its markers are wanted in its own frame instead of the base frame.
+
+    Returns:
+        (..., k, 2) positions [m], all links' markers one after another.
+    """
+    angles = np.asarray(q, dtype=float)
+    origins, headings = link_poses(chain, angles)
+    parts = []
+    for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
+        local = curve_map(link, arcs[i]).positions(angles[..., part])
+        if not in_link_frame[i]:
+            local = origins[..., i, None, :] + rotate(local, headings[..., i, None])
+        parts.append(local)
+    return np.concatenate(parts, axis=-2)
