@@ -1,0 +1,294 @@
+"""Warnings: each appears when it should, says where, and stays away otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiment_files import DRIVEN, FREE, ROWS, TOML, csv_text, rows, write_experiment
+
+from vjm.errors import InsufficientDataError
+from vjm.experiment import Experiment, Recording, load_experiment
+from vjm.experiment.checks import (
+    camera_rate,
+    coverage_warnings,
+    difference_noise,
+    gap_warnings,
+    idle_torque_warnings,
+    moves,
+    torque_difference,
+)
+from vjm.experiment.marker_checks import (
+    absence_warnings,
+    clipped_runs,
+    clipping_warnings,
+    distance_warnings,
+    units_warnings,
+)
+
+NOISE = 3e-4
+ARCS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+NAMES = [f"beam.m{number}" for number in range(1, 6)]
+TIME = 0.01 * np.arange(400)
+
+
+def beam(seed: int = 0, count: int = 400) -> np.ndarray:
+    """Markers (count, 5, 2) on a straight beam that turns: every distance is at its limit, but for the noise."""
+    angle = np.sin(3.0 * TIME[:count])[:, None]
+    markers = np.stack([ARCS * np.cos(angle), ARCS * np.sin(angle)], axis=-1)
+    return markers + np.random.default_rng(seed).normal(0.0, NOISE, markers.shape)
+
+
+def load_changed(
+    folder: Path, name: str, change: Callable[[np.ndarray, list[str]], None], toml: str = TOML
+) -> Experiment:
+    """The small experiment with the numbers of one recording changed in place, NaN for empty."""
+    columns = FREE if name == "free" else DRIVEN
+    table = np.array([[float(cell) if cell else np.nan for cell in line] for line in rows(columns, 100)])
+    change(table, columns)
+    cells = [["" if np.isnan(x) else repr(float(x)) for x in line] for line in table]
+    return load_experiment(write_experiment(folder, toml, **{name: csv_text(columns, cells)}))
+
+
+def test_gaps() -> None:
+    times = np.delete(0.01 * np.arange(100), np.r_[20:25, 60])
+    assert gap_warnings(0.01 * np.arange(100)) == []
+    assert gap_warnings(np.delete(0.01 * np.arange(100), 60)) == []
+    (sentence,) = gap_warnings(times)
+    assert "1 gap without any marker" in sentence
+    assert "0.06 s from t = 0.19 s" in sentence
+    assert "every 0.01 s" in sentence
+    assert gap_warnings(np.array([0.0, 5.0])) == []
+
+
+def test_units() -> None:
+    assert units_warnings(beam(), 1.0) == []
+    (sentence,) = units_warnings(1000.0 * beam(), 1.0)
+    assert "millimetres" in sentence
+    assert units_warnings(np.full((3, 2, 2), np.nan), 1.0) == []
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_straight_beam_is_consistent(seed: int) -> None:
+    assert distance_warnings(TIME, beam(seed), ARCS, NAMES, NOISE) == []
+
+
+def test_markers_too_far_apart() -> None:
+    markers = beam()
+    markers[[50, 51, 60], 4] *= 1.02
+    (sentence,) = distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
+    assert sentence.startswith("in 3 frames (first at t = 0.5 s)")
+    assert "by up to 0.02" in sentence
+    assert "beam.m5" in sentence
+    assert "swapped" not in sentence
+
+
+def test_a_bent_beam_is_consistent() -> None:
+    markers = beam()
+    markers[:, 1:] -= 0.3 * (markers[:, 1:] - markers[:, [0]])
+    assert distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+
+
+@pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 2), (0, 4), (2, 4)])
+def test_swapped_labels(first: int, second: int) -> None:
+    markers = beam()
+    if (first, second) == (0, 4):
+        markers, arcs, names = markers[:, [0, 1, 4]], ARCS[[0, 1, 4]], [NAMES[i] for i in (0, 1, 4)]
+        first, second = 0, 2
+    else:
+        arcs, names = ARCS, NAMES
+    markers[100:150, [first, second]] = markers[100:150, [second, first]]
+    (sentence,) = distance_warnings(TIME, markers, arcs, names, NOISE)
+    assert "in 50 frames (first at t = 1 s)" in sentence
+    assert f"labels may be swapped: exchanging {names[first]} and {names[second]}" in sentence
+    assert "50 of the 50" in sentence
+
+
+def test_distances_with_occluded_markers_and_lone_y() -> None:
+    markers = beam()
+    markers[::2, 1] = np.nan
+    markers[:, 3] = np.nan
+    assert distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    markers[..., 0] = np.nan
+    assert distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    markers[7, 2, 1] += 5.0
+    (sentence,) = distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
+    assert "in 1 frame (first at t = 0.07 s)" in sentence
+
+
+def test_clipping() -> None:
+    y = 0.1 * np.sin(3.0 * TIME)
+    assert clipping_warnings(TIME, y[:, None], ["beam.m1.y"]) == []
+    (sentence,) = clipping_warnings(TIME, np.minimum(y, 0.08)[:, None], ["beam.m1.y"])
+    assert "beam.m1.y stays at exactly its largest value, 0.08 m" in sentence
+    (sentence,) = clipping_warnings(TIME, np.maximum(y, -0.08)[:, None], ["beam.m1.y"])
+    assert "smallest value, -0.08 m" in sentence
+    gappy = np.minimum(y, 0.08)
+    gappy[::2] = np.nan
+    assert len(clipping_warnings(TIME, gappy[:, None], ["beam.m1.y"])) == 1
+
+
+def test_what_only_resembles_clipping() -> None:
+    rest = np.concatenate([np.full(100, 1.0), np.cos(3.0 * TIME), np.full(50, np.cos(3.0 * TIME[-1]))])
+    assert clipped_runs(rest)[0].size == 0
+    assert clipped_runs(np.ones(50))[0].size == 0
+    for step in (1e-4, 1e-3, 1e-2):  # rounded peaks
+        assert clipped_runs(np.round(0.1 * np.sin(1.5 * TIME + 0.3) / step) * step)[0].size == 0
+
+
+def test_noise_and_motion() -> None:
+    noise = np.random.default_rng(0).normal(0.0, NOISE, 2000)
+    assert difference_noise(noise) == pytest.approx(NOISE, rel=0.1)
+    assert difference_noise(noise[:1]) == 0.0
+    for given in (NOISE, None):
+        assert not moves(noise, given, 1e-3)
+        assert moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given, 1e-3)
+    assert not moves(np.full(50, 0.1 + 0.2), None, 1e-3)
+    assert not moves(np.full(97, 0.1), None, 1e-3)
+    assert not moves(np.full(50, np.nan), None, 1e-3)
+    fast = 0.05 * np.sin(2.0 * np.pi * 31.0 * TIME)  # near half the sampling rate, differences are no longer noise
+    assert moves(fast, None, 1e-3)
+
+
+def test_absence() -> None:
+    markers = beam(count=20)
+    needs_x = np.ones(5, dtype=bool)
+    assert absence_warnings(markers, NAMES, needs_x) == []
+    markers[:, 2] = np.nan
+    markers[4, 1, 0] = np.nan
+    first, second = absence_warnings(markers, NAMES, needs_x)
+    assert first == "no position of beam.m3 in this recording"
+    assert second.startswith("in 1 frame a marker has one coordinate")
+    assert absence_warnings(markers[:, 1:2], NAMES[1:2], ~needs_x[:1]) == []
+
+
+def test_coverage_and_idle_torque() -> None:
+    frames = 0.01 * np.arange(100)
+    assert coverage_warnings("beam.tau", frames[1:-1], frames) == []
+    (sentence,) = coverage_warnings("beam.tau", frames[:50], frames)
+    assert "beam.tau is measured from t = 0 to 0.49 s only" in sentence
+    assert len(coverage_warnings("beam.tau", frames[5:], frames)) == 1
+    assert coverage_warnings("beam.tau", frames[:0], frames) == []
+    assert len(idle_torque_warnings(np.zeros((5, 2)))) == 1
+    assert idle_torque_warnings(np.array([[0.0, 0.1]])) == []
+
+
+def recording(time: np.ndarray, tau: np.ndarray) -> Recording:
+    markers = np.zeros((len(time), 1, 2))
+    return Recording("a.csv", "driven", "train", time, np.zeros_like(tau), tau, markers)
+
+
+def test_torque_difference() -> None:
+    torque = np.sin(TIME)[:, None]
+    first = recording(TIME, torque)
+    assert torque_difference(first, first) == 0.0
+    assert torque_difference(first, recording(TIME + 1.0, torque)) == pytest.approx(0.0, abs=1e-9)
+    assert torque_difference(first, recording(TIME[:300], 1.2 * torque[:300])) == pytest.approx(0.2)
+    assert torque_difference(recording(TIME, 0.0 * torque), first) == np.inf
+    assert torque_difference(first, recording(TIME, np.full_like(torque, np.nan))) == 0.0
+
+
+def test_camera_rate(tmp_path: Path) -> None:
+    drive = load_experiment(write_experiment(tmp_path)).recordings[0]
+    assert camera_rate(drive) == pytest.approx(50.0)
+    with pytest.raises(InsufficientDataError, match=r"drive_1\.csv has 1 frame "):
+        camera_rate(replace(drive, time=drive.time[:2], markers=drive.markers[:2]))
+
+
+def frozen(table: np.ndarray, columns: list[str]) -> None:
+    table[:, 1:] = np.where(np.isnan(table[:, 1:]), np.nan, np.nanmean(table[:, 1:], axis=0))
+
+
+def millimetres(table: np.ndarray, columns: list[str]) -> None:
+    table[:, [".m" in name for name in columns]] *= 1000.0
+
+
+def occluded(table: np.ndarray, columns: list[str]) -> None:
+    table[20:40, [".m" in name for name in columns]] = np.nan
+
+
+def swapped(table: np.ndarray, columns: list[str]) -> None:
+    first, second = columns.index("arm.m1.x"), columns.index("arm.m2.x")
+    table[50:60, first : first + 4] = table[50:60, [second, second + 1, first, first + 1]]
+
+
+def clipped(table: np.ndarray, columns: list[str]) -> None:
+    column = columns.index("arm.m3.y")
+    table[:, column] = np.minimum(table[:, column], 0.2)
+
+
+def unseen(table: np.ndarray, columns: list[str]) -> None:
+    table[:, columns.index("tip.m2.y")] = np.nan
+
+
+def short_torque(table: np.ndarray, columns: list[str]) -> None:
+    table[50:, columns.index("arm.tau")] = np.nan
+
+
+def no_torque(table: np.ndarray, columns: list[str]) -> None:
+    table[:, columns.index("arm.tau")] = 0.0
+
+
+def other_torque(table: np.ndarray, columns: list[str]) -> None:
+    table[:, columns.index("arm.tau")] *= 1.3
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("free", frozen, ["free.csv: nothing moves", "'decay'"]),
+        ("free", millimetres, ["free.csv: a marker coordinate reaches", "1.5 m long", "millimetres"]),
+        ("free", occluded, ["free.csv: 1 gap", "from t = 0.18 s"]),
+        ("free", swapped, ["free.csv: in 5 frames", "exchanging arm.m1 and arm.m2"]),
+        ("free", clipped, ["free.csv: arm.m3.y stays", "0.2 m"]),
+        ("free", unseen, ["free.csv: no position of tip.m2"]),
+        ("drive_1", short_torque, ["drive_1.csv: arm.tau is measured from t = 0 to 0.49 s"]),
+        ("drive_1", no_torque, ["drive_1.csv: every torque is zero"]),
+        ("drive_2", other_torque, ["drive_2.csv: it repeats drive_1.csv", "differ by 30 %"]),
+    ],
+)
+def test_warnings_of_an_experiment(
+    tmp_path: Path, name: str, change: Callable[[np.ndarray, list[str]], None], words: list[str]
+) -> None:
+    warnings = load_changed(tmp_path, name, change).warnings
+    (sentence,) = (x for x in warnings if x.startswith(words[0]))
+    assert all(word in sentence for word in words)
+    assert len(warnings) == 1 + (change is no_torque)  # whose repeat, of course, has another torque
+
+
+@pytest.mark.parametrize("kind", ["static", "quiet"])
+def test_standing_still_is_right_for_some_kinds(tmp_path: Path, kind: str) -> None:
+    toml = TOML.replace('kind = "decay"', f'kind = "{kind}"')
+    assert load_changed(tmp_path, "free", frozen, toml).warnings == ()
+
+
+def test_labels_that_contradict(tmp_path: Path) -> None:
+    toml = TOML.replace('repeat = "drive"', 'repeat = "drive"\ncondition = "Reference"', 1)
+    repeat, condition = load_experiment(write_experiment(tmp_path, toml)).warnings
+    assert "drive_2.csv: it repeats drive_1.csv" in repeat
+    assert "its condition is none and the other's is 'Reference'" in repeat
+    assert "drive_1.csv: its condition 'Reference' is not 'reference'" in condition
+
+
+def test_free_conditions(tmp_path: Path) -> None:
+    for label in ("reference", "damaged"):
+        toml = TOML.replace("gravity = [0, 0]", f'condition = "{label}"')
+        experiment = load_experiment(write_experiment(tmp_path, toml))
+        assert experiment.recordings[2].condition == label
+        assert experiment.warnings == ()
+
+
+def test_one_file_listed_twice(tmp_path: Path) -> None:
+    toml = TOML + '[[recording]]\nfile = "free.csv"\nkind = "decay"\nrole = "train"\n'
+    assert load_experiment(write_experiment(tmp_path, toml)).warnings == ("free.csv: listed 2 times",)
+
+
+def test_marker_without_columns(tmp_path: Path) -> None:
+    columns = [name for name in FREE if not name.startswith("arm.m2")]
+    experiment = load_experiment(write_experiment(tmp_path, free=csv_text(columns, rows(columns))))
+    assert experiment.warnings == ("free.csv: no position of arm.m2 in this recording",)
+    assert np.isnan(experiment.recordings[2].markers[:, 1]).all()
+    assert experiment.recordings[2].markers.shape == (ROWS, 5, 2)

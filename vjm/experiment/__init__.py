@@ -1,0 +1,38 @@
+"""The experiment: a rig and what was recorded on it, read from a TOML file and CSV recordings."""
+
+from __future__ import annotations
+
+import os
+
+from vjm.experiment.records import Array, Experiment, Joint, Kind, Link, MarkersFrame, Recording, Rig, Role
+
+__all__ = [
+    "Array",
+    "Experiment",
+    "Joint",
+    "Kind",
+    "Link",
+    "MarkersFrame",
+    "Recording",
+    "Rig",
+    "Role",
+    "load_experiment",
+]
+
+
+def load_experiment(path: str | os.PathLike[str]) -> Experiment:
+    """Read an experiment file and every recording it lists.
+
+    Args:
+        path: the TOML file; recordings are found relative to it.
+
+    Returns:
+        The experiment; `warnings` holds what a user should know before trusting results.
+
+    Raises:
+        ExperimentError: the experiment file is unusable, or a recording it lists is missing.
+        RecordingError: a recording is unusable.
+    """
+    from vjm.experiment.load import load_experiment as load  # pandas and pydantic are slow to import
+
+    return load(path)

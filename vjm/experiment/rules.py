@@ -1,0 +1,123 @@
+"""What the tables of an experiment file must fulfil together, and the rig they become."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from vjm.errors import ExperimentError
+from vjm.experiment.faults import shown, table_name
+from vjm.experiment.records import Link, Rig
+from vjm.experiment.schema import ExperimentTable, LinkTable, RecordingTable
+
+_SECTION_KEYS = ("youngs_modulus", "width", "thickness")
+
+
+def build_rig(file: Path, tables: ExperimentTable) -> Rig:
+    """The rig an experiment file describes.
+
+    Args:
+        file: the experiment file, for errors.
+        tables: its validated tables.
+
+    Raises:
+        ExperimentError: tables that contradict themselves or one another.
+    """
+    _check_names(file, tables.link)
+    links = tuple(_build_link(file, index, table) for index, table in enumerate(tables.link))
+    if not any(link.markers for link in links):
+        raise ExperimentError(file, "link[1] " + links[0].name, "markers", "no link has a marker", "at least one")
+    gravity = (tables.base.gravity[0], tables.base.gravity[1])
+    return Rig(tables.name, links, gravity, tables.sensors.marker_noise, tables.sensors.encoder_noise)
+
+
+def recording_gravity(table: RecordingTable, rig: Rig) -> tuple[float, float]:
+    """Gravity in one recording, its own or the rig's [m/s^2]."""
+    return rig.gravity if table.gravity is None else (table.gravity[0], table.gravity[1])
+
+
+def check_repeats(file: Path, tables: ExperimentTable, rig: Rig) -> None:
+    """Recordings with one `repeat` label must be of one kind, payload and gravity.
+
+    Raises:
+        ExperimentError: naming the later of two recordings that contradict each other.
+    """
+    first: dict[str, int] = {}
+    for index, table in enumerate(tables.recording):
+        if table.repeat is None:
+            continue
+        other = first.setdefault(table.repeat, index)
+        here, there = (_conditions(tables.recording[i], rig) for i in (index, other))
+        for key, value in here.items():
+            if value != there[key]:
+                place = table_name("recording", other, tables.recording[other].file)
+                problem = f"{shown(value)}, but [{place}] with the same repeat label '{table.repeat}' has another"
+                name = table_name("recording", index, table.file)
+                raise ExperimentError(file, name, key, problem, f"{shown(there[key])}, or another label")
+
+
+def _conditions(table: RecordingTable, rig: Rig) -> dict[str, object]:
+    return {"kind": table.kind, "payload": table.payload, "gravity": recording_gravity(table, rig)}
+
+
+def _check_names(file: Path, tables: list[LinkTable]) -> None:
+    first: dict[str, int] = {}
+    for index, table in enumerate(tables):
+        if first.setdefault(table.name, index) != index:
+            problem = f"'{table.name}' is already the name of link[{first[table.name] + 1}]"
+            raise ExperimentError(file, table_name("link", index, table.name), "name", problem, "a name of its own")
+
+
+def _build_link(file: Path, index: int, table: LinkTable) -> Link:
+    place = table_name("link", index, table.name)
+    _check_markers(file, place, table)
+    if table.hub_inertia is not None and table.joint == "clamped":
+        raise ExperimentError(
+            file, place, "hub_inertia", "the link is clamped and has no hub", 'this key only with joint = "revolute"'
+        )
+    return Link(
+        name=table.name,
+        joint=table.joint,
+        length=table.length,
+        mass=table.mass,
+        bending_stiffness=_bending_stiffness(file, place, table),
+        markers=tuple(table.markers),
+        hub_inertia=table.hub_inertia or 0.0,
+        payload=table.payload,
+        markers_frame=table.markers_frame,
+        width=table.width,
+        thickness=table.thickness,
+        youngs_modulus=table.youngs_modulus,
+        virtual_joints=table.virtual_joints,
+    )
+
+
+def _check_markers(file: Path, place: str, table: LinkTable) -> None:
+    previous = 0.0
+    for number, marker in enumerate(table.markers, start=1):
+        if marker > table.length:
+            expected = f"arc lengths up to the link's length, {table.length:g} m"
+            raise ExperimentError(file, place, "markers", f"item {number} is {marker:g}, beyond the link", expected)
+        if marker <= previous:
+            expected = "strictly increasing arc lengths, from the proximal end outwards"
+            problem = f"item {number} is {marker:g} after {previous:g}"
+            raise ExperimentError(file, place, "markers", problem, expected)
+        previous = marker
+
+
+def _bending_stiffness(file: Path, place: str, table: LinkTable) -> float:
+    """EI as given, or E w h^3 / 12 [N m^2]."""
+    given = [key for key in _SECTION_KEYS if getattr(table, key) is not None]
+    either = "either youngs_modulus, width and thickness, or bending_stiffness"
+    if table.bending_stiffness is not None:
+        if given:
+            raise ExperimentError(file, place, given[0], "given together with bending_stiffness", either)
+        return table.bending_stiffness
+    if table.youngs_modulus is None or table.width is None or table.thickness is None:
+        absent = next(key for key in _SECTION_KEYS if key not in given) if given else "bending_stiffness"
+        raise ExperimentError(file, place, absent, "missing", either)
+    stiffness = table.youngs_modulus * table.width * table.thickness * table.thickness * table.thickness / 12.0
+    if not (math.isfinite(stiffness) and stiffness > 0.0):
+        problem = f"bending stiffness E w h^3 / 12 comes out as {stiffness:g}"
+        raise ExperimentError(file, place, "youngs_modulus", problem, "values that give a finite positive one")
+    return stiffness
