@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +80,11 @@ def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_
 
 
 def smooth(
-    time: ArrayLike, values: ArrayLike, noise: ArrayLike, weights: ArrayLike | None = None
+    time: ArrayLike,
+    values: ArrayLike,
+    noise: ArrayLike,
+    weights: ArrayLike | None = None,
+    exponent: float | None = None,
 ) -> Derivatives:
     """Smoothing spline whose residual is as large as the noise says it should be (discrepancy principle).
 
@@ -91,6 +96,7 @@ def smooth(
         values: (T, m); frames with NaN are left out.
         noise: (m,) 1-sigma noise of a sample, or (m, m) its covariance.
         weights: (T,) relative inverse variance of the frames; equal when None.
+        exponent: log10 of the penalty, to repeat an earlier filter; found from the noise when None.
 
     Raises:
         InsufficientDataError: fewer than ten frames.
@@ -106,17 +112,22 @@ def smooth(
         residual = (y - centre - spline.basis[0] @ spline.solve(y - centre, exponent)) @ whiten
         return float(np.log(max(np.sum(w[:, None] * residual**2), 1e-300) / target))
 
-    if excess(_SMOOTHEST) <= 0:
-        exponent = _SMOOTHEST
-    elif excess(_ROUGHEST) >= 0:
-        exponent = _ROUGHEST
-    else:
-        exponent = float(brentq(excess, _ROUGHEST, _SMOOTHEST, xtol=0.01))
+    if exponent is None:
+        exponent = _root(excess)
     coefficients = spline.solve(y - centre, exponent)
     gains, reach = spline.gains(exponent)
     inside = (t >= t[0] + reach) & (t <= t[-1] - reach)
     value, rate, acceleration = (matrix @ coefficients for matrix in spline.basis)
     return Derivatives(t, value + centre, rate, acceleration, gains, inside, exponent)
+
+
+def _root(excess: Callable[[float], float]) -> float:
+    """Penalty at which the residual is as large as the noise, within the penalties searched."""
+    if excess(_SMOOTHEST) <= 0:
+        return _SMOOTHEST
+    if excess(_ROUGHEST) >= 0:
+        return _ROUGHEST
+    return float(brentq(excess, _ROUGHEST, _SMOOTHEST, xtol=0.01))
 
 
 def _clean(

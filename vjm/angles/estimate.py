@@ -89,18 +89,16 @@ def estimate_angles(
     if settings.method not in ANGLE_METHODS:
         raise ChoiceError("angle method", settings.method, ANGLE_METHODS)
     rows = recording.frames
-    time = recording.time[rows]
     theta = _at_frames(recording, recording.theta, rows)
     origin, heading = np.zeros((rows.size, 2)), np.zeros(rows.size)
     columns: list[Array] = []
     shapes: list[ShapeFit] = []
     blocks: list[Array] = []
-    active = 0
     for i, link in enumerate(rig.links):
         if link.joint == "revolute":
-            heading = heading + theta[:, active]
-            columns.append(theta[:, active : active + 1])
-            active += 1
+            own = theta[:, [rig.active_links.index(i)]]
+            columns.append(own)
+            heading = heading + own[:, 0]
         markers = recording.markers[rows][:, rig.marker_slices[i]]
         if link.markers_frame == "base":
             markers = rotate(markers - origin[:, None], -heading[:, None])
@@ -111,7 +109,7 @@ def estimate_angles(
         blocks.append(_covariance(link, cuts[i], fit, marker_noise, encoder_noise))
     q = np.concatenate(columns, axis=1)
     return Angles(
-        time=time,
+        time=recording.time[rows],
         q=q,
         torque=_at_frames(recording, recording.tau, rows),
         covariance=block_diag(*blocks),

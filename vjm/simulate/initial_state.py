@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,16 +13,19 @@ from vjm.chain.curve import marker_positions
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
-from vjm.modes import equilibrium
-from vjm.simulate.rollout import Simulation, marker_arcs, rollout, simulate
+from vjm.modes import equilibrium, linearise
+from vjm.simulate.integrators import linear_response, sample
+from vjm.simulate.rollout import Simulation, default_step, marker_arcs, rollout, simulate
 
 Array = NDArray[np.float64]
 
 _MOST_ITERATIONS = 20
 _TOLERANCE = 1e-6  # relative decrease of chi^2 at which the search has converged
+_COARSE_TOLERANCE = 1e-2
 _PERTURBATION = 1e-6  # rad, and rad times the slowest angular frequency for rates
-_SMALLEST_SINGULAR = 1e-9  # of the largest: state directions the recording does not show stay where they were
-_MOST_DAMPING = 1e8
+_LARGEST_UNCERTAINTY = 0.02  # rad a joint: directions of the state that the recording shows less surely stay at rest
+_LEAST_DAMPING = 1e-6  # of the largest singular value squared
+_MOST_DAMPING = 1e2
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,8 @@ class _Measured:
 def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
     """Simulate a recording open loop from its most likely initial state (Levenberg-Marquardt from rest).
 
-    The first step is the least-squares fit of the linear motion to the whole recording, so no guess is needed.
+    The linear motion's least-squares fit to the whole recording comes first, so no guess is needed; the last steps use
+    the simulation's own derivatives.
 
     Args:
         chain: the arm.
@@ -85,30 +90,94 @@ def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, en
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
-    measured = _Measured.of(recording, marker_noise, encoder_noise)
-    state = np.concatenate([_start(chain, recording), np.zeros(chain.size)])
-    scale = _state_scale(chain)
-    values, jacobian = _linearised(chain, rig, recording, measured, state, scale)
-    residual = measured.weights * (measured.values - values)
-    chi2, damping, status = float(residual @ residual), 0.0, "not converged"
-    for _ in range(_MOST_ITERATIONS):
-        step = scale * _damped_step(measured.weights[:, None] * jacobian, residual, damping)
-        trial = _chi2(chain, rig, recording, measured, state + step)
-        if trial < chi2:
-            converged = chi2 - trial < _TOLERANCE * chi2
-            state, chi2, damping = state + step, trial, damping / 10 if damping > 1e-6 else 0.0
-            if converged:
-                status = "converged"
-                break
-            values, jacobian = _linearised(chain, rig, recording, measured, state, scale)
-            residual = measured.weights * (measured.values - values)
-        else:
-            if trial - chi2 < _TOLERANCE * chi2 or damping > _MOST_DAMPING:
-                status = "converged"
-                break
-            damping = max(10 * damping, 1e-3)
+    problem = _Problem(chain, rig, recording, _Measured.of(recording, marker_noise, encoder_noise), _state_scale(chain))
+    guess = np.concatenate([_start(chain, recording), np.zeros(chain.size)])
+    linear, _ = _search(problem, guess, problem.linear_jacobian, _COARSE_TOLERANCE)
+    state, converged = _search(problem, linear, problem.jacobian, _TOLERANCE)
     simulation = simulate(chain, rig, recording, state[: chain.size], state[chain.size :])
-    return _report(simulation, recording, chi2, measured.values.size, status == "converged")
+    return _report(simulation, recording, problem.chi2(state), problem.measured.values.size, converged)
+
+
+def _search(
+    problem: _Problem, state: Array, jacobian_at: Callable[[Array], Array], tolerance: float
+) -> tuple[Array, bool]:
+    """Levenberg-Marquardt; a Jacobian is kept as long as it halves chi^2's remaining decrease."""
+    residual = problem.residual(state)
+    chi2, damping = float(residual @ residual), 0.0
+    factors = np.linalg.svd(jacobian_at(state), full_matrices=False)
+    fresh = True
+    for _ in range(_MOST_ITERATIONS):
+        step, predicted = _damped_step(factors, residual, damping)
+        if fresh and predicted < tolerance * chi2:
+            return state, True
+        trial = problem.residual(state + problem.scale * step)
+        decrease = chi2 - float(trial @ trial)
+        if decrease > 0:
+            state, residual, chi2 = state + problem.scale * step, trial, chi2 - decrease
+            damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
+        if decrease > predicted / 2:
+            fresh = fresh and decrease > 0.9 * predicted
+            if decrease < tolerance * chi2:
+                return state, True
+            continue
+        if fresh and decrease <= 0:
+            damping = max(10 * damping, _LEAST_DAMPING)
+            if damping > _MOST_DAMPING:
+                return state, True
+            continue
+        factors, fresh = np.linalg.svd(jacobian_at(state), full_matrices=False), True
+    return state, False
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Weighted residuals of a recording as a function of the initial state."""
+
+    chain: Chain
+    rig: Rig
+    recording: Recording
+    measured: _Measured
+    scale: Array
+
+    def residual(self, state: Array) -> Array:
+        """(m,) weighted residuals from the initial state (2 nv,); infinite where the simulation diverges."""
+        try:
+            q, _ = self._rollout(state[None])
+        except SimulationDivergedError:
+            return np.full(self.measured.values.size, np.inf)
+        return self.measured.weights * (self.measured.values - self._values(q)[0])
+
+    def chi2(self, state: Array) -> float:
+        """Sum of squared weighted residuals."""
+        residual = self.residual(state)
+        return float(residual @ residual)
+
+    def jacobian(self, state: Array) -> Array:
+        """(m, 2 nv) derivative of the weighted model values by the scaled state: one batched simulation."""
+        states = state + np.vstack([np.zeros(state.size), np.diag(_PERTURBATION * self.scale)])
+        return self._difference(self._rollout(states)[0])
+
+    def linear_jacobian(self, state: Array) -> Array:
+        """The same with the linear motion's derivatives about the position of rest."""
+        recording, chain = self.recording, self.chain
+        nominal, _ = self._rollout(state[None])
+        M, D, K, _ = linearise(chain, recording.payload, recording.gravity, nominal[0, 0, chain.active])
+        step = default_step(chain, recording.payload)
+        count = int(np.ceil((recording.time[-1] - recording.time[0]) / step))
+        free, _ = sample(linear_response(M, D, K, float(recording.time[0]), step, count), recording.time)
+        moved = nominal + _PERTURBATION * self.scale[:, None] * free
+        return self._difference(np.concatenate([nominal, moved], axis=1))
+
+    def _rollout(self, states: Array) -> tuple[Array, Array]:
+        n = self.chain.size
+        return rollout([self.chain] * len(states), self.recording, states[:, :n], states[:, n:])
+
+    def _values(self, q: Array) -> Array:
+        return self.measured.of_model(marker_positions(self.chain, q, *marker_arcs(self.rig)), q[..., self.chain.active])
+
+    def _difference(self, q: Array) -> Array:
+        values = self._values(q)
+        return self.measured.weights[:, None] * (values[1:] - values[0]).T / _PERTURBATION
 
 
 def _start(chain: Chain, recording: Recording) -> Array:
@@ -124,32 +193,14 @@ def _state_scale(chain: Chain) -> Array:
     return np.r_[np.ones(chain.size), np.full(chain.size, omega)]
 
 
-def _linearised(
-    chain: Chain, rig: Rig, recording: Recording, measured: _Measured, state: Array, scale: Array
-) -> tuple[Array, Array]:
-    """Model values (m,) and their derivative (m, 2 nv) by the scaled initial state: one batched simulation."""
-    states = state + np.vstack([np.zeros(state.size), np.diag(_PERTURBATION * scale)])
-    n = chain.size
-    q, _ = rollout([chain] * len(states), recording, states[:, :n], states[:, n:])
-    values = measured.of_model(marker_positions(chain, q, *marker_arcs(rig)), q[:, :, chain.active])
-    return values[0], (values[1:] - values[0]).T / _PERTURBATION
-
-
-def _chi2(chain: Chain, rig: Rig, recording: Recording, measured: _Measured, state: Array) -> float:
-    try:
-        simulation = simulate(chain, rig, recording, state[: chain.size], state[chain.size :])
-    except SimulationDivergedError:
-        return float("inf")
-    model = measured.of_model(simulation.markers[:, None], simulation.theta[:, None])[0]
-    return float(np.sum((measured.weights * (measured.values - model)) ** 2))
-
-
-def _damped_step(jacobian: Array, residual: Array, damping: float) -> Array:
-    left, singular, right = np.linalg.svd(jacobian, full_matrices=False)
-    kept = singular > _SMALLEST_SINGULAR * singular[0]
+def _damped_step(factors: tuple[Array, Array, Array], residual: Array, damping: float) -> tuple[Array, float]:
+    """Step along the Jacobian's singular directions and the decrease of chi^2 that it promises."""
+    left, singular, right = factors
+    kept = singular > 1 / _LARGEST_UNCERTAINTY
+    components = left.T @ residual
     gains = np.where(kept, singular / np.maximum(singular**2 + damping * singular[0] ** 2, 1e-300), 0.0)
-    step: Array = right.T @ (gains * (left.T @ residual))
-    return step
+    taken = gains * singular
+    return right.T @ (gains * components), float(np.sum(components**2 * taken * (2 - taken)))
 
 
 def _report(simulation: Simulation, recording: Recording, chi2: float, count: int, converged: bool) -> Replay:

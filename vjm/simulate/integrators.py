@@ -127,6 +127,29 @@ def exponential(system: System, q: Array, v: Array, torque: Array, start: float,
     return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], torque[-1]))
 
 
+def linear_response(M: Array, D: Array, K: Array, start: float, step: float, count: int) -> Steps:
+    """Free motion of M x'' + D x' + K x = 0 from each unit initial state in turn, exact at every step.
+
+    Args:
+        M, D, K: (nv, nv).
+        start, step: first instant and step [s].
+        count: number of steps S.
+
+    Returns:
+        Steps of C = 2 nv copies; copy c started with component c of (x, x') at one and all others at zero.
+    """
+    n = len(M)
+    rate = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, np.hstack([K, D]))]])
+    flow = expm(rate * step)
+    states = np.empty((count + 1, 2 * n, 2 * n))
+    states[0] = np.eye(2 * n)
+    for k in range(count):
+        states[k + 1] = flow @ states[k]
+    copies = np.swapaxes(states, 1, 2)
+    a = copies @ rate[n:].T
+    return Steps(start + step * np.arange(count + 1), copies[:, :, :n], copies[:, :, n:], a)
+
+
 INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
 
 

@@ -1,0 +1,31 @@
+"""A fine, geometrically exact beam: the independent source of truth behind the tests and the demo's data.
+
+It imports nothing of vjm and is not a chain of rigid links: the heading of the centre line is a smooth function
+of arc length.
+"""
+
+from tests.fine_beam.beam import Beam, Numerics, State, Trajectory, simulate
+from tests.fine_beam.sensors import Camera, Encoder, Frames, observe, read_encoder
+from tests.fine_beam.states import Modes, linear_modes, modal_state, rest_state, static_state
+from tests.fine_beam.write import RecordingEntry, write_experiment, write_recording
+
+__all__ = [
+    "Beam",
+    "Camera",
+    "Encoder",
+    "Frames",
+    "Modes",
+    "Numerics",
+    "RecordingEntry",
+    "State",
+    "Trajectory",
+    "linear_modes",
+    "modal_state",
+    "observe",
+    "read_encoder",
+    "rest_state",
+    "simulate",
+    "static_state",
+    "write_experiment",
+    "write_recording",
+]

@@ -1,0 +1,121 @@
+"""Write recordings as CSV and the rig as experiment.toml, in the documented format."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.fine_beam.sensors import Frames
+
+Array = NDArray[np.float64]
+Value: TypeAlias = str | int | float | Sequence[float]
+
+_TICK = 1e-9  # s; samples of two sensors closer than this share a row
+
+
+@dataclass(frozen=True)
+class RecordingEntry:
+    """One [[recording]] table; what is None is left out."""
+
+    file: str
+    kind: str
+    role: str
+    repeat: str | None = None
+    condition: str | None = None
+    payload: float | None = None
+    gravity: tuple[float, float] | None = None
+
+
+def write_recording(
+    path: Path,
+    link: str,
+    frames: Frames,
+    encoder: tuple[Array, Array] | None = None,
+    torque: tuple[Array, Array] | None = None,
+    decimals: int = 6,
+) -> None:
+    """Write one CSV.
+
+    Args:
+        path: the file.
+        link: the link's name, the columns' prefix.
+        frames: time (f,) in s and markers (f, k, 2) in m; `decimals` of a metre are written.
+        encoder: time (e,) in s and joint angle (e,) in rad; column left out when None.
+        torque: time (e,) in s and hub torque (e,) in N m; column left out when None.
+        decimals: digits after the point of a marker coordinate.
+    """
+    axes = [f"{link}.m{marker + 1}.{axis}" for marker in range(frames.markers.shape[1]) for axis in "xy"]
+    columns = [(f"{link}.theta", encoder, ".7f"), (f"{link}.tau", torque, ".12g")]
+    sampled = [(name, series, form) for name, series, form in columns if series is not None]
+    clocks = [frames.time, *(series[0] for _, series, _ in sampled)]
+    ticks = np.unique(np.round(np.concatenate(clocks) / _TICK).astype(np.int64))
+    cells = [[_number(tick * _TICK, ".9g") for tick in ticks]]
+    cells += [_column(ticks, *series, form) for _, series, form in sampled]
+    coordinates = frames.markers.reshape(len(frames.time), -1)
+    cells += [_column(ticks, frames.time, column, f".{decimals}f") for column in coordinates.T]
+    header = ",".join(["t", *(name for name, _, _ in sampled), *axes])
+    rows = [header, *(",".join(row) for row in zip(*cells, strict=True))]
+    _write_text(path, "\n".join(rows) + "\n")
+
+
+def _column(ticks: NDArray[np.int64], time: Array, values: Array, form: str) -> list[str]:
+    """Cells of one column, empty at the instants when nothing was measured."""
+    cells = [""] * len(ticks)
+    for row, value in zip(np.searchsorted(ticks, np.round(time / _TICK)), values, strict=True):
+        cells[row] = "" if np.isnan(value) else _number(value, form)
+    return cells
+
+
+def _number(value: float, form: str) -> str:
+    """A formatted number; never a negative zero."""
+    text = format(value, form)
+    return text.removeprefix("-") if float(text) == 0.0 else text
+
+
+def write_experiment(
+    path: Path,
+    name: str,
+    link: Mapping[str, Value],
+    sensors: Mapping[str, Value],
+    recordings: Sequence[RecordingEntry],
+    gravity: tuple[float, float] = (0.0, 0.0),
+) -> None:
+    """Write experiment.toml: `link` and `sensors` hold the keys of their tables, in the order they are to appear."""
+    tables: list[tuple[str, Mapping[str, Value]]] = [("[base]", {"gravity": list(gravity)}), ("[[link]]", link)]
+    if sensors:
+        tables.append(("[sensors]", sensors))
+    for entry in recordings:
+        tables.append(("[[recording]]", {key: value for key, value in asdict(entry).items() if value is not None}))
+    blocks = [_pairs({"schema": 1, "name": name}), *(f"{heading}\n{_pairs(table)}" for heading, table in tables)]
+    _write_text(path, "\n".join(blocks))
+
+
+def _pairs(table: Mapping[str, Value]) -> str:
+    """`key = value` lines."""
+    return "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
+
+
+def _toml(value: Value) -> str:
+    """A TOML literal."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, int):
+        return str(value)
+    if isinstance(value, float):
+        text = format(value, ".12e" if abs(value) >= 1e9 else ".12g")
+        if "e" in text:
+            mantissa, exponent = text.split("e")
+            return f"{mantissa.rstrip('0').rstrip('.') if '.' in mantissa else mantissa}e{int(exponent)}"
+        return text if "." in text else text + ".0"
+    return "[" + ", ".join(_toml(float(item)) for item in value) + "]"
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write the same bytes on every system."""
+    path.write_bytes(text.encode("utf-8"))

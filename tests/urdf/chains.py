@@ -1,0 +1,132 @@
+"""Chains for tests, and their mechanics in the plane from first principles."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+from hypothesis import strategies as st
+
+from vjm.chain.records import Array, Chain, LinkChain, frozen
+
+HOSTILE = "<a&\"b'>]]> é世\U0001f9be --"
+NAMES = st.text(
+    st.characters(exclude_categories=("Cc", "Cs"), exclude_characters="\ufffe\uffff"), min_size=1, max_size=8
+)
+
+
+def positive(least: float, most: float) -> st.SearchStrategy[float]:
+    return st.floats(least, most, allow_nan=False)
+
+
+def sizes(count: int, least: float, most: float) -> st.SearchStrategy[Array]:
+    return st.lists(positive(least, most), min_size=count, max_size=count).map(frozen)
+
+
+@st.composite
+def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
+    n = draw(st.integers(1, 4))
+    return LinkChain(
+        name=name,
+        joint=draw(st.sampled_from(["revolute", "clamped"])),
+        lengths=draw(sizes(n + 1, 0.05, 1.0)),
+        masses=draw(sizes(n + 1, 0.01, 3.0)),
+        mass_centers=draw(sizes(n + 1, 0.0, 1.0)),
+        inertias=draw(sizes(n + 1, 1e-6, 0.1)),
+        stiffness=draw(sizes(n, 0.0, 1e4)),
+        damping=draw(sizes(n, 0.0, 2.0)),
+        cells=draw(sizes(n, 1e-3, 1.0)),
+        hub_inertia=draw(st.sampled_from([0.0, 0.02, 1.7])),
+        payload=draw(st.sampled_from([0.0, 0.015, 2.5])),
+        distal=draw(st.sampled_from(["free", "joined"])),
+        width=draw(st.none() | positive(1e-3, 0.1)),
+        thickness=draw(st.none() | positive(1e-4, 0.1)),
+    )
+
+
+@st.composite
+def chains(draw: st.DrawFn, names: st.SearchStrategy[str] = NAMES) -> Chain:
+    given_names = draw(st.lists(names, min_size=1, max_size=3, unique=True))
+    gravity = draw(st.tuples(positive(-10, 10), positive(-10, 10)))
+    return Chain(draw(names), tuple(draw(link_chains(name)) for name in given_names), gravity)
+
+
+def plain_link(name: str = "beam", n: int = 2, **changes: object) -> LinkChain:
+    """A link of round numbers, none equal to another."""
+    j = np.arange(n + 1)
+    values: dict[str, object] = {
+        "joint": "revolute",
+        "lengths": 0.3 + 0.05 * j,
+        "masses": [0.1, 0.15, 0.19, 0.22][: n + 1],
+        "mass_centers": 0.12 + 0.01 * j,
+        "inertias": 1e-3 + 2e-4 * j,
+        "stiffness": 7.0 + j[1:],
+        "damping": [2e-3, 3e-3, 5e-3][:n],
+        "cells": 0.31 + 0.02 * j[1:],
+        "hub_inertia": 0.02,
+        "payload": 0.05,
+        "width": 0.035,
+        "thickness": 0.0015,
+    }
+    return LinkChain(name=name, **{**values, **changes})  # type: ignore[arg-type]
+
+
+def plain_chain() -> Chain:
+    """Two links, one of them without width and thickness."""
+    second = plain_link("fore", n=3, hub_inertia=1e-3, payload=0.0, width=None, thickness=None)
+    return Chain("arm", (plain_link(distal="joined"), second), (0.0, -9.81))
+
+
+def contents(chain: Chain) -> dict[str, object]:
+    """Everything a chain holds, comparable by == to the last bit."""
+    links = [
+        {
+            field.name: value.tolist() if isinstance(value := getattr(link, field.name), np.ndarray) else value
+            for field in fields(link)
+        }
+        for link in chain.links
+    ]
+    return {"name": chain.name, "gravity": chain.gravity, "links": links}
+
+
+class Plane:
+    """The chain drawn in the plane at one posture: every body's pose, and the joints that move it."""
+
+    def __init__(self, chain: Chain, q: Array) -> None:
+        self.q = q
+        self.places: dict[str, tuple[Array, float]] = {}
+        self.bodies: list[tuple[float, float, Array, int]] = []  # mass, inertia, centre, joints that move it
+        self.pivots: list[Array] = []
+        self.angle, self.point = 0.0, np.zeros(2)
+        for link in chain.links:
+            self._add_link(link)
+
+    def _turn(self) -> None:
+        self.angle += self.q[len(self.pivots)]
+        self.pivots.append(self.point)
+
+    def _ahead(self, distance: float) -> Array:
+        return self.point + distance * np.array([np.cos(self.angle), np.sin(self.angle)])
+
+    def _add_link(self, link: LinkChain) -> None:
+        for j in range(link.virtual_joints + 1):
+            if j or link.joint == "revolute":
+                self._turn()
+            self.places[f"{link.name}_virtual_{j}_link"] = (self.point, self.angle)
+            turning = link.inertias[j] + (link.hub_inertia if j == 0 else 0.0)
+            center = self._ahead(link.mass_centers[j])
+            self.bodies.append((link.masses[j], turning, center, len(self.pivots)))
+            self.point = self._ahead(link.lengths[j])
+        self.places[f"{link.name}_tip"] = (self.point, self.angle)
+        self.bodies.append((link.payload, 0.0, self.point, len(self.pivots)))
+
+    def mass_matrix(self) -> Array:
+        """Sum over bodies of m J^T J + I w w^T."""
+        total = np.zeros((self.q.size, self.q.size))
+        for mass, turning, center, moved_by in self.bodies:
+            jacobian, spin = np.zeros((2, self.q.size)), np.zeros(self.q.size)
+            for k in range(moved_by):
+                arm = center - self.pivots[k]
+                jacobian[:, k], spin[k] = (-arm[1], arm[0]), 1.0
+            total += mass * jacobian.T @ jacobian + turning * np.outer(spin, spin)
+        return total

@@ -1,0 +1,193 @@
+"""A chain's URDF, seen through other people's parsers."""
+
+from __future__ import annotations
+
+import io
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.urdf.chains import HOSTILE, Plane, chains, plain_chain, plain_link
+from vjm.chain.records import Array, Chain
+from vjm.errors import ShapeError, VjmError
+from vjm.urdf import chain_to_urdf, templates
+from vjm.urdf.elements import inertial, section
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def posture(chain: Chain, seed: int) -> Array:
+    return np.random.default_rng(seed).uniform(-1.2, 1.2, chain.size)
+
+
+def pinocchio_at(chain: Chain, q: Array) -> tuple[pin.Model, pin.Data, Array]:
+    model = pin.buildModelFromXML(chain_to_urdf(chain))
+    configuration = pin.integrate(model, pin.neutral(model), q)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, configuration)
+    return model, data, configuration
+
+
+def robot_of(chain: Chain) -> yourdfpy.URDF:
+    return yourdfpy.URDF.load(io.BytesIO(chain_to_urdf(chain).encode()), load_meshes=False)
+
+
+def assert_pose(rotation: Array, translation: Array, place: tuple[Array, float]) -> None:
+    point, angle = place
+    assert translation == pytest.approx([*point, 0.0], abs=1e-12)
+    assert rotation[:2, 0] == pytest.approx([np.cos(angle), np.sin(angle)], abs=1e-12)
+    assert rotation[2] == pytest.approx([0, 0, 1])
+
+
+@settings(deadline=None)
+@given(chains(), SEEDS)
+def test_pinocchio_finds_the_mass_matrix_of_first_principles(chain: Chain, seed: int) -> None:
+    q = posture(chain, seed)
+    model, data, configuration = pinocchio_at(chain, q)
+    expected = Plane(chain, q).mass_matrix()
+    upper = np.triu(pin.crba(model, data, configuration))
+    np.testing.assert_allclose(upper, np.triu(expected), rtol=1e-10, atol=1e-12 * expected.max())
+
+
+@settings(deadline=None)
+@given(chains(), SEEDS)
+def test_pinocchio_finds_joints_frames_damping_and_mass(chain: Chain, seed: int) -> None:
+    q = posture(chain, seed)
+    model, data, _ = pinocchio_at(chain, q)
+    assert model.name == chain.name
+    assert tuple(model.names)[1:] == chain.joint_names
+    assert model.damping == pytest.approx(chain.damping, rel=1e-15)
+    for name, place in Plane(chain, q).places.items():
+        pose = data.oMf[model.getFrameId(name)]
+        assert_pose(pose.rotation, pose.translation, place)
+    clamped = chain.links[0].masses[0] if chain.links[0].joint == "clamped" else 0.0
+    moving = sum(link.masses.sum() + link.payload for link in chain.links) - clamped
+    assert pin.computeTotalMass(model) == pytest.approx(moving)
+
+
+@settings(max_examples=30, deadline=None)
+@given(chains(), SEEDS)
+def test_yourdfpy_finds_joints_frames_and_masses(chain: Chain, seed: int) -> None:
+    q = posture(chain, seed)
+    robot = robot_of(chain)
+    assert robot.validate(), robot.errors
+    assert robot.robot.name == chain.name
+    assert robot.base_link == "base"
+    assert tuple(robot.actuated_joint_names) == chain.joint_names
+    robot.update_cfg(q)
+    for name, place in Plane(chain, q).places.items():
+        pose = robot.get_transform(name, "base")
+        assert_pose(pose[:3, :3], pose[:3, 3], place)
+    for link in chain.links:
+        found = [robot.link_map[f"{link.name}_virtual_{j}_link"].inertial.mass for j in range(link.masses.size)]
+        assert found == link.masses.tolist()
+        assert (f"{link.name}_payload" in robot.link_map) == bool(link.payload)
+
+
+@settings(deadline=None)
+@given(chains())
+def test_inertia_is_that_of_a_body_with_three_dimensions(chain: Chain) -> None:
+    for link in chain.links:
+        for j in range(link.masses.size):
+            body = inertial(link, j)
+            axes = sorted([body.ixx, body.iyy, body.izz])
+            assert axes[0] > 0
+            assert axes[0] + axes[1] >= axes[2]
+
+
+def test_inertia_of_a_uniform_rod_is_that_of_a_box() -> None:
+    length, mass, width, thickness = 0.5, 0.4, 0.035, 0.002
+    turning = mass * (length**2 + thickness**2) / 12
+    link = plain_link(inertias=np.full(3, turning), masses=np.full(3, mass), width=width, thickness=thickness)
+    body = inertial(link, 1)
+    assert body.ixx == pytest.approx(mass * (width**2 + thickness**2) / 12)
+    assert body.iyy == pytest.approx(mass * (length**2 + width**2) / 12)
+    assert body.izz == turning
+
+
+def test_unknown_section_is_two_per_cent_of_the_length() -> None:
+    link = plain_link(width=None, thickness=None)
+    assert section(link) == pytest.approx((0.02 * link.length, 0.02 * link.length))
+
+
+def test_hub_turns_with_the_active_joint_only() -> None:
+    chain = Chain("arm", (plain_link(hub_inertia=0.0),))
+    with_hub = replace(chain, links=(replace(chain.links[0], hub_inertia=0.5),))
+    q = posture(chain, 3)
+    model, data, configuration = pinocchio_at(chain, q)
+    before = pin.crba(model, data, configuration)
+    model, data, configuration = pinocchio_at(with_hub, q)
+    added = np.triu(pin.crba(model, data, configuration) - before)
+    assert added[0, 0] == pytest.approx(0.5)
+    assert np.abs(added).sum() == pytest.approx(0.5)
+
+
+def test_extension_is_passed_over_in_silence(
+    caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with caplog.at_level(logging.INFO):
+        robot_of(plain_chain()).validate()
+    pin.buildModelFromXML(chain_to_urdf(plain_chain()))
+    assert caplog.text == ""
+    assert capfd.readouterr() == ("", "")
+
+
+def test_hostile_names_survive_every_parser() -> None:
+    chain = Chain(HOSTILE, (plain_link(HOSTILE), plain_link("{{ 7 * 7 }}{% raw %}")))
+    assert robot_of(chain).robot.name == HOSTILE
+    model = pin.buildModelFromXML(chain_to_urdf(chain))
+    assert model.name == HOSTILE
+    assert tuple(model.names)[1:] == chain.joint_names
+
+
+@pytest.mark.parametrize("name", ["", "a\nb", "a\tb", "\x00", "\x85", "\ud800", "\uffff"])
+def test_names_that_xml_cannot_hold_are_refused(name: str) -> None:
+    for chain in (Chain(name, (plain_link(),)), Chain("arm", (plain_link(name),))):
+        with pytest.raises(ShapeError, match="control characters"):
+            chain_to_urdf(chain)
+
+
+@pytest.mark.parametrize("field", ["hub_inertia", "payload"])
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+def test_values_no_reader_takes_are_refused(field: str, value: float) -> None:
+    with pytest.raises(ShapeError, match=rf"beam\.{field}"):
+        chain_to_urdf(Chain("arm", (plain_link(**{field: value}),)))
+
+
+def test_links_need_names_of_their_own() -> None:
+    with pytest.raises(ShapeError, match="names that differ"):
+        chain_to_urdf(Chain("arm", (plain_link(), plain_link())))
+    with pytest.raises(ShapeError, match="at least one"):
+        chain_to_urdf(Chain("arm", ()))
+
+
+def test_names_made_for_one_link_never_meet_those_of_another() -> None:
+    names = ("x", "x_tip", "x_virtual", "x_virtual_1", "x_payload", "x_tip_mount", "base")
+    chain = Chain("arm", tuple(plain_link(name) for name in names))
+    robot = robot_of(chain).robot
+    for made in ([joint.name for joint in robot.joints], [link.name for link in robot.links]):
+        assert len(set(made)) == len(made)
+
+
+def test_shapes_follow_the_section_and_the_payload() -> None:
+    links = robot_of(Chain("arm", (plain_link(payload=0.05),))).link_map
+    rod, pin_shape = links["beam_virtual_1_link"].visuals
+    assert rod.geometry.box.size == pytest.approx([0.35, 0.0015, 0.035])
+    assert rod.origin[:3, 3] == pytest.approx([0.175, 0, 0])
+    assert pin_shape.geometry.cylinder.length > 0.035
+    colours = [links[f"beam_virtual_{j}_link"].visuals[0].material.name for j in range(3)]
+    assert colours == ["vjm_even", "vjm_odd", "vjm_even"]
+    radius = links["beam_payload"].visuals[0].geometry.sphere.radius
+    assert 7850 * 4 / 3 * np.pi * radius**3 == pytest.approx(0.05)
+
+
+def test_missing_templates_say_where_they_were_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(templates, "_FOLDER", "nowhere")
+    with pytest.raises(VjmError, match=r"vjm/nowhere and .*nowhere; reinstall"):
+        templates.template_folder()

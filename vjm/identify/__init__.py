@@ -1,0 +1,22 @@
+"""Identification of the chain's parameters from recordings."""
+
+from vjm.identify.records import (
+    METHODS,
+    PARAMETERS,
+    Identification,
+    ModeComparison,
+    RecordingFit,
+    TorqueData,
+)
+from vjm.identify.run import fit_recordings, identify
+
+__all__ = [
+    "METHODS",
+    "PARAMETERS",
+    "Identification",
+    "ModeComparison",
+    "RecordingFit",
+    "TorqueData",
+    "fit_recordings",
+    "identify",
+]

@@ -1,0 +1,195 @@
+"""What the torque method needs of a recording: filtered angles with their derivatives, torques and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from vjm.angles.estimate import Angles, ShapeSettings, estimate_angles
+from vjm.chain.layout import Layout
+from vjm.derivatives import Derivatives, interpolate, smooth
+from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.experiment.records import Recording, Rig
+from vjm.shape.order import choose_order
+from vjm.spectrum import MeasuredModes, measure_modes
+
+Array = NDArray[np.float64]
+DERIVATIVE_METHODS = ("smoothing", "interpolating")
+_VISIBLE = 1e-9  # of the largest variance of the angles: directions the shape functions can take
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How recordings are prepared.
+
+    Attributes:
+        shape: shape functions and angles.
+        derivatives: `smoothing` or `interpolating`.
+        marker_noise: 1-sigma [m].
+        encoder_noise: 1-sigma [rad].
+    """
+
+    shape: ShapeSettings
+    derivatives: str
+    marker_noise: float
+    encoder_noise: float
+
+    def __post_init__(self) -> None:
+        if self.derivatives not in DERIVATIVE_METHODS:
+            raise ChoiceError("derivatives", self.derivatives, DERIVATIVE_METHODS)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """One recording, ready for torque errors.
+
+    Attributes:
+        recording: its source.
+        angles: at the camera's frames.
+        derivatives: (S, nv) angles, rates, accelerations at the instants used.
+        torque: (S, n_a) through the same filter [N m]; NaN where none was measured.
+        rows: (nv, r) maps torque errors to the rows that the data can speak of: passive ones along the shape functions,
+            active ones where a torque was measured.
+    """
+
+    recording: Recording
+    angles: Angles
+    derivatives: Derivatives
+    torque: Array
+    rows: Array
+
+    @property
+    def q(self) -> Array:
+        """(S, nv) angles away from the recording's ends [rad]."""
+        return self.derivatives.value[self.derivatives.interior]
+
+    @property
+    def v(self) -> Array:
+        """(S, nv) rates [rad/s]."""
+        return self.derivatives.rate[self.derivatives.interior]
+
+    @property
+    def a(self) -> Array:
+        """(S, nv) accelerations [rad/s^2]."""
+        return self.derivatives.acceleration[self.derivatives.interior]
+
+    @property
+    def tau(self) -> Array:
+        """(S, n_a) torques [N m]."""
+        return self.torque[self.derivatives.interior]
+
+
+def moving(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """The training recordings in which the arm moves.
+
+    Raises:
+        InsufficientDataError: there is none.
+    """
+    chosen = tuple(r for r in recordings if r.role == "train" and r.kind in ("driven", "decay"))
+    if not chosen:
+        raise InsufficientDataError(
+            "identification",
+            "no recording with role 'train' is of kind 'driven' or 'decay'",
+            "add one in which the arm moves",
+        )
+    return chosen
+
+
+def choose_orders(
+    rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recording], family: str
+) -> tuple[int, ...]:
+    """For each link, the largest number of shape functions that a recording supports by cross-validation.
+
+    Raises:
+        InsufficientDataError: a link without markers.
+    """
+    orders = [1] * len(rig.links)
+    for i, link in enumerate(rig.links):
+        if not link.markers:
+            raise InsufficientDataError(f"identification of {link.name}", "it has no markers", "put some on it")
+        for recording in recordings:
+            settings = ShapeSettings(family, tuple(orders))
+            fit = estimate_angles(rig, cuts, recording, settings, 1.0, 1.0).shapes[i]
+            lateral = fit.evaluate(link.markers) + fit.residuals
+            orders[i] = max(orders[i], choose_order(link.markers, lateral, link.length, family).order)
+    return tuple(orders)
+
+
+def prepare(
+    rig: Rig, cuts: Sequence[Layout], recording: Recording, settings: Settings, smoothing: float | None = None
+) -> Prepared:
+    """Angles, derivatives and torques of one recording.
+
+    Args:
+        rig: the arm.
+        cuts: each link's virtual links and cells.
+        recording: the source.
+        settings: shape functions, derivatives and noise.
+        smoothing: log10 of the spline's penalty, to repeat an earlier filter; from the noise when None.
+
+    Raises:
+        InsufficientDataError: too few frames from which all angles follow.
+    """
+    angles = estimate_angles(rig, cuts, recording, settings.shape, settings.marker_noise, settings.encoder_noise)
+    measured = np.isfinite(angles.torque).any(axis=0)
+    values = np.hstack([angles.q, angles.torque[:, measured]])
+    usable = np.isfinite(values).all(axis=1)
+    if usable.sum() < 10:
+        raise InsufficientDataError(
+            f"identification from {recording.file}",
+            f"only {int(usable.sum())} frames have all markers, encoders and torques it needs",
+            "record more complete frames",
+        )
+    if settings.derivatives == "smoothing":
+        covariance = block_diag(angles.covariance, np.zeros((int(measured.sum()),) * 2))
+        filtered = smooth(angles.time, values, covariance, exponent=smoothing)
+    else:
+        filtered = interpolate(angles.time, values)
+    size = angles.q.shape[1]
+    torque = np.full((filtered.time.size, measured.size), np.nan)
+    torque[:, measured] = filtered.value[:, size:]
+    kept = Derivatives(
+        filtered.time,
+        filtered.value[:, :size],
+        filtered.rate[:, :size],
+        filtered.acceleration[:, :size],
+        filtered.gains,
+        filtered.interior,
+        filtered.smoothing,
+    )
+    return Prepared(recording, angles, kept, torque, _rows(rig, cuts, angles, measured))
+
+
+def _rows(rig: Rig, cuts: Sequence[Layout], angles: Angles, measured: NDArray[np.bool_]) -> Array:
+    """Passive rows along the shapes that the markers can show; active rows with a measured torque."""
+    columns, start, active = [], 0, 0
+    size = len(angles.covariance)
+    for link, cut in zip(rig.links, cuts, strict=True):
+        if link.joint == "revolute":
+            if measured[active]:
+                columns.append(np.eye(size)[:, [start]])
+            active += 1
+            start += 1
+        part = slice(start, start + cut.cells.size)
+        values, vectors = np.linalg.eigh(angles.covariance[part, part])
+        visible = np.zeros((size, int((values > _VISIBLE * values[-1]).sum())))
+        visible[part] = vectors[:, values > _VISIBLE * values[-1]]
+        columns.append(visible)
+        start += cut.cells.size
+    return np.hstack(columns)
+
+
+def modes_in(prepared: Prepared, marker_noise: float, most: int) -> MeasuredModes:
+    """Modes seen in one recording's shape coefficients, whitened; `marker_noise` in [m]."""
+    signals = [
+        fit.coefficients @ np.linalg.cholesky(np.linalg.inv(fit.covariance)) for fit in prepared.angles.shapes
+    ]
+    recording = prepared.recording
+    known = np.isfinite(recording.tau).all(axis=1)
+    driven = recording.tau.shape[1] > 0 and known.sum() > 2
+    torque = (recording.time[known], recording.tau[known]) if driven else None
+    return measure_modes(prepared.angles.time, np.hstack(signals), marker_noise, most, torque)

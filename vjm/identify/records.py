@@ -1,0 +1,122 @@
+"""What an identification returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.angles.estimate import Angles
+from vjm.derivatives import Derivatives
+from vjm.experiment.records import Experiment, Recording
+from vjm.model import Model
+from vjm.parameters import Estimate
+from vjm.simulate.initial_state import Replay
+
+Array = NDArray[np.float64]
+Method = Literal["torque", "torque+frequency"]
+METHODS: tuple[str, ...] = get_args(Method)
+Parameters = Literal["uniform", "joints", "lengths", "full"]
+PARAMETERS: tuple[str, ...] = get_args(Parameters)
+
+
+@dataclass(frozen=True)
+class ModeComparison:
+    """One natural mode, of the model and as measured (the paper's Table 2).
+
+    Attributes:
+        frequency_model: [Hz].
+        frequency_measured: [Hz]; None where the recordings do not show the mode.
+        frequency_std: standard error of the measured frequency [Hz].
+        damping_model: fraction of critical.
+        damping_measured: fraction of critical; None where not measured.
+    """
+
+    frequency_model: float
+    frequency_measured: float | None
+    frequency_std: float | None
+    damping_model: float
+    damping_measured: float | None
+
+
+@dataclass(frozen=True)
+class TorqueData:
+    """One training recording as the torque method sees it.
+
+    Attributes:
+        recording: its source.
+        angles: as read off the markers, at the camera's frames.
+        derivatives: (S, nv) angles, rates and accelerations.
+        torque: (S, n_a) active joint torques, through the same filter [N m]; NaN where none was measured.
+        errors_before: (S, nv) torque errors (eq. 14) of the nominal model [N m]; NaN on rows without measured torque.
+        errors_after: the same of the identified model.
+    """
+
+    recording: Recording
+    angles: Angles
+    derivatives: Derivatives
+    torque: Array
+    errors_before: Array
+    errors_after: Array
+
+
+@dataclass(frozen=True)
+class RecordingFit:
+    """How well the model follows one recording, open loop over its whole length.
+
+    Attributes:
+        recording: which.
+        replay: the simulation from its most likely initial state; None where it cannot be simulated.
+        nominal: the same of the nominal model of the experiment file; None where it cannot be simulated.
+        marker_noise: 1-sigma of a marker coordinate [m].
+        encoder_noise: 1-sigma [rad].
+        problem: why there is no replay; empty otherwise.
+    """
+
+    recording: Recording
+    replay: Replay | None
+    nominal: Replay | None
+    marker_noise: float
+    encoder_noise: float
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An identified model and what is known about it.
+
+    Attributes:
+        experiment: what it was identified from.
+        model: the identified chain, ready to simulate and to write as URDF.
+        nominal: the chain that the experiment file's nominal values give.
+        method: `torque` or `torque+frequency`.
+        parametrisation: `uniform`, `joints`, `lengths` or `full`.
+        parameters: every parameter of the parametrisation, estimated or fixed.
+        covariance: (p, p) of the estimated parameters, in the order of those in `parameters` with a standard error.
+        modes: model and measurement side by side, slowest first.
+        objective: J of eq. (15): the noise-weighted mean square of the torque errors at the found parameters.
+        objective_nominal: J of the nominal model.
+        torque_data: the training recordings as the method saw them.
+        recordings: fit of every recording, in the experiment's order.
+        status: `converged` or `not converged`.
+        remedy: what to do when it has not converged; empty otherwise.
+        warnings: what a user should know before trusting the result.
+    """
+
+    experiment: Experiment
+    model: Model
+    nominal: Model
+    method: str
+    parametrisation: str
+    parameters: tuple[Estimate, ...]
+    covariance: Array
+    modes: tuple[ModeComparison, ...]
+    objective: float
+    objective_nominal: float
+    torque_data: tuple[TorqueData, ...]
+    recordings: tuple[RecordingFit, ...]
+    status: Literal["converged", "not converged"]
+    remedy: str
+    warnings: tuple[str, ...]

@@ -1,0 +1,94 @@
+"""What a user should know before trusting an identification, in sentences with numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vjm.experiment.checks import camera_rate
+from vjm.experiment.records import Experiment, Link
+from vjm.identify.prepare import Prepared
+from vjm.identify.records import RecordingFit
+from vjm.identify.select import FREQUENCY_TOLERANCE, JointChoice
+from vjm.parameters import Estimate
+from vjm.shape.order import required_markers, visible_modes
+from vjm.spectrum import MeasuredModes
+
+_LEAST_SAMPLES_A_PERIOD = 2.5
+_MANY_NOISES = 1.5  # a training replay this many times the noise is not followed
+_LEAST_MOTION = 10.0  # times the noise
+
+
+def marker_warnings(link: Link, asked: int | None = None) -> list[str]:
+    """Whether the markers can show the modes asked for (eq. 1); all that n virtual joints have when None."""
+    joints = asked if asked is not None else link.virtual_joints
+    if joints is None:
+        return []
+    seen, needed = visible_modes(len(link.markers)), required_markers(link.length, joints)
+    if needed <= len(link.markers):
+        return []
+    return [
+        f"link {link.name}: {len(link.markers)} markers show {seen} bending mode(s); {joints} modes need "
+        f"{needed} markers (k >= 2 l / lambda_min, eq. 1)"
+    ]
+
+
+def data_warnings(
+    experiment: Experiment,
+    prepared: Sequence[Prepared],
+    orders: Sequence[int],
+    joints: Sequence[JointChoice],
+    seen: Sequence[MeasuredModes],
+) -> list[str]:
+    """About the recordings, the modes they show and the number of joints."""
+    found = []
+    for link, order, choice in zip(experiment.rig.links, orders, joints, strict=True):
+        plural = "s" if len(link.markers) > 1 else ""
+        modes = "only mode 1 is" if order == 1 else f"modes 1 to {order} are"
+        chosen = "" if link.virtual_joints is not None else " chosen"
+        found.append(
+            f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual "
+            f"joints{chosen}, whose natural frequencies are right to {100 * choice.error:.2g} %"
+        )
+        if choice.error > 10 * FREQUENCY_TOLERANCE:
+            found.append(f"link {link.name}: n = {choice.joints} is too small a chain for the modes seen; ask for more")
+    for one in prepared:
+        found += _recording_warnings(one)
+    fastest = max((float(m.frequencies[-1]) for m in seen if m.frequencies.size), default=0.0)
+    for one in prepared:
+        rate = camera_rate(one.recording)
+        if fastest and rate < _LEAST_SAMPLES_A_PERIOD * fastest:
+            found.append(
+                f"{one.recording.file}: the camera takes {rate:.3g} frames/s, {rate / fastest:.2g} a period of the "
+                f"{fastest:.3g} Hz mode; at least {_LEAST_SAMPLES_A_PERIOD} are needed"
+            )
+    return found
+
+
+def _recording_warnings(prepared: Prepared) -> list[str]:
+    found = []
+    angles, name = prepared.angles, prepared.recording.file
+    if angles.unsolved:
+        found.append(f"{name}: {angles.unsolved} of {len(angles.time)} frames give no angles and were left out")
+    motion = np.nanstd(angles.q, axis=0) / np.sqrt(np.maximum(np.diag(angles.covariance), 1e-300))
+    if motion.max() < _LEAST_MOTION:
+        found.append(f"{name}: the arm moves only {motion.max():.1f} times its angles' noise; it can tell little")
+    return found
+
+
+def result_warnings(recordings: Sequence[RecordingFit], parameters: Sequence[Estimate]) -> list[str]:
+    """About the fit."""
+    found = [f"{fit.recording.file}: {fit.problem}" for fit in recordings if fit.problem]
+    for fit in recordings:
+        if fit.replay is not None and fit.replay.marker_rms > _MANY_NOISES * fit.marker_noise:
+            found.append(
+                f"{fit.recording.file}: the model misses the markers by {1e3 * fit.replay.marker_rms:.3g} mm rms, "
+                f"{fit.replay.marker_rms / fit.marker_noise:.3g} times their noise"
+            )
+        if fit.replay is not None and fit.replay.status != "converged":
+            found.append(f"{fit.recording.file}: no initial state was found that follows the recording")
+    missing = [e.name for e in parameters if not e.identifiable]
+    if missing:
+        found.append(f"not determined by the recordings: {', '.join(missing)}")
+    return found

@@ -1,0 +1,95 @@
+"""An identified arm: its chain, with everything one does with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm import dynamics
+from vjm.chain.records import Chain
+from vjm.errors import ShapeError
+from vjm.experiment.records import Recording, Rig
+from vjm.files import write_text_atomic
+from vjm.modes import Modes, modes
+from vjm.parameters import Estimate
+from vjm.simulate.initial_state import Replay, replay
+from vjm.simulate.rollout import Simulation
+from vjm.urdf import chain_to_urdf
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+Array = NDArray[np.float64]
+
+
+class PinocchioModel(NamedTuple):
+    """A `pin.Model` with the springs and dampers that it has no place for.
+
+    Attributes:
+        model: the `pin.Model`, joints in the chain's order.
+        stiffness: (nv,) K, zero at active joints [N m/rad].
+        damping: (nv,) D, zero at active joints [N m s/rad].
+    """
+
+    model: pin.Model
+    stiffness: Array
+    damping: Array
+
+
+@dataclass(frozen=True)
+class Model:
+    """A virtual-joint model of a rig.
+
+    Attributes:
+        chain: virtual links and joints.
+        rig: the arm it models; says where the markers are.
+        marker_noise: 1-sigma noise of a marker coordinate [m].
+        encoder_noise: 1-sigma noise of an encoder [rad].
+        estimates: the parameters it was identified with; empty for a nominal model.
+
+    Raises:
+        ShapeError: a chain whose links are not the rig's.
+    """
+
+    chain: Chain
+    rig: Rig
+    marker_noise: float
+    encoder_noise: float
+    estimates: tuple[Estimate, ...] = ()
+
+    def __post_init__(self) -> None:
+        chain_links = [(link.name, link.joint) for link in self.chain.links]
+        rig_links = [(link.name, link.joint) for link in self.rig.links]
+        if chain_links != rig_links:
+            raise ShapeError("model", f"links {chain_links}", f"the experiment's links {rig_links}")
+
+    def simulate(self, recording: Recording) -> Simulation:
+        """Simulate a recording open loop, from the initial state most likely given the whole of it.
+
+        Raises:
+            InsufficientDataError: no torque measured at an active joint.
+            SimulationDivergedError: the simulation left the finite numbers.
+        """
+        return self.replay(recording).simulation
+
+    def replay(self, recording: Recording) -> Replay:
+        """The same as `simulate`, with the residuals' statistics."""
+        return replay(self.chain, self.rig, recording, self.marker_noise, self.encoder_noise)
+
+    def modes(self, payload: float = 0.0) -> Modes:
+        """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
+        return modes(self.chain, payload)
+
+    def pinocchio(self) -> PinocchioModel:
+        """The chain as a `pin.Model`, with its stiffness and damping beside it."""
+        return PinocchioModel(dynamics.build(self.chain).model, self.chain.stiffness, self.chain.damping)
+
+    def to_urdf(self, path: Path | str) -> Path:
+        """Write the chain as URDF, whole or not at all; returns the path."""
+        file = Path(path)
+        write_text_atomic(file, chain_to_urdf(self.chain))
+        return file

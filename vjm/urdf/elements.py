@@ -1,0 +1,209 @@
+"""What a chain's URDF is made of: names, joints, bodies with their inertia, and shapes to look at.
+
+    base -NAME_joint-> NAME_virtual_0_link -NAME_virtual_1-> ... NAME_virtual_n_link -NAME_tip_mount-> NAME_tip
+
+The payload hangs on the tip as NAME_payload; the next flexible link's NAME_joint starts from the tip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from vjm.chain.records import Chain, LinkChain
+
+BASE = "base"
+JointType = Literal["continuous", "revolute", "fixed"]
+
+# For pictures, and for the out-of-plane inertia no planar motion can tell: width and thickness where unknown.
+_DEFAULT_SECTION = 0.02  # of the link's length
+_STEEL = 7850.0  # [kg/m^3], for the payload's radius
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass [kg], its centre on the x axis [m] and principal inertia about the centre [kg m^2]."""
+
+    mass: float
+    center: float
+    ixx: float
+    iyy: float
+    izz: float
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape to look at.
+
+    Attributes:
+        kind: `box` of size (x, y, z), `cylinder` about z of (radius, length), `sphere` of (radius,) [m].
+        size: see `kind` [m].
+        x: its centre on the x axis [m].
+        material: its colour's name.
+    """
+
+    kind: Literal["box", "cylinder", "sphere"]
+    size: tuple[float, ...]
+    x: float
+    material: str
+
+
+@dataclass(frozen=True)
+class Body:
+    """A URDF link; without `inertial` it is a bare frame."""
+
+    name: str
+    inertial: Inertial | None = None
+    shapes: tuple[Shape, ...] = ()
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A URDF joint and the body it carries.
+
+    Attributes:
+        name: of the joint.
+        type: of the joint; the axis is z.
+        parent: name of the body it starts from.
+        x: where, on the parent's x axis [m].
+        body: the body it carries.
+        damping: viscous [N m s/rad]; None for a joint without any.
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    x: float
+    body: Body
+    damping: float | None = None
+
+
+@dataclass(frozen=True)
+class Spring:
+    """What URDF cannot say of a virtual joint: stiffness [N m/rad] and cell [m]."""
+
+    joint: str
+    stiffness: float
+    cell: float
+
+
+def joint_name(link: str) -> str:
+    """The joint at the proximal end of flexible link `link`, active or fixed."""
+    return f"{link}_joint"
+
+
+def virtual_joint_name(link: str, j: int) -> str:
+    """Virtual joint j, from 1."""
+    return f"{link}_virtual_{j}"
+
+
+def virtual_link_name(link: str, j: int) -> str:
+    """Virtual link j, from 0."""
+    return f"{link}_virtual_{j}_link"
+
+
+def tip_name(link: str) -> str:
+    """The frame at the distal end."""
+    return f"{link}_tip"
+
+
+def tip_mount_name(link: str) -> str:
+    """The fixed joint that carries the tip."""
+    return f"{link}_tip_mount"
+
+
+def payload_name(link: str) -> str:
+    """The point mass at the distal end."""
+    return f"{link}_payload"
+
+
+def payload_mount_name(link: str) -> str:
+    """The fixed joint that carries the payload."""
+    return f"{link}_payload_mount"
+
+
+def base_body(chain: Chain) -> Body:
+    """The root, with a foot to look at."""
+    length = chain.links[0].length
+    return Body(BASE, shapes=(Shape("cylinder", (0.04 * length, 0.02 * length), 0.0, "vjm_base"),))
+
+
+def joints(chain: Chain) -> Iterator[Joint]:
+    """All joints with their bodies, from the base outwards."""
+    parent = BASE
+    for link in chain.links:
+        kind: JointType = "continuous" if link.joint == "revolute" else "fixed"
+        yield Joint(joint_name(link.name), kind, parent, 0.0, virtual_link(link, 0))
+        for j in range(1, link.virtual_joints + 1):
+            yield Joint(
+                virtual_joint_name(link.name, j),
+                "revolute",
+                virtual_link_name(link.name, j - 1),
+                float(link.lengths[j - 1]),
+                virtual_link(link, j),
+                damping=float(link.damping[j - 1]),
+            )
+        last = virtual_link_name(link.name, link.virtual_joints)
+        parent = tip_name(link.name)
+        yield Joint(tip_mount_name(link.name), "fixed", last, float(link.lengths[-1]), Body(parent))
+        if link.payload:
+            yield Joint(payload_mount_name(link.name), "fixed", parent, 0.0, payload(link))
+
+
+def springs(link: LinkChain) -> tuple[Spring, ...]:
+    """The springs of one flexible link, in order."""
+    return tuple(
+        Spring(virtual_joint_name(link.name, j), float(link.stiffness[j - 1]), float(link.cells[j - 1]))
+        for j in range(1, link.virtual_joints + 1)
+    )
+
+
+def virtual_link(link: LinkChain, j: int) -> Body:
+    """Virtual link j, from 0, as a body; the hub is part of virtual link 0."""
+    return Body(virtual_link_name(link.name, j), inertial(link, j), _shapes(link, j))
+
+
+def payload(link: LinkChain) -> Body:
+    """The payload, a point mass: an inertia of zero keeps M(q) exact, and is physically valid."""
+    point = Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
+    radius = (3 * link.payload / (4 * math.pi * _STEEL)) ** (1 / 3)
+    return Body(payload_name(link.name), point, (Shape("sphere", (radius,), 0.0, "vjm_payload"),))
+
+
+def inertial(link: LinkChain, j: int) -> Inertial:
+    """Inertia of virtual link j with a third dimension.
+
+    izz is the chain's moment of inertia, plus the hub's for virtual link 0: the hub carries no mass here, so its
+    inertia is the same about every point. ixx and iyy follow from second moments of mass along x, y and z, none
+    negative, which is what makes the tensor physically valid: along z the link's width, along y its thickness as far
+    as izz allows, along x the rest; the hub counts half along x and half along y, like a disc.
+    """
+    width, thickness = section(link)
+    mass, turning = float(link.masses[j]), float(link.inertias[j])
+    along_z = mass * width**2 / 12
+    along_y = min(mass * thickness**2 / 12, turning / 2)
+    along_x = turning - along_y
+    hub = float(link.hub_inertia) if j == 0 else 0.0
+    center = float(link.mass_centers[j])
+    return Inertial(mass, center, along_y + along_z + hub / 2, along_x + along_z + hub / 2, turning + hub)
+
+
+def section(link: LinkChain) -> tuple[float, float]:
+    """Width (along z) and thickness (along y) [m]; 2 % of the length where unknown."""
+    default = _DEFAULT_SECTION * link.length
+    width = default if link.width is None else float(link.width)
+    return width, default if link.thickness is None else float(link.thickness)
+
+
+def _shapes(link: LinkChain, j: int) -> tuple[Shape, ...]:
+    width, thickness = section(link)
+    length = float(link.lengths[j])
+    rod = Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")
+    if j:
+        radius = max(0.6 * thickness, 0.008 * link.length)
+        return rod, Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint")
+    if link.joint == "revolute":
+        return rod, Shape("cylinder", (0.025 * link.length, 1.3 * width), 0.0, "vjm_hub")
+    return (rod,)

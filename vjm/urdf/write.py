@@ -1,0 +1,67 @@
+"""From a virtual-joint chain to URDF."""
+
+from __future__ import annotations
+
+import math
+import unicodedata
+
+from vjm.chain.records import Chain
+from vjm.errors import ShapeError
+from vjm.urdf.elements import base_body, joints, springs
+from vjm.urdf.templates import render
+
+NAMESPACE = "urn:vjm:urdf"
+SCHEMA = 1
+# Of virtual joints: angle [rad], effort [N m] and velocity [rad/s]; wider than any arm bends.
+LIMITS = {"angle": math.pi, "effort": 1e4, "velocity": 1e3}
+
+
+def chain_to_urdf(chain: Chain) -> str:
+    """The whole arm as URDF.
+
+    Standard elements hold lengths, masses, centres, inertias, damping and payloads. What URDF has no word for,
+    stiffness first of all, is in a `vjm:model` element under `robot`, which other parsers pass over. Every number is
+    written exactly, so `chain_from_urdf` returns the same chain.
+
+    The movable joints are `chain.joint_names`, in this order; each flexible link ends in a frame `NAME_tip`.
+
+    Args:
+        chain: the arm, with at least one link.
+
+    Returns:
+        The XML text; to be saved as UTF-8.
+
+    Raises:
+        ShapeError: no link, two links of one name, a name that XML cannot hold, or a hub inertia or payload below zero.
+    """
+    _check(chain)
+    return render(
+        "chain.urdf.jinja",
+        chain=chain,
+        base=base_body(chain),
+        joints=joints(chain),
+        springs=springs,
+        namespace=NAMESPACE,
+        schema=SCHEMA,
+        limits=LIMITS,
+    )
+
+
+def _check(chain: Chain) -> None:
+    names = [link.name for link in chain.links]
+    if not names:
+        raise ShapeError("chain.links", "none", "at least one")
+    if len(set(names)) < len(names):
+        raise ShapeError("chain.links", f"names {names}", "names that differ")
+    for name in (chain.name, *names):
+        if not name or not all(map(_fits, name)):
+            raise ShapeError("name", repr(name), "a name without control characters, for XML")
+    for link in chain.links:
+        for field in ("hub_inertia", "payload"):
+            value = getattr(link, field)
+            if not 0 <= value < math.inf:
+                raise ShapeError(f"{link.name}.{field}", value, "zero or a positive number")
+
+
+def _fits(character: str) -> bool:
+    return unicodedata.category(character) not in ("Cc", "Cs") and character not in "\ufffe\uffff"
