@@ -59,8 +59,15 @@ def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_
 
     Raises:
         InsufficientDataError: fewer than four frames.
+        ShapeError: arrays that do not fit together.
     """
-    t, y, _ = _clean(time, values, None)
+    t, y = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
+    if y.ndim != 2 or t.shape != y.shape[:1]:
+        raise ShapeError("time, values", (t.shape, y.shape), "(T,) and (T, m)")
+    kept = np.isfinite(y).all(axis=1)
+    if kept.sum() < 4:
+        raise InsufficientDataError("derivatives", f"only {kept.sum()} complete frames", "at least 4 are needed")
+    t, y = t[kept], y[kept]
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-9) + 1)
     spline = CubicSpline(t, y)
     impulse = np.zeros(t.size)
@@ -79,46 +86,56 @@ def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_
     )
 
 
-def smooth(
-    time: ArrayLike,
-    values: ArrayLike,
-    noise: ArrayLike,
-    weights: ArrayLike | None = None,
-    exponent: float | None = None,
-) -> Derivatives:
-    """Smoothing spline whose residual is as large as the noise says it should be (discrepancy principle).
+@dataclass(frozen=True)
+class Smoother:
+    """Smoothing spline of a fixed set of instants, whose residual is as large as the noise says (discrepancy principle).
 
     All signals share one penalty, so value, rate and acceleration pass through the same filter and linear relations
     among them survive it. Degree 7 with a penalty on the fourth difference (Eilers and Marx 1996).
-
-    Args:
-        time: (T,) [s].
-        values: (T, m); frames with NaN are left out.
-        noise: (m,) 1-sigma noise of a sample, or (m, m) its covariance.
-        weights: (T,) relative inverse variance of the frames; equal when None.
-        exponent: log10 of the penalty, to repeat an earlier filter; found from the noise when None.
-
-    Raises:
-        InsufficientDataError: fewer than ten frames.
-        ShapeError: arrays that do not fit together.
     """
-    t, y, w = _clean(time, values, weights, least=10)
-    whiten = _whitener(noise, y.shape[1])
-    spline = _PenalisedSpline(t, w)
-    centre = y.mean(axis=0)
-    target = float(y.shape[1] * t.size)
 
-    def excess(exponent: float) -> float:
-        residual = (y - centre - spline.basis[0] @ spline.solve(y - centre, exponent)) @ whiten
-        return float(np.log(max(np.sum(w[:, None] * residual**2), 1e-300) / target))
+    _spline: _PenalisedSpline
 
-    if exponent is None:
-        exponent = _root(excess)
-    coefficients = spline.solve(y - centre, exponent)
-    gains, reach = spline.gains(exponent)
-    inside = (t >= t[0] + reach) & (t <= t[-1] - reach)
-    value, rate, acceleration = (matrix @ coefficients for matrix in spline.basis)
-    return Derivatives(t, value + centre, rate, acceleration, gains, inside, exponent)
+    @classmethod
+    def of(cls, time: ArrayLike) -> Smoother:
+        """The smoother of instants (T,) [s].
+
+        Raises:
+            InsufficientDataError: fewer than ten instants.
+        """
+        t = np.asarray(time, dtype=float)
+        if t.size < 10:
+            raise InsufficientDataError("derivatives", f"only {t.size} complete frames", "at least 10 are needed")
+        return cls(_PenalisedSpline(t))
+
+    def derivatives(self, values: ArrayLike, noise: ArrayLike, exponent: float | None = None) -> Derivatives:
+        """Smooth signals and differentiate them.
+
+        Args:
+            values: (T, m), all finite.
+            noise: (m,) 1-sigma noise of a sample, or (m, m) its covariance; signals without noise do not count.
+            exponent: log10 of the penalty, to repeat an earlier filter; found from the noise when None.
+
+        Raises:
+            ShapeError: arrays that do not fit together, or values that are not finite.
+        """
+        y, t = np.asarray(values, dtype=float), self._spline.time
+        if y.ndim != 2 or len(y) != t.size or not np.isfinite(y).all():
+            raise ShapeError("values", f"shape {y.shape}", f"({t.size}, m), all finite")
+        whiten = _whitener(noise, y.shape[1])
+        centre = y.mean(axis=0)
+
+        def excess(trial: float) -> float:
+            residual = (y - centre - self._spline.basis[0] @ self._spline.solve(y - centre, trial)) @ whiten
+            return float(np.log(max(np.sum(residual**2), 1e-300) / y.size))
+
+        if exponent is None:
+            exponent = _root(excess)
+        coefficients = self._spline.solve(y - centre, exponent)
+        gains, reach = self._spline.gains(exponent)
+        inside = (t >= t[0] + reach) & (t <= t[-1] - reach)
+        value, rate, acceleration = (matrix @ coefficients for matrix in self._spline.basis)
+        return Derivatives(t, value + centre, rate, acceleration, gains, inside, exponent)
 
 
 def _root(excess: Callable[[float], float]) -> float:
@@ -130,19 +147,6 @@ def _root(excess: Callable[[float], float]) -> float:
     return float(brentq(excess, _ROUGHEST, _SMOOTHEST, xtol=0.01))
 
 
-def _clean(
-    time: ArrayLike, values: ArrayLike, weights: ArrayLike | None, least: int = 4
-) -> tuple[Array, Array, Array]:
-    t, y = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
-    w = np.ones(t.size) if weights is None else np.asarray(weights, dtype=float)
-    if y.ndim != 2 or t.shape != y.shape[:1] or w.shape != t.shape:
-        raise ShapeError("time, values, weights", (t.shape, y.shape, w.shape), "(T,), (T, m) and (T,)")
-    kept = np.isfinite(y).all(axis=1) & np.isfinite(w)
-    if kept.sum() < least:
-        raise InsufficientDataError("derivatives", f"only {kept.sum()} complete frames", f"at least {least} are needed")
-    return t[kept], y[kept], w[kept] / w[kept].mean()
-
-
 def _whitener(noise: ArrayLike, size: int) -> Array:
     """(m, m) matrix W such that samples @ W have unit, uncorrelated noise; directions without noise are left out."""
     given = np.asarray(noise, dtype=float)
@@ -151,23 +155,23 @@ def _whitener(noise: ArrayLike, size: int) -> Array:
         raise ShapeError("noise", given.shape, f"({size},) or ({size}, {size})")
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-12 * max(float(values.max()), 1e-300)
-    return np.asarray(vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0) * np.sqrt(size / kept.sum()))
+    return np.asarray(
+        vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0) * np.sqrt(size / kept.sum())
+    )
 
 
 class _PenalisedSpline:
     """B-splines on uniform knots with a difference penalty, solved as a banded system."""
 
-    def __init__(self, time: Array, weights: Array) -> None:
+    def __init__(self, time: Array) -> None:
         step = float(np.median(np.diff(time)))
         count = int(np.ceil((time[-1] - time[0]) / step + 1e-9))
         knots = time[0] + step * np.arange(-_DEGREE, count + _DEGREE + 1)
-        self.time, self.weights, self.step = time, weights, step
+        self.time, self.step = time, step
         size = knots.size - _DEGREE - 1
         self.basis = [self._derivative(knots, size, d) for d in range(3)]
-        weighted = self.basis[0].multiply(weights[:, None]).tocsr()
-        self._right = weighted.T
-        self._gram = _bands(csr_array(self.basis[0].T @ weighted), _DEGREE)
-        difference = csr_array(np.eye(1))
+        self._right = self.basis[0].T
+        self._gram = _bands(csr_array(self._right @ self.basis[0]), _DEGREE)
         signs = np.array([1.0])
         for _ in range(_PENALTY):
             signs = np.convolve(signs, [1.0, -1.0])
@@ -188,7 +192,6 @@ class _PenalisedSpline:
         return csr_array(matrix)
 
     def _banded(self, exponent: float) -> Array:
-        # Differences of coefficients are per step; the scale makes the penalty independent of the frame rate's unit.
         bands: Array = self._gram + 10.0**exponent * self._penalty
         return bands
 
@@ -202,7 +205,6 @@ class _PenalisedSpline:
         middle = self.time.size // 2
         rows = np.stack([matrix[[middle], :].toarray()[0] for matrix in self.basis], axis=1)
         kernels = (self._right.T @ solveh_banded(self._banded(exponent), rows)).T
-        kernels = kernels / np.sqrt(self.weights)
         distance = np.abs(self.time - self.time[middle])
         order = np.argsort(distance)
         energy = np.cumsum(kernels[2][order] ** 2)

@@ -69,6 +69,7 @@ def estimate_angles(
     settings: ShapeSettings,
     marker_noise: float,
     encoder_noise: float,
+    shapes: Sequence[ShapeFit] | None = None,
 ) -> Angles:
     """Read the joint angles off a recording's markers.
 
@@ -81,6 +82,8 @@ def estimate_angles(
         settings: shape family, orders and method.
         marker_noise: 1-sigma [m].
         encoder_noise: 1-sigma [rad].
+        shapes: each link's shape functions where they are fitted already; those over arc length do not depend on
+            the cuts, and `points` ignores them.
 
     Raises:
         ChoiceError: unknown method.
@@ -92,7 +95,7 @@ def estimate_angles(
     theta = _at_frames(recording, recording.theta, rows)
     origin, heading = np.zeros((rows.size, 2)), np.zeros(rows.size)
     columns: list[Array] = []
-    shapes: list[ShapeFit] = []
+    fits: list[ShapeFit] = []
     blocks: list[Array] = []
     for i, link in enumerate(rig.links):
         if link.joint == "revolute":
@@ -102,10 +105,11 @@ def estimate_angles(
         markers = recording.markers[rows][:, rig.marker_slices[i]]
         if link.markers_frame == "base":
             markers = rotate(markers - origin[:, None], -heading[:, None])
-        fit, phi, position, turn = _read_link(link, cuts[i], markers, settings, settings.orders[i])
+        known = shapes[i] if shapes is not None and settings.method == "curvature" else None
+        fit, phi, position, turn = _read_link(link, cuts[i], markers, settings, settings.orders[i], known)
         origin, heading = origin + rotate(position, heading), heading + turn
         columns.append(phi)
-        shapes.append(fit)
+        fits.append(fit)
         blocks.append(_covariance(link, cuts[i], fit, marker_noise, encoder_noise))
     q = np.concatenate(columns, axis=1)
     return Angles(
@@ -113,7 +117,7 @@ def estimate_angles(
         q=q,
         torque=_at_frames(recording, recording.tau, rows),
         covariance=block_diag(*blocks),
-        shapes=tuple(shapes),
+        shapes=tuple(fits),
         unsolved=int((~np.isfinite(q).all(axis=1)).sum()),
     )
 
@@ -132,11 +136,13 @@ def _at_frames(recording: Recording, values: Array, rows: NDArray[np.intp]) -> A
 
 
 def _read_link(
-    link: Link, cuts: Layout, markers: Array, settings: ShapeSettings, order: int
+    link: Link, cuts: Layout, markers: Array, settings: ShapeSettings, order: int, known: ShapeFit | None
 ) -> tuple[ShapeFit, Array, Array, Array]:
     """Shape, phi (F, n), and the pose (F, 2), (F,) of the tip, from markers (F, k, 2) in the link frame."""
     if settings.method == "curvature":
-        fit = fit_shape(link.markers, markers[..., 1], link.length, settings.family, order, robust=settings.robust)
+        fit = known or fit_shape(
+            link.markers, markers[..., 1], link.length, settings.family, order, robust=settings.robust
+        )
         phi = curvature_angles(fit, np.cumsum(cuts.lengths)[:-1], cuts.cells)
         return (fit, phi, *tip_pose(fit))
     if not np.isfinite(markers[..., 0]).any():

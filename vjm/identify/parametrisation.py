@@ -114,9 +114,22 @@ class Parametrisation:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,) of the coordinates."""
-        lower = np.array([{"stiffness": 1e-6, "damping": 0.0, "hub": 0.0}.get(c.group, -12.0) for c in self.coordinates])
+        lower = np.array(
+            [{"stiffness": 1e-6, "damping": 0.0, "hub": 0.0}.get(c.group, -12.0) for c in self.coordinates]
+        )
         upper = np.where(self.linear, np.inf, 12.0)
         return lower, upper
+
+    @property
+    def preference(self) -> tuple[Array, Array]:
+        """Centre and width (p,) of a weak preference for the template where the data are silent.
+
+        Wide against what recordings usually tell, narrow enough that what they do not tell stays near the template.
+        """
+        centre = self.start
+        width = np.array([_WIDTHS[c.group] for c in self.coordinates])
+        relative = self.linear
+        return centre, np.where(relative, width * np.maximum(np.abs(centre), _LEAST_SIZE), width)
 
     def scale(self, coordinate: Coordinate) -> float:
         """Physical size of one unit of a linear coordinate."""
@@ -204,6 +217,9 @@ class Parametrisation:
         return np.array(result)
 
 
+# Widths of the preference: relative for stiffness, damping and hub, in logarithms and logits for the others.
+_WIDTHS = {"stiffness": 0.5, "damping": 1.0, "hub": 1.0, "length": 0.5, "mass": 0.5, "center": 1.0, "inertia": 1.0}
+_LEAST_SIZE = 1e-2
 DAMPING_SCALE = 1e-2  # s; a Kelvin-Voigt time of ten milliseconds is one unit
 _FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "inertia": "inertias"}
 

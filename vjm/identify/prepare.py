@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from vjm.angles.estimate import Angles, ShapeSettings, estimate_angles
 from vjm.chain.layout import Layout
-from vjm.derivatives import Derivatives, interpolate, smooth
+from vjm.derivatives import Derivatives, Smoother, interpolate
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.experiment.records import Recording, Rig
 from vjm.shape.order import choose_order
@@ -52,6 +52,7 @@ class Prepared:
         angles: at the camera's frames.
         derivatives: (S, nv) angles, rates, accelerations at the instants used.
         torque: (S, n_a) through the same filter [N m]; NaN where none was measured.
+        smoother: of the recording's complete frames; None for interpolation.
         rows: (nv, r) maps torque errors to the rows that the data can speak of: passive ones along the shape functions,
             active ones where a torque was measured.
     """
@@ -60,6 +61,7 @@ class Prepared:
     angles: Angles
     derivatives: Derivatives
     torque: Array
+    smoother: Smoother | None
     rows: Array
 
     @property
@@ -83,25 +85,33 @@ class Prepared:
         return self.torque[self.derivatives.interior]
 
 
-def moving(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """The training recordings in which the arm moves.
+def fitted_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """The recordings a model is fitted to: training ones in which the arm moves.
+
+    Where some recordings are in the `reference` condition the model is the reference's, and only they are fitted.
 
     Raises:
         InsufficientDataError: there is none.
     """
-    chosen = tuple(r for r in recordings if r.role == "train" and r.kind in ("driven", "decay"))
+    reference = any(recording.condition == "reference" for recording in recordings)
+    chosen = tuple(
+        recording
+        for recording in recordings
+        if recording.role == "train"
+        and recording.kind in ("driven", "decay")
+        and (not reference or recording.condition == "reference")
+    )
     if not chosen:
         raise InsufficientDataError(
             "identification",
-            "no recording with role 'train' is of kind 'driven' or 'decay'",
+            "no recording with role 'train' is of kind 'driven' or 'decay'"
+            + (" and in the reference condition" if reference else ""),
             "add one in which the arm moves",
         )
     return chosen
 
 
-def choose_orders(
-    rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recording], family: str
-) -> tuple[int, ...]:
+def choose_orders(rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:
     """For each link, the largest number of shape functions that a recording supports by cross-validation.
 
     Raises:
@@ -120,7 +130,7 @@ def choose_orders(
 
 
 def prepare(
-    rig: Rig, cuts: Sequence[Layout], recording: Recording, settings: Settings, smoothing: float | None = None
+    rig: Rig, cuts: Sequence[Layout], recording: Recording, settings: Settings, before: Prepared | None = None
 ) -> Prepared:
     """Angles, derivatives and torques of one recording.
 
@@ -129,12 +139,14 @@ def prepare(
         cuts: each link's virtual links and cells.
         recording: the source.
         settings: shape functions, derivatives and noise.
-        smoothing: log10 of the spline's penalty, to repeat an earlier filter; from the noise when None.
+        before: the same recording at other cuts, whose shape functions and filter are used again.
 
     Raises:
         InsufficientDataError: too few frames from which all angles follow.
     """
-    angles = estimate_angles(rig, cuts, recording, settings.shape, settings.marker_noise, settings.encoder_noise)
+    noise = (settings.marker_noise, settings.encoder_noise)
+    shapes = None if before is None else before.angles.shapes
+    angles = estimate_angles(rig, cuts, recording, settings.shape, *noise, shapes)
     measured = np.isfinite(angles.torque).any(axis=0)
     values = np.hstack([angles.q, angles.torque[:, measured]])
     usable = np.isfinite(values).all(axis=1)
@@ -144,9 +156,14 @@ def prepare(
             f"only {int(usable.sum())} frames have all markers, encoders and torques it needs",
             "record more complete frames",
         )
+    smoother = None
     if settings.derivatives == "smoothing":
         covariance = block_diag(angles.covariance, np.zeros((int(measured.sum()),) * 2))
-        filtered = smooth(angles.time, values, covariance, exponent=smoothing)
+        same = before is not None and np.array_equal(angles.time[usable], before.derivatives.time)
+        smoother = before.smoother if before is not None and same else None
+        smoother = smoother or Smoother.of(angles.time[usable])
+        exponent = None if before is None else before.derivatives.smoothing
+        filtered = smoother.derivatives(values[usable], covariance, exponent)
     else:
         filtered = interpolate(angles.time, values)
     size = angles.q.shape[1]
@@ -161,7 +178,7 @@ def prepare(
         filtered.interior,
         filtered.smoothing,
     )
-    return Prepared(recording, angles, kept, torque, _rows(rig, cuts, angles, measured))
+    return Prepared(recording, angles, kept, torque, smoother, _rows(rig, cuts, angles, measured))
 
 
 def _rows(rig: Rig, cuts: Sequence[Layout], angles: Angles, measured: NDArray[np.bool_]) -> Array:
@@ -185,9 +202,7 @@ def _rows(rig: Rig, cuts: Sequence[Layout], angles: Angles, measured: NDArray[np
 
 def modes_in(prepared: Prepared, marker_noise: float, most: int) -> MeasuredModes:
     """Modes seen in one recording's shape coefficients, whitened; `marker_noise` in [m]."""
-    signals = [
-        fit.coefficients @ np.linalg.cholesky(np.linalg.inv(fit.covariance)) for fit in prepared.angles.shapes
-    ]
+    signals = [fit.coefficients @ np.linalg.cholesky(np.linalg.inv(fit.covariance)) for fit in prepared.angles.shapes]
     recording = prepared.recording
     known = np.isfinite(recording.tau).all(axis=1)
     driven = recording.tau.shape[1] > 0 and known.sum() > 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -15,7 +15,7 @@ from vjm.chain.records import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.experiment.records import Experiment, Recording
 from vjm.identify.parametrisation import PARAMETRISATIONS, Parametrisation
-from vjm.identify.prepare import Prepared, Settings, choose_orders, modes_in, moving, prepare
+from vjm.identify.prepare import Prepared, Settings, choose_orders, fitted_recordings, modes_in, prepare
 from vjm.identify.records import METHODS, Identification, ModeComparison, RecordingFit, TorqueData
 from vjm.identify.select import JointChoice, choose_virtual_joints, cuts_of, nominal_chain
 from vjm.identify.torque_fit import (
@@ -26,6 +26,7 @@ from vjm.identify.torque_fit import (
     fit_torque,
     noise_factor,
     seen_errors,
+    spread_of,
     whiten,
 )
 from vjm.identify.uncertainty import covariance, estimates, to_physical
@@ -78,20 +79,27 @@ def identify(
     """
     _check_choices(method, parameters, angles, virtual_joints)
     noise = sensor_noise(experiment.rig, experiment.recordings)
-    recordings = moving(experiment.recordings)
-    plan = _plan(experiment, recordings, virtual_joints, layout, family, cast(AngleMethod, angles))
+    recordings = fitted_recordings(experiment.recordings)
+    plan = _plan(experiment, recordings, parameters, virtual_joints, layout, family, cast(AngleMethod, angles))
     settings = Settings(plan.shape, derivatives, *noise)
-    prepared = [prepare(experiment.rig, plan.cuts, recording, settings) for recording in recordings]
+    prepared = tuple(prepare(experiment.rig, plan.cuts, recording, settings) for recording in recordings)
     measured = [modes_in(one, noise[0], max(plan.shape.orders) + _EXTRA_MODES) for one in prepared]
-    start = nominal_chain(experiment.rig, plan.cuts, _START_DAMPING)
-    parametrisation = Parametrisation(start, parameters, _hubs(experiment, prepared))
     chosen, payload = _commonest_payload(recordings)
-    problem = TorqueProblem(experiment.rig, parametrisation, prepared, settings, payload=payload)
-    fit = fit_torque(problem, progress)
     seen = [measured[k] for k in chosen]
+    start = nominal_chain(experiment.rig, plan.cuts, _START_DAMPING)
+    hubs = _hubs(experiment, prepared)
+    problem = TorqueProblem(
+        experiment.rig, Parametrisation(start, "uniform", hubs), prepared, settings, payload=payload
+    )
+    fit = fit_torque(problem, progress)
+    problem = replace(problem, spread=spread_of(fit))
+    if parameters != "uniform":
+        # The uniform link found first is where the search starts, and what it keeps to where the data are silent.
+        parametrisation = Parametrisation(problem.parametrisation.chain(fit.x), parameters, hubs)
+        problem = replace(problem, parametrisation=parametrisation, preference=parametrisation.preference)
+        fit = fit_torque(problem, progress)
     if method == "torque+frequency":
-        targets = _targets(parametrisation.chain(fit.x), payload, seen)
-        problem = TorqueProblem(experiment.rig, parametrisation, prepared, settings, targets, payload)
+        problem = replace(problem, targets=tuple(_targets(problem.parametrisation.chain(fit.x), payload, seen)))
         fit = fit_torque(problem, progress)
     return _result(experiment, method, plan, problem, fit, seen, noise, progress)
 
@@ -120,6 +128,7 @@ class Plan:
 def _plan(
     experiment: Experiment,
     recordings: Sequence[Recording],
+    parameters: str,
     virtual_joints: int | None,
     layout: str,
     family: str,
@@ -129,12 +138,19 @@ def _plan(
     provisional = cuts_of(rig, [3] * len(rig.links), layout)
     orders = choose_orders(rig, provisional, recordings, family)
     joints = tuple(
-        choose_virtual_joints(link, order, virtual_joints or link.virtual_joints)
+        choose_virtual_joints(link, order, virtual_joints or link.virtual_joints or _joints_told(order, parameters))
         for link, order in zip(rig.links, orders, strict=True)
     )
     robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
     shape = ShapeSettings(family, orders, angles, robust)
     return Plan(shape, joints, tuple(cuts_of(rig, [choice.joints for choice in joints], layout)))
+
+
+def _joints_told(order: int, parameters: str) -> int | None:
+    """Number of joints whose own parameters so many shape functions can tell apart; None: as many as accuracy asks."""
+    # Rows along `order` shapes tell order (order + 1) / 2 joints' stiffness apart.
+    joints = min(order + 1, order * (order + 1) // 2)
+    return {"uniform": None, "joints": joints, "lengths": order, "full": order}[parameters]
 
 
 def _hubs(experiment: Experiment, prepared: Sequence[Prepared]) -> tuple[int, ...]:
@@ -204,7 +220,7 @@ def _result(
         remedy="" if fit.converged else _NOT_CONVERGED,
         warnings=(
             *experiment.warnings,
-            *data_warnings(experiment, fit.prepared, plan.shape.orders, plan.joints, seen),
+            *data_warnings(experiment, fit.prepared, plan.shape.orders, plan.joints, seen, parametrisation.kind),
             *result_warnings(recordings, parameters),
         ),
     )
@@ -224,9 +240,7 @@ def _nominal_objective(nominal: Chain, fit: TorqueFit, found: Chain) -> float:
 def _torque_data(prepared: Prepared, nominal: Chain, found: Chain) -> TorqueData:
     recording, d = prepared.recording, prepared.derivatives
     before, after = (
-        torque_errors(
-            chain, d.value, d.rate, d.acceleration, prepared.torque, recording.payload, recording.gravity
-        )
+        torque_errors(chain, d.value, d.rate, d.acceleration, prepared.torque, recording.payload, recording.gravity)
         for chain in (nominal, found)
     )
     return TorqueData(recording, prepared.angles, d, prepared.torque, before, after)

@@ -84,5 +84,3 @@ def nominal_chain(rig: Rig, cuts: Sequence[Layout], kelvin_voigt: float = 0.0) -
         for i, (link, cut) in enumerate(zip(rig.links, cuts, strict=True))
     )
     return Chain(rig.name, links, rig.gravity)
-
-

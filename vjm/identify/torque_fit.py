@@ -59,6 +59,7 @@ class TorqueFit:
         frequency_residuals, frequency_jacobian: (f,) and (f, p) of the frequency term.
         prepared: the recordings at the found lengths.
         converged: whether the optimiser met its tolerance.
+        spread: the problem's.
     """
 
     x: Array
@@ -68,36 +69,39 @@ class TorqueFit:
     frequency_jacobian: Array
     prepared: tuple[Prepared, ...]
     converged: bool
+    spread: float
 
 
+@dataclass(frozen=True)
 class TorqueProblem:
-    """Weighted torque errors of several recordings as a function of a parametrisation's coordinates."""
+    """Weighted torque errors of several recordings as a function of a parametrisation's coordinates.
 
-    def __init__(
-        self,
-        rig: Rig,
-        parametrisation: Parametrisation,
-        prepared: Sequence[Prepared],
-        settings: Settings,
-        targets: Sequence[FrequencyTarget] = (),
-        payload: float = 0.0,
-    ) -> None:
-        self.rig = rig
-        self.parametrisation = parametrisation
-        self.settings = settings
-        self.targets = tuple(targets)
-        self.payload = payload
-        self._given = tuple(prepared)
-        self._moves_cuts = parametrisation.kind in ("lengths", "full")
+    Attributes:
+        rig: the arm.
+        parametrisation: the coordinates.
+        given: the recordings, prepared at the template's lengths.
+        settings: how they were prepared.
+        targets: measured natural frequencies (section 6.5); none for the plain torque method.
+        payload: extra tip mass with which the targets were measured [kg].
+        preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
+        spread: size of the weighted torque errors that counts as one standard error beside the other terms.
+    """
+
+    rig: Rig
+    parametrisation: Parametrisation
+    given: tuple[Prepared, ...]
+    settings: Settings
+    targets: tuple[FrequencyTarget, ...] = ()
+    payload: float = 0.0
+    preference: tuple[Array, Array] | None = None
+    spread: float = 1.0
 
     def prepared(self, chain: Chain) -> tuple[Prepared, ...]:
         """The recordings at the chain's lengths, through the filter found at the start."""
-        if not self._moves_cuts:
-            return self._given
+        if self.parametrisation.kind not in ("lengths", "full"):
+            return self.given
         cuts = layouts_of(chain)
-        return tuple(
-            prepare(self.rig, cuts, given.recording, self.settings, given.derivatives.smoothing) for given in self._given
-        )
+        return tuple(prepare(self.rig, cuts, given.recording, self.settings, given) for given in self.given)
 
     def errors(self, x: Array, prepared: Sequence[Prepared]) -> list[Array]:
         """Torque errors (S, r) of each recording in the rows the data speak of [N m]."""
@@ -119,7 +123,15 @@ class TorqueProblem:
 
     def vector(self, x: Array) -> Array:
         """Everything the final search minimises the squares of."""
-        return np.concatenate([*[r.ravel() for r in self.weighted(x)], self.frequency_residuals(x)])
+        torque = [r.ravel() / self.spread for r in self.weighted(x)]
+        return np.concatenate([*torque, self.frequency_residuals(x), self.preferred(x)])
+
+    def preferred(self, x: Array) -> Array:
+        """(p,) distance from the preferred coordinates in their widths; empty without a preference."""
+        if self.preference is None:
+            return np.empty(0)
+        centre, width = self.preference
+        return (x - centre) / width
 
 
 def seen_errors(chain: Chain, prepared: Prepared) -> Array:
@@ -158,7 +170,9 @@ def fit_torque(problem: TorqueProblem, progress: Progress | None = None) -> Torq
         progress: told (text, done, total) now and then.
     """
     parametrisation = problem.parametrisation
-    start = _projected_start(problem, parametrisation.start)
+    start = parametrisation.start
+    if problem.preference is None:
+        start = _projected_start(problem, start)
     lower, upper = parametrisation.bounds
     start = np.clip(start, lower + 1e-6, upper)
     count = 0
@@ -191,17 +205,30 @@ def _unpacked(problem: TorqueProblem, x: Array, jacobian: Array, converged: bool
     frequency = problem.frequency_residuals(x)
     jacobians, start = [], 0
     for residual in residuals:
-        jacobians.append(jacobian[start : start + residual.size].reshape(*residual.shape, x.size))
+        block = problem.spread * jacobian[start : start + residual.size]
+        jacobians.append(block.reshape(*residual.shape, x.size))
         start += residual.size
     return TorqueFit(
         x=x,
         residuals=tuple(residuals),
         jacobians=tuple(jacobians),
         frequency_residuals=frequency,
-        frequency_jacobian=jacobian[start:],
+        frequency_jacobian=jacobian[start : start + frequency.size],
         prepared=problem.prepared(problem.parametrisation.chain(x)),
         converged=converged,
+        spread=problem.spread,
     )
+
+
+def spread_of(fit: TorqueFit) -> float:
+    """Root mean square of the weighted errors times that of the samples each independent one stands for.
+
+    Neither a model that misses more than the noise nor samples that the filter has made alike may outvote the rest.
+    """
+    squares = sum(float(np.sum(r**2)) for r in fit.residuals)
+    count = sum(r.size for r in fit.residuals)
+    independent = float(np.mean([prepared.derivatives.gains[0, 0] for prepared in fit.prepared]))
+    return float(np.sqrt(max(squares / count, 1.0) / min(independent, 1.0)))
 
 
 def _projected_start(problem: TorqueProblem, x: Array) -> Array:

@@ -33,6 +33,7 @@ def covariance(fit: TorqueFit) -> Array:
         reach = float(time[inside][0] - time[0]) if inside.any() else 0.0
         lags = int(np.ceil(2 * reach / float(np.median(np.diff(time))))) + 1
         spread += _long_run(scores, min(lags, len(scores) - 1))
+    normal, spread = normal / fit.spread**2, spread / fit.spread**4
     normal += fit.frequency_jacobian.T @ fit.frequency_jacobian
     spread += fit.frequency_jacobian.T @ fit.frequency_jacobian
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))

@@ -20,17 +20,16 @@ _MANY_NOISES = 1.5  # a training replay this many times the noise is not followe
 _LEAST_MOTION = 10.0  # times the noise
 
 
-def marker_warnings(link: Link, asked: int | None = None) -> list[str]:
-    """Whether the markers can show the modes asked for (eq. 1); all that n virtual joints have when None."""
-    joints = asked if asked is not None else link.virtual_joints
-    if joints is None:
+def marker_warnings(link: Link, modes: int | None) -> list[str]:
+    """Whether the markers can show the modes asked for (eq. 1); as many as virtual joints asked for in the rig file."""
+    if modes is None:
         return []
-    seen, needed = visible_modes(len(link.markers)), required_markers(link.length, joints)
+    seen, needed = visible_modes(len(link.markers)), required_markers(link.length, modes)
     if needed <= len(link.markers):
         return []
     return [
-        f"link {link.name}: {len(link.markers)} markers show {seen} bending mode(s); {joints} modes need "
-        f"{needed} markers (k >= 2 l / lambda_min, eq. 1)"
+        f"link {link.name}: {len(link.markers)} markers show {seen} bending mode(s); {modes} virtual joints have {modes} "
+        f"modes, which need {needed} markers (k >= 2 l / lambda_min, eq. 1)"
     ]
 
 
@@ -40,19 +39,20 @@ def data_warnings(
     orders: Sequence[int],
     joints: Sequence[JointChoice],
     seen: Sequence[MeasuredModes],
+    parametrisation: str,
 ) -> list[str]:
     """About the recordings, the modes they show and the number of joints."""
     found = []
     for link, order, choice in zip(experiment.rig.links, orders, joints, strict=True):
         plural = "s" if len(link.markers) > 1 else ""
         modes = "only mode 1 is" if order == 1 else f"modes 1 to {order} are"
-        chosen = "" if link.virtual_joints is not None else " chosen"
-        found.append(
-            f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual "
-            f"joints{chosen}, whose natural frequencies are right to {100 * choice.error:.2g} %"
-        )
-        if choice.error > 10 * FREQUENCY_TOLERANCE:
-            found.append(f"link {link.name}: n = {choice.joints} is too small a chain for the modes seen; ask for more")
+        text = f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual joints"
+        if parametrisation == "uniform":
+            text += f", whose natural frequencies are right to {100 * choice.error:.2g} %"
+        found.append(text)
+        if parametrisation == "uniform" and choice.error > 10 * FREQUENCY_TOLERANCE:
+            found.append(f"link {link.name}: n = {choice.joints} is too small for the modes seen; ask for more")
+        found += marker_warnings(link, link.virtual_joints)
     for one in prepared:
         found += _recording_warnings(one)
     fastest = max((float(m.frequencies[-1]) for m in seen if m.frequencies.size), default=0.0)

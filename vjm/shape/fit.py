@@ -109,9 +109,7 @@ def _chunks(count: int) -> list[slice]:
     return [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
 
 
-def _solve_fixed(
-    family: str, order: int, length: float, x: Array, y: Array, weight: Array, _robust: bool
-) -> Array:
+def _solve_fixed(family: str, order: int, length: float, x: Array, y: Array, weight: Array, _robust: bool) -> Array:
     """Markers at fixed places: one pseudo-inverse for each pattern of missing markers."""
     functions = basis(family, order, x, length)
     known = np.isfinite(y)

@@ -19,9 +19,9 @@ from vjm.simulate.rollout import Simulation, default_step, marker_arcs, rollout,
 
 Array = NDArray[np.float64]
 
-_MOST_ITERATIONS = 20
-_TOLERANCE = 1e-6  # relative decrease of chi^2 at which the search has converged
-_COARSE_TOLERANCE = 1e-2
+_MOST_ITERATIONS = 10
+_TOLERANCE = 1e-4  # relative decrease of chi^2 at which the search has converged
+_COARSE_TOLERANCE = 5e-2
 _PERTURBATION = 1e-6  # rad, and rad times the slowest angular frequency for rates
 _LARGEST_UNCERTAINTY = 0.02  # rad a joint: directions of the state that the recording shows less surely stay at rest
 _LEAST_DAMPING = 1e-6  # of the largest singular value squared
@@ -173,7 +173,9 @@ class _Problem:
         return rollout([self.chain] * len(states), self.recording, states[:, :n], states[:, n:])
 
     def _values(self, q: Array) -> Array:
-        return self.measured.of_model(marker_positions(self.chain, q, *marker_arcs(self.rig)), q[..., self.chain.active])
+        return self.measured.of_model(
+            marker_positions(self.chain, q, *marker_arcs(self.rig)), q[..., self.chain.active]
+        )
 
     def _difference(self, q: Array) -> Array:
         values = self._values(q)
@@ -189,7 +191,9 @@ def _start(chain: Chain, recording: Recording) -> Array:
 
 def _state_scale(chain: Chain) -> Array:
     """(2 nv,) natural sizes of the state's components: one radian, and one radian per unit of the stiffest joint."""
-    omega = np.sqrt(chain.stiffness.max() / max(sum(float(link.masses @ link.lengths**2) for link in chain.links), 1e-12))
+    omega = np.sqrt(
+        chain.stiffness.max() / max(sum(float(link.masses @ link.lengths**2) for link in chain.links), 1e-12)
+    )
     return np.r_[np.ones(chain.size), np.full(chain.size, omega)]
 
 

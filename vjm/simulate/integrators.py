@@ -102,28 +102,32 @@ def exponential(system: System, q: Array, v: Array, torque: Array, start: float,
     what the bending itself changes. Arguments, result and errors are those of `runge_kutta`.
     """
     linear = _linear_part(system)
-    whole, half = _Propagators.of(linear, step), _Propagators.of(linear, step / 2)
-    n = q.shape[1]
-    lower = linear[:, n:, :]
-    count = len(torque) // 2
+    n, count = q.shape[1], len(torque) // 2
+    propagators = _Propagators.of(linear, step)
+    multiply = _multiply_shared if len(linear) == 1 else _multiply_each
+    from_state, from_first, from_second, from_middle, rate, end = propagators.stacked()
     record = _Recorder(start, step, count, q)
-
-    def remainder(state: Array, load: Array) -> tuple[Array, Array]:
-        a = system.acceleration(state[:, :n], state[:, n:], load)
-        return a, a - _apply(lower, state)
-
     x = np.concatenate([q, v], axis=1)
     for k in range(count):
-        now, middle, end = torque[2 * k : 2 * k + 3]
-        a, n1 = remainder(x, now)
+        now, middle, last = torque[2 * k : 2 * k + 3]
+        a = system.acceleration(x[:, :n], x[:, n:], now)
         record.put(k, x[:, :n], x[:, n:], a)
-        drift = _apply(half.flow, x)
-        x2 = drift + _apply(half.first, n1)
-        n2 = remainder(x2, middle)[1]
-        n3 = remainder(drift + _apply(half.first, n2), middle)[1]
-        x4 = _apply(half.flow, x2) + _apply(half.first, 2 * n3 - n1)
-        n4 = remainder(x4, end)[1]
-        x = _apply(whole.flow, x) + _apply(whole.start, n1) + _apply(whole.middle, n2 + n3) + _apply(whole.end, n4)
+        products = multiply(x, from_state)  # exp(L h / 2) x, exp(L h) x, L x
+        drift, result = products[:, : 2 * n], products[:, 2 * n : 4 * n]
+        n1 = a - products[:, 4 * n :]
+        products = multiply(n1, from_first)
+        first, result = products[:, : 2 * n], result + products[:, 2 * n :]
+        x2 = drift + first
+        products = multiply(x2, from_second)
+        later = products[:, : 2 * n] - first
+        n2 = system.acceleration(x2[:, :n], x2[:, n:], middle) - products[:, 2 * n :]
+        products = multiply(n2, from_middle)
+        x3, result = drift + products[:, : 2 * n], result + products[:, 2 * n :]
+        n3 = system.acceleration(x3[:, :n], x3[:, n:], middle) - multiply(x3, rate)
+        products = multiply(n3, from_middle)
+        x4, result = later + 2 * products[:, : 2 * n], result + products[:, 2 * n :]
+        n4 = system.acceleration(x4[:, :n], x4[:, n:], last) - multiply(x4, rate)
+        x = result + multiply(n4, end)
     return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], torque[-1]))
 
 
@@ -153,8 +157,15 @@ def linear_response(M: Array, D: Array, K: Array, start: float, step: float, cou
 INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
 
 
-def _apply(matrices: Array, states: Array) -> Array:
-    result: Array = np.matmul(matrices, states[:, :, None])[:, :, 0]
+def _multiply_shared(states: Array, matrices: Array) -> Array:
+    """(C, m) states times the transposed matrix that all copies share."""
+    result: Array = states @ matrices[0]
+    return result
+
+
+def _multiply_each(states: Array, matrices: Array) -> Array:
+    """(C, m) states, each times its own copy's transposed matrix."""
+    result: Array = np.matmul(states[:, None, :], matrices)[:, 0, :]
     return result
 
 
@@ -173,31 +184,52 @@ def _linear_part(system: System) -> Array:
 
 @dataclass(frozen=True)
 class _Propagators:
-    """exp(L h) and ETDRK4's weights; the remainder enters the rates only, so weights are (C, 2 nv, nv)."""
+    """exp(L h), exp(L h / 2) and ETDRK4's weights; the remainder enters the rates only, so weights are (C, 2 nv, nv)."""
 
+    rate: Array
+    half_flow: Array
+    half_first: Array
     flow: Array
-    first: Array
     start: Array
     middle: Array
     end: Array
 
     @classmethod
     def of(cls, linear: Array, step: float) -> _Propagators:
-        size = linear.shape[-1]
-        z = linear * step
-        # exp of this block matrix holds exp(z), phi1(z), phi2(z), phi3(z) in its first row.
-        block = np.zeros((len(z), 4 * size, 4 * size))
-        block[:, :size, :size] = z
-        for k in range(3):
-            block[:, k * size : (k + 1) * size, (k + 1) * size : (k + 2) * size] = np.eye(size)
-        row = expm(block)[:, :size, :]
-        flow, phi1, phi2, phi3 = (row[:, :, k * size : (k + 1) * size] for k in range(4))
-        n = size // 2
-        first, start, middle, end = (
-            np.ascontiguousarray(step * weight[:, :, n:])
-            for weight in (phi1, phi1 - 3 * phi2 + 4 * phi3, 2 * phi2 - 4 * phi3, 4 * phi3 - phi2)
+        n = linear.shape[-1] // 2
+        half_flow, half_first, _, _ = _phi_functions(linear, step / 2)
+        flow, phi1, phi2, phi3 = _phi_functions(linear, step)
+        weights = (phi1 - 3 * phi2 + 4 * phi3, 2 * phi2 - 4 * phi3, 4 * phi3 - phi2)
+        start, middle, end = (step * weight[:, :, n:] for weight in weights)
+        return cls(linear[:, n:, :], half_flow, step / 2 * half_first[:, :, n:], flow, start, middle, end)
+
+    def stacked(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Transposed, and side by side where they multiply the same vector."""
+        return (
+            _side_by_side(self.half_flow, self.flow, self.rate),
+            _side_by_side(self.half_first, self.start),
+            _side_by_side(self.half_flow, self.rate),
+            _side_by_side(self.half_first, self.middle),
+            _side_by_side(self.rate),
+            _side_by_side(self.end),
         )
-        return cls(np.ascontiguousarray(flow), first, start, middle, end)
+
+
+def _side_by_side(*matrices: Array) -> Array:
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=1), 1, 2))
+
+
+def _phi_functions(linear: Array, step: float) -> tuple[Array, Array, Array, Array]:
+    """exp(z), phi1(z), phi2(z), phi3(z) of z = L h, all (C, 2 nv, 2 nv)."""
+    size = linear.shape[-1]
+    # exp of this block matrix holds them in its first row.
+    block = np.zeros((len(linear), 4 * size, 4 * size))
+    block[:, :size, :size] = linear * step
+    for k in range(3):
+        block[:, k * size : (k + 1) * size, (k + 1) * size : (k + 2) * size] = np.eye(size)
+    row = expm(block)[:, :size, :]
+    flow, phi1, phi2, phi3 = (row[:, :, k * size : (k + 1) * size] for k in range(4))
+    return flow, phi1, phi2, phi3
 
 
 class _Recorder:

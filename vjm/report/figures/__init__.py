@@ -1,0 +1,1 @@
+"""Figures, one group a module: records in, a matplotlib `Figure` out."""

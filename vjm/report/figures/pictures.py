@@ -1,0 +1,94 @@
+"""The figures of a report, drawn, named and captioned."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from vjm.experiment.records import Experiment
+from vjm.identify.records import Identification, RecordingFit
+from vjm.model import Model
+from vjm.report.choose import liveliest, spread_over, tips
+from vjm.report.figures.angles import joint_angles
+from vjm.report.figures.fits import MOST_RECORDINGS, fit_of_recordings
+from vjm.report.figures.markers import most_recordings, raw_markers
+from vjm.report.figures.shapes import link_shapes
+from vjm.report.figures.style import png
+from vjm.report.figures.tips import tip_motion
+from vjm.report.figures.torques import torque_error_figure
+from vjm.report.wording import listed, short
+
+MOST_TIPS = 4
+# Every file name that a report may have under `figures/`: what an earlier run left of them is out of date.
+NAMES = ("fit", *(f"tip_{k + 1}" for k in range(MOST_TIPS)), "shapes", "angles", "torque_errors", "markers")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure.
+
+    Attributes:
+        name: of its file, without suffix.
+        caption: one sentence on how to read it.
+        alternative: what it shows, for those who cannot see it.
+        png: the file.
+    """
+
+    name: str
+    caption: str
+    alternative: str
+    png: bytes
+
+
+def identification_pictures(fit: Identification) -> list[Picture]:
+    """All figures of an identification."""
+    return [*_fit_pictures(fit.recordings, fit.model, fit.nominal, "identified"), *_data_pictures(fit)]
+
+
+def replay_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model) -> list[Picture]:
+    """The figures of a comparison of a model with recordings."""
+    return list(_fit_pictures(fits, model, nominal, "given"))
+
+
+def _fit_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model, name: str) -> Iterator[Picture]:
+    more = f" The first {MOST_RECORDINGS} recordings of {len(fits)}." if len(fits) > MOST_RECORDINGS else ""
+    caption = (
+        "Open-loop simulation of each whole recording: only its initial state is estimated from it. "
+        f"A model that misses nothing lies on the noise mark.{more}"
+    )
+    yield _picture("fit", caption, fit_of_recordings(fits, name))
+    chosen = tips(model.rig, fits, MOST_TIPS)
+    for k, fit in enumerate(chosen):
+        of = "" if k or len(chosen) == len(fits) else f" Shown for {len(chosen)} of {len(fits)} recordings."
+        caption = f"Tip marker in {short(fit.recording.file)}, measured and simulated; residual underneath.{of}"
+        yield _picture(f"tip_{k + 1}", caption, tip_motion(fit, model, nominal, name))
+
+
+def _data_pictures(fit: Identification) -> Iterator[Picture]:
+    lively = liveliest(fit.model.rig, fit.torque_data, 2)
+    if lively:
+        names = listed([short(data.recording.file) for data in lively])
+        caption = f"Shape function, virtual links and joints at several instants of {names}; lateral scale magnified."
+        yield _picture("shapes", caption, link_shapes(fit.model.rig, fit.model.chain, lively))
+        caption = f"Angles read off the markers of {short(lively[0].recording.file)}, with rates and accelerations."
+        yield _picture("angles", caption, joint_angles(fit.model.chain, lively[0]))
+        caption = (
+            "What the equation of motion leaves unexplained, joint by joint (eq. 14); an identified model that misses "
+            "nothing comes down to what the noise of the accelerations explains."
+        )
+        yield _picture("torque_errors", caption, torque_error_figure(fit.model.chain, fit.torque_data))
+    yield from _raw_pictures(fit.experiment)
+
+
+def _raw_pictures(experiment: Experiment) -> Iterator[Picture]:
+    shown = spread_over(experiment.recordings, most_recordings(experiment.rig))
+    if shown:
+        part = "" if len(shown) == len(experiment.recordings) else f" ({len(shown)} of {len(experiment.recordings)})"
+        caption = f"What the camera saw in the recordings{part}, where it moves most."
+        yield _picture("markers", caption, raw_markers(experiment.rig, shown))
+
+
+def _picture(name: str, caption: str, figure: Figure) -> Picture:
+    return Picture(name, caption, figure.texts[0].get_text().replace("\n", " ").replace(r"\$", "$"), png(figure))

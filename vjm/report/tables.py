@@ -1,0 +1,152 @@
+"""The tables of a report, as text; the command line prints the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vjm.chain.records import Chain, LinkChain
+from vjm.identify.records import ModeComparison, RecordingFit
+from vjm.parameters import Estimate
+from vjm.report.wording import UNKNOWN, millimetres, number, with_error
+
+_ARRAYS = {
+    "stiffness": ("stiffness", 1),
+    "damping": ("damping", 1),
+    "length": ("lengths", 0),
+    "mass": ("masses", 0),
+    "mass_center": ("mass_centers", 0),
+    "inertia": ("inertias", 0),
+}  # quantity: field of a LinkChain, and the number of its first element
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        caption: what it holds.
+        headers: one for each column.
+        rows: cells as text.
+        words: number of columns, from the left, that hold words; the others hold numbers.
+        notes: at the end of a row, a remark that needs room; empty where there is none.
+    """
+
+    caption: str
+    headers: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1
+    notes: tuple[str, ...] = ()
+
+
+def parameter_table(estimates: Sequence[Estimate], nominal: Chain) -> Table:
+    """Every parameter beside its nominal value (the paper's Table 1)."""
+    rows, notes = [], []
+    for estimate in estimates:
+        before = nominal_value(estimate.name, nominal)
+        state = "no" if not estimate.identifiable else "yes" if estimate.std is not None else "fixed"
+        value = with_error(estimate.value, estimate.std)
+        rows.append((estimate.name, state, number(before, 4), value, unit(estimate.unit)))
+        notes.append(estimate.reason)
+    headers = ("parameter", "determined", "nominal", "identified ± standard error", "unit")
+    return Table("Table 1. Parameters", headers, tuple(rows), words=2, notes=tuple(notes))
+
+
+def unit(text: str) -> str:
+    """A unit with raised exponents."""
+    return text.replace("^2", "²").replace("^3", "³")
+
+
+def nominal_value(name: str, nominal: Chain) -> float | None:
+    """What an estimate's parameter is in a chain; None for a name the chain knows nothing of."""
+    link_name, _, quantity = name.partition(".")
+    link = next((each for each in nominal.links if each.name == link_name), None)
+    if link is None:
+        return None
+    if quantity == "bending_stiffness":
+        return float(np.mean(link.stiffness * link.cells))
+    if quantity == "kelvin_voigt_time":
+        return float(np.mean(link.damping / np.maximum(link.stiffness, 1e-300)))
+    if quantity == "hub_inertia":
+        return link.hub_inertia
+    return _element(quantity, link)
+
+
+def _element(quantity: str, link: LinkChain) -> float | None:
+    kind, _, text = quantity.rpartition("_")
+    if kind not in _ARRAYS or not text.isdecimal():
+        return None
+    field, first = _ARRAYS[kind]
+    values, at = getattr(link, field), int(text) - first
+    return float(values[at]) if 0 <= at < values.size else None
+
+
+def mode_table(modes: Sequence[ModeComparison]) -> Table:
+    """Frequencies and damping ratios of the model beside the measured ones (the paper's Table 2)."""
+    rows = []
+    for k, mode in enumerate(modes):
+        measured = mode.frequency_measured
+        difference = None if measured is None else 100 * (mode.frequency_model / measured - 1)
+        rows.append(
+            (
+                f"mode {k + 1}",
+                number(mode.frequency_model, 5),
+                "not seen" if measured is None else with_error(measured, mode.frequency_std),
+                UNKNOWN if difference is None else f"{difference:+.2f}",
+                number(100 * mode.damping_model, 3),
+                "not seen" if mode.damping_measured is None else number(100 * mode.damping_measured, 3),
+            )
+        )
+    headers = (
+        "",
+        "frequency, model [Hz]",
+        "measured [Hz]",
+        "difference [%]",
+        "damping ratio, model [%]",
+        "measured [%]",
+    )
+    return Table("Table 2. Natural frequencies and damping", headers, tuple(rows))
+
+
+def recording_table(fits: Sequence[RecordingFit], name: str = "identified") -> Table:
+    """How closely each recording is followed, open loop over its whole length."""
+    rows: list[tuple[str, ...]] = []
+    notes = []
+    for fit in fits:
+        recording, replay, nominal = fit.recording, fit.replay, fit.nominal
+        theta = None if replay is None or replay.theta_rms is None else 1e3 * replay.theta_rms
+        rows.append(
+            (
+                recording.file,
+                "held out" if recording.role == "holdout" else "train",
+                recording.kind,
+                millimetres(nominal.marker_rms if nominal else None),
+                millimetres(replay.marker_rms if replay else None),
+                millimetres(fit.marker_noise),
+                number(replay.marker_rms / fit.marker_noise if replay else None, 2),
+                number(theta, 2),
+            )
+        )
+        notes.append(f"not simulated: {fit.problem}" if replay is None else _search_note(fit))
+    headers: tuple[str, ...] = (
+        "recording",
+        "role",
+        "kind",
+        "nominal",
+        name,
+        "noise",
+        f"{name} / noise",
+        "encoder [mrad]",
+    )
+    if all(row[-1] == UNKNOWN for row in rows):  # an arm without encoders
+        headers, rows = headers[:-1], [row[:-1] for row in rows]
+    caption = "Fit per recording: RMS marker residual of an open-loop simulation"
+    return Table(caption, headers, tuple(rows), words=3, notes=tuple(notes))
+
+
+def _search_note(fit: RecordingFit) -> str:
+    if fit.replay is not None and fit.replay.status != "converged":
+        return "the search for the initial state has not converged: the residual may be too large"
+    return ""

@@ -1,0 +1,233 @@
+"""result.json: what a command found, as plain dictionaries; every number finite, or None."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.records import Chain, LinkChain
+from vjm.experiment.records import Experiment
+from vjm.identify.records import Identification, ModeComparison, RecordingFit
+from vjm.parameters import Estimate
+
+if TYPE_CHECKING:
+    from vjm.report.comparison import Comparison
+
+Array = NDArray[np.float64]
+Result = dict[str, Any]
+SCHEMA = 1
+
+
+class CheckRecord(Protocol):
+    """What `vjm.check.check` returns."""
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was checked."""
+        ...
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a user should know."""
+        ...
+
+    @property
+    def modes(self) -> Array:
+        """(m,) natural frequencies of the nominal chain [Hz]."""
+        ...
+
+    @property
+    def virtual_joints(self) -> tuple[int, ...]:
+        """Number of virtual joints of each link."""
+        ...
+
+    @property
+    def identifiable(self) -> tuple[Estimate, ...]:
+        """Parameters, and whether the recordings determine them."""
+        ...
+
+
+def identification_result(fit: Identification) -> Result:
+    """The result object of `vjm identify`."""
+    return {
+        **_common("identify", fit.experiment.rig.name, fit.warnings),
+        "method": fit.method,
+        "parameters": fit.parametrisation,
+        "model": model_result(fit.model.chain, fit.parameters, fit.covariance),
+        "frequencies_hz": [_frequency(mode) for mode in fit.modes],
+        "damping_ratios": [
+            {"model": finite(mode.damping_model), "measured": finite(mode.damping_measured)} for mode in fit.modes
+        ],
+        "objective": {"torque": finite(fit.objective)},
+        "recordings": [recording_result(each) for each in fit.recordings],
+        "status": fit.status,
+        "remedy": fit.remedy,
+        "identifiable": [_identifiable(estimate) for estimate in fit.parameters],
+        "estimates": [_estimate(estimate) for estimate in fit.parameters],
+    }
+
+
+def comparison_result(comparison: Comparison) -> Result:
+    """The result object of `vjm simulate`."""
+    model = comparison.model
+    return {
+        **_common("simulate", comparison.experiment.rig.name, comparison.warnings),
+        "model": model_result(model.chain, model.estimates, comparison.covariance),
+        "frequencies_hz": [{"model": finite(each), "measured": None} for each in model.modes().frequencies],
+        "recordings": [recording_result(each) for each in comparison.recordings],
+    }
+
+
+def check_result(check: CheckRecord) -> Result:
+    """The result object of `vjm check`."""
+    rig = check.experiment.rig
+    return {
+        **_common("check", rig.name, check.warnings),
+        "links": [
+            {"name": link.name, "virtual_joints": int(joints)}
+            for link, joints in zip(rig.links, check.virtual_joints, strict=True)
+        ],
+        "frequencies_hz": [{"model": finite(each), "measured": None} for each in check.modes],
+        "recordings": [
+            {"file": each.file, "kind": each.kind, "role": each.role, "duration_s": float(each.time[-1] - each.time[0])}
+            for each in check.experiment.recordings
+        ],
+        "identifiable": [_identifiable(estimate) for estimate in check.identifiable],
+    }
+
+
+def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
+    """The result object of `vjm urdf`; holds the text itself where no file was asked for."""
+    return {
+        **_common("urdf", chain.name, ()),
+        "file": file,
+        "joints": list(chain.joint_names),
+        "urdf": text if file is None else None,
+    }
+
+
+def model_result(chain: Chain, estimates: Sequence[Estimate] = (), covariance: Array | None = None) -> Result:
+    """The virtual-joint model link by link, with the standard errors that follow from the estimates' covariance."""
+    known = _Known(estimates, covariance)
+    return {"links": [_link(link, known) for link in chain.links]}
+
+
+def recording_result(fit: RecordingFit) -> Result:
+    """How well one recording is followed."""
+    replay, nominal = fit.replay, fit.nominal
+    return {
+        "file": fit.recording.file,
+        "role": fit.recording.role,
+        "marker_rms_m": finite(replay.marker_rms if replay else None),
+        "theta_rms_rad": finite(replay.theta_rms if replay else None),
+        "noise_m": finite(fit.marker_noise),
+        "nominal_marker_rms_m": finite(nominal.marker_rms if nominal else None),
+        "problem": fit.problem,
+    }
+
+
+def finite(value: float | None) -> float | None:
+    """The number; None where it is not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def bending_stiffness(
+    link: LinkChain, estimates: Sequence[Estimate], covariance: Array | None = None
+) -> tuple[float, float | None]:
+    """A link's bending stiffness EI and its standard error [N m^2].
+
+    The estimate `LINK.bending_stiffness` where there is one; else the mean over the virtual joints of stiffness times
+    cell, the cells being taken as known.
+
+    Args:
+        link: the identified link.
+        estimates: what was identified.
+        covariance: (p, p) of those with a standard error; None: uncorrelated.
+    """
+    found = next((each for each in estimates if each.name == f"{link.name}.bending_stiffness"), None)
+    if found is not None:
+        return found.value, finite(found.std)
+    weights = link.cells / link.virtual_joints
+    slopes = {f"{link.name}.stiffness_{j + 1}": float(weight) for j, weight in enumerate(weights)}
+    return float(weights @ link.stiffness), _Known(estimates, covariance).std(slopes)
+
+
+class _Known:
+    """Standard errors of what follows from the estimates."""
+
+    def __init__(self, estimates: Sequence[Estimate], covariance: Array | None) -> None:
+        self.estimates = estimates
+        estimated = [each for each in estimates if each.std is not None]
+        self.index = {each.name: k for k, each in enumerate(estimated)}
+        self.covariance = np.diag([(each.std or 0.0) ** 2 for each in estimated])
+        if covariance is not None and covariance.shape == self.covariance.shape:
+            self.covariance = covariance
+
+    def std(self, slopes: Mapping[str, float]) -> float | None:
+        """Of a quantity with these derivatives by the estimates; None where none of them was estimated."""
+        known = {name: slope for name, slope in slopes.items() if name in self.index}
+        if not known:
+            return None
+        rows = [self.index[name] for name in known]
+        slope = np.array(list(known.values()))
+        return finite(float(np.sqrt(max(slope @ self.covariance[np.ix_(rows, rows)] @ slope, 0.0))))
+
+
+def _link(link: LinkChain, known: _Known) -> Result:
+    value, std = bending_stiffness(link, known.estimates, known.covariance)
+    fields = zip(link.lengths, link.mass_centers, link.masses, link.inertias, strict=True)
+    return {
+        "name": link.name,
+        "bending_stiffness": {"value": finite(value), "std": std},
+        "hub_inertia": finite(link.hub_inertia),
+        "virtual_links": [
+            {"length": finite(length), "mass_center": finite(center), "mass": finite(mass), "inertia": finite(inertia)}
+            for length, center, mass, inertia in fields
+        ],
+        "virtual_joints": [_joint(link, j, known) for j in range(link.virtual_joints)],
+    }
+
+
+def _joint(link: LinkChain, j: int, known: _Known) -> Result:
+    stiffness, damping = float(link.stiffness[j]), float(link.damping[j])
+    bending, time = f"{link.name}.bending_stiffness", f"{link.name}.kelvin_voigt_time"
+    # K = EI / cell and D = tau K where the link's own EI and tau were estimated, else each by itself.
+    of_stiffness = {bending: 1 / float(link.cells[j]), f"{link.name}.stiffness_{j + 1}": 1.0}
+    ratio = damping / stiffness if stiffness > 0 else 0.0
+    of_damping = {bending: ratio / float(link.cells[j]), time: stiffness, f"{link.name}.damping_{j + 1}": 1.0}
+    return {
+        "stiffness": {"value": finite(stiffness), "std": known.std(of_stiffness)},
+        "damping": {"value": finite(damping), "std": known.std(of_damping)},
+    }
+
+
+def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
+    return {
+        "schema": SCHEMA,
+        "command": command,
+        "vjm": version("vjm"),
+        "experiment": experiment,
+        "warnings": list(warnings),
+    }
+
+
+def _frequency(mode: ModeComparison) -> Result:
+    return {
+        "model": finite(mode.frequency_model),
+        "measured": finite(mode.frequency_measured),
+        "measured_std": finite(mode.frequency_std),
+    }
+
+
+def _identifiable(estimate: Estimate) -> Result:
+    return {"parameter": estimate.name, "identifiable": bool(estimate.identifiable), "reason": estimate.reason}
+
+
+def _estimate(estimate: Estimate) -> Result:
+    value, std = finite(estimate.value), finite(estimate.std)
+    return {"parameter": estimate.name, "value": value, "std": std, "unit": estimate.unit}
