@@ -1,1 +1,62 @@
 """Virtual joint models of flexible robot arms, identified from camera markers."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from vjm.checking import Check, check
+    from vjm.errors import InputError, VjmError
+    from vjm.experiment import Experiment, load_experiment
+    from vjm.identification import Identification, identify
+    from vjm.model import Model
+    from vjm.report.comparison import Comparison, compare
+    from vjm.report.save import save
+
+__all__ = [
+    "Check",
+    "Comparison",
+    "Experiment",
+    "Identification",
+    "InputError",
+    "Model",
+    "VjmError",
+    "check",
+    "compare",
+    "identify",
+    "load_experiment",
+    "save",
+]
+
+# Imported when first used: `import vjm` and `vjm --help` stay quick.
+_HOMES = {
+    "Check": "vjm.checking",
+    "Comparison": "vjm.report.comparison",
+    "Experiment": "vjm.experiment",
+    "Identification": "vjm.identification",
+    "InputError": "vjm.errors",
+    "Model": "vjm.model",
+    "VjmError": "vjm.errors",
+    "check": "vjm.checking",
+    "compare": "vjm.report.comparison",
+    "identify": "vjm.identification",
+    "load_experiment": "vjm.experiment",
+    "save": "vjm.report.save",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("vjm")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'vjm' has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -46,7 +46,8 @@ class Derivatives:
 
     def noise(self, sample_noise: ArrayLike) -> Array:
         """(3, m) 1-sigma noise of value, rate and acceleration for sample noise (m,)."""
-        return np.sqrt(np.diag(self.gains))[:, None] * np.asarray(sample_noise, dtype=float)
+        result: Array = np.sqrt(np.diag(self.gains))[:, None] * np.asarray(sample_noise, dtype=float)
+        return result
 
 
 def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_STEP) -> Derivatives:
@@ -88,7 +89,7 @@ def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_
 
 @dataclass(frozen=True)
 class Smoother:
-    """Smoothing spline of a fixed set of instants, whose residual is as large as the noise says (discrepancy principle).
+    """Smoothing spline over a fixed set of instants; its residual is as large as the noise (discrepancy principle).
 
     All signals share one penalty, so value, rate and acceleration pass through the same filter and linear relations
     among them survive it. Degree 7 with a penalty on the fourth difference (Eilers and Marx 1996).
@@ -188,7 +189,7 @@ class _PenalisedSpline:
             rows = size - d + k
             ones = np.ones(rows + 1)
             shift = dia_array((np.stack([-ones, ones]), np.array([0, 1])), shape=(rows, rows + 1)).tocsr()
-            matrix = csr_array(matrix @ shift) / self.step
+            matrix = _as_csr(matrix @ shift / self.step)
         return csr_array(matrix)
 
     def _banded(self, exponent: float) -> Array:
@@ -211,6 +212,10 @@ class _PenalisedSpline:
         reached = int(np.searchsorted(energy, (1 - _KERNEL_TAIL) * energy[-1]))
         reach = float(distance[order][reached])
         return kernels @ kernels.T, min(reach, 0.2 * float(self.time[-1] - self.time[0]))
+
+
+def _as_csr(matrix: object) -> csr_array:
+    return csr_array(matrix)  # type: ignore[call-overload, no-any-return]
 
 
 def _bands(matrix: csr_array, width: int) -> Array:

@@ -77,8 +77,12 @@ def build(
 
 
 def _virtual_links(model: pin.Model, chain: Chain, suffix: str = "") -> Iterator[tuple[int, int, int, float]]:
-    """Add the chain's joints to the model and yield, for each virtual link in turn, its flexible link, its number
-    there, the Pinocchio joint that carries it (0 where it stands still) and its distance from that joint [m]."""
+    """Add the chain's joints to the model, and tell where each virtual link hangs.
+
+    Yields:
+        For each virtual link in turn: its flexible link, its number there, the Pinocchio joint that carries it (0 where
+        it stands still) and its distance from that joint [m].
+    """
     joint, offset = 0, 0.0
     names = iter(chain.joint_names)
     for i, link in enumerate(chain.links):

@@ -71,10 +71,15 @@ def equilibrium(
     K = np.diag(chain.stiffness)
     for _ in range(_NEWTON_STEPS):
         residual = dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q
-        tangent = K + dynamics.gravity_stiffness(mechanism, q)
-        step = np.linalg.solve(tangent[np.ix_(p, p)], -residual[p])
+        tangent = (K + dynamics.gravity_stiffness(mechanism, q))[np.ix_(p, p)]
+        try:
+            step = np.linalg.solve(tangent, -residual[p])
+        except np.linalg.LinAlgError:
+            break
         q[p] += step * min(1.0, _LARGEST_TURN / max(float(np.abs(step).max()), 1e-300))
         if np.abs(step).max() < 1e-12:
+            if np.linalg.eigvalsh(tangent)[0] <= 0:
+                break  # balanced, and about to fall over
             return q
     raise InsufficientDataError(
         "position of rest", "Newton's method found none", "check gravity, masses and bending stiffness"

@@ -5,51 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain, LinkChain
-from vjm.experiment.records import Experiment
-from vjm.identify.records import Identification, ModeComparison, RecordingFit
+from vjm.identification.records import Identification, ModeComparison, RecordingFit
 from vjm.parameters import Estimate
 
 if TYPE_CHECKING:
+    from vjm.checking import Check
     from vjm.report.comparison import Comparison
 
 Array = NDArray[np.float64]
 Result = dict[str, Any]
 SCHEMA = 1
-
-
-class CheckRecord(Protocol):
-    """What `vjm.check.check` returns."""
-
-    @property
-    def experiment(self) -> Experiment:
-        """What was checked."""
-        ...
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a user should know."""
-        ...
-
-    @property
-    def modes(self) -> Array:
-        """(m,) natural frequencies of the nominal chain [Hz]."""
-        ...
-
-    @property
-    def virtual_joints(self) -> tuple[int, ...]:
-        """Number of virtual joints of each link."""
-        ...
-
-    @property
-    def identifiable(self) -> tuple[Estimate, ...]:
-        """Parameters, and whether the recordings determine them."""
-        ...
 
 
 def identification_result(fit: Identification) -> Result:
@@ -83,21 +54,20 @@ def comparison_result(comparison: Comparison) -> Result:
     }
 
 
-def check_result(check: CheckRecord) -> Result:
-    """The result object of `vjm check`."""
+def check_result(check: Check) -> Result:
+    """The result object of `vjm check`; `identifiable` has a list for each choice of `--parameters`."""
     rig = check.experiment.rig
+    joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
     return {
         **_common("check", rig.name, check.warnings),
-        "links": [
-            {"name": link.name, "virtual_joints": int(joints)}
-            for link, joints in zip(rig.links, check.virtual_joints, strict=True)
-        ],
+        "problem": check.problem,
+        "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
         "frequencies_hz": [{"model": finite(each), "measured": None} for each in check.modes],
         "recordings": [
             {"file": each.file, "kind": each.kind, "role": each.role, "duration_s": float(each.time[-1] - each.time[0])}
             for each in check.experiment.recordings
         ],
-        "identifiable": [_identifiable(estimate) for estimate in check.identifiable],
+        "identifiable": {kind: [_identifiable(each) for each in found] for kind, found in check.identifiable.items()},
     }
 
 

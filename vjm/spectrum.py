@@ -190,13 +190,13 @@ class _Oscillators:
 def _project(columns: Array, y: Array) -> tuple[Array, Array]:
     """What the columns leave of y (T, c), and the amplitudes."""
     amplitudes, *_ = np.linalg.lstsq(columns, y, rcond=1e-10)
-    return y - columns @ amplitudes, amplitudes
+    return y - columns @ amplitudes, np.asarray(amplitudes)
 
 
 def _peak(time: Array, residual: Array, known: Array) -> float | None:
     """Frequency [Hz] of the largest peak of the residual's spectrum that is no noise and no known mode's skirt."""
     step = float(np.median(np.diff(time)))
-    count = int(round((time[-1] - time[0]) / step)) + 1
+    count = round((time[-1] - time[0]) / step) + 1
     even = np.zeros((count, residual.shape[1]))
     even[np.clip(np.round((time - time[0]) / step).astype(int), 0, count - 1)] = residual
     window = get_window("hann", count)[:, None]
@@ -215,6 +215,10 @@ def _peak(time: Array, residual: Array, known: Array) -> float | None:
 def _fit(oscillators: _Oscillators, y: Array, noise: float, known: Array, start: float) -> Array:
     """Add a mode near `start` [Hz] and refine all of them; the best of a few first damping ratios."""
     top = 0.5 / float(np.median(np.diff(oscillators.time)))
+
+    def residual(x: Array) -> Array:
+        return _project(oscillators.columns(x.reshape(-1, 2)), y)[0].ravel() / noise
+
     results = []
     for ratio in _FIRST_RATIOS:
         first = np.vstack([known, [start, ratio]])
@@ -224,7 +228,7 @@ def _fit(oscillators: _Oscillators, y: Array, noise: float, known: Array, start:
         scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
         results.append(
             least_squares(
-                lambda x: _project(oscillators.columns(x.reshape(-1, 2)), y)[0].ravel() / noise,
+                residual,
                 guess,
                 bounds=(lower, upper),
                 x_scale=1e-2 * scale,

@@ -10,20 +10,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import vjm.demo
+import vjm
 from vjm.angles.estimate import ShapeSettings, estimate_angles
 from vjm.chain import Chain, Layout, layout, uniform_chain
-from vjm.derivatives import smooth
+from vjm.derivatives import Smoother
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
-from vjm.identify.records import Identification, ModeComparison, RecordingFit, TorqueData
+from vjm.identification.records import Identification, ModeComparison, RecordingFit, TorqueData
 from vjm.model import Model
 from vjm.parameters import Estimate
+from vjm.report.figures.pictures import Picture, identification_pictures
 from vjm.simulate import Replay, simulate
 from vjm.torque import torque_errors
 
 Array = NDArray[np.float64]
 Replayer = Callable[[Model, Recording], Replay]
-DEMO = Path(vjm.demo.__path__[0]) / "experiment.toml"
+DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 
 
@@ -55,8 +56,8 @@ def _torque_data(model: Model, nominal: Model, recording: Recording) -> TorqueDa
     orders = tuple(min(3, max(1, len(link.markers) - 2)) for link in rig.links)
     settings = ShapeSettings("cantilever", orders)
     angles = estimate_angles(rig, cuts, recording, settings, model.marker_noise, model.encoder_noise)
-    derivatives = smooth(angles.time, angles.q, angles.covariance)
-    rows = np.isin(angles.time, derivatives.time)
+    rows = np.isfinite(angles.q).all(axis=1)
+    derivatives = Smoother.of(angles.time[rows]).derivatives(angles.q[rows], angles.covariance)
     torque = angles.torque[rows]
     state = (derivatives.value, derivatives.rate, derivatives.acceleration, torque)
     before, after = (
@@ -205,3 +206,13 @@ def elbow_fit() -> Identification:
 
 
 FITS = {"demo": demo_fit, "hub": hub_fit, "silicone": silicone_fit, "elbow": elbow_fit}
+
+
+def pictures_of(fit: Identification) -> list[Picture]:
+    """The pictures of one of these fits, drawn once."""
+    if id(fit) not in _DRAWN:
+        _DRAWN[id(fit)] = identification_pictures(fit)
+    return _DRAWN[id(fit)]
+
+
+_DRAWN: dict[int, list[Picture]] = {}

@@ -18,7 +18,7 @@ _NODES = 24  # Gauss-Legendre nodes for the tip's position
 
 
 def curvature_angles(fit: ShapeFit, joint_arcs: ArrayLike, cells: ArrayLike) -> Array:
-    """phi (T, n) [rad]; NaN for frames whose curve does not exist (its slope by arc length exceeds one).
+    """Angles phi (T, n) [rad]; NaN for frames whose curve does not exist (its slope by arc length exceeds one).
 
     With y given over arc length, sin(psi) = y' and kappa = y'' / cos(psi).
 

@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from vjm.angles.curvature import curvature_angles, curvature_map, tip_pose
+from vjm.angles.curve import curve_angles, curve_covariance
 from vjm.angles.points import chord_angles, representative_points
-from vjm.chain.curve import rotate
+from vjm.chain.curve import curve_map_of, rotate
 from vjm.chain.layout import Layout
+from vjm.chain.records import Distal
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.experiment.records import Link, Recording, Rig
 from vjm.shape.fit import ShapeFit, fit_shape
 
 Array = NDArray[np.float64]
-AngleMethod = Literal["curvature", "points"]
+AngleMethod = Literal["curvature", "curve", "points"]
 ANGLE_METHODS: tuple[str, ...] = get_args(AngleMethod)
 
 
@@ -30,8 +32,8 @@ class ShapeSettings:
     Attributes:
         family: of the shape functions.
         orders: for each link, the number of functions.
-        method: `curvature`: shape over arc length, phi = cell times curvature; `points`: shape over measured position
-            and representative points, as in the paper.
+        method: `curvature`: shape over arc length, phi = cell times curvature; `curve`: the chain's own curve, which
+            needs a marker a joint; `points`: shape over measured position and representative points, as in the paper.
         robust: Huber weights against wild markers.
     """
 
@@ -105,12 +107,14 @@ def estimate_angles(
         markers = recording.markers[rows][:, rig.marker_slices[i]]
         if link.markers_frame == "base":
             markers = rotate(markers - origin[:, None], -heading[:, None])
-        known = shapes[i] if shapes is not None and settings.method == "curvature" else None
-        fit, phi, position, turn = _read_link(link, cuts[i], markers, settings, settings.orders[i], known)
+        known = shapes[i] if shapes is not None and settings.method != "points" else None
+        reading = _LinkReading(link, cuts[i], "free" if i == len(rig.links) - 1 else "joined", settings)
+        fit = known or reading.shape(markers, settings.orders[i])
+        phi, position, turn = reading.angles(fit, markers)
         origin, heading = origin + rotate(position, heading), heading + turn
         columns.append(phi)
         fits.append(fit)
-        blocks.append(_covariance(link, cuts[i], fit, marker_noise, encoder_noise))
+        blocks.append(reading.covariance(fit, marker_noise, encoder_noise))
     q = np.concatenate(columns, axis=1)
     return Angles(
         time=recording.time[rows],
@@ -135,33 +139,45 @@ def _at_frames(recording: Recording, values: Array, rows: NDArray[np.intp]) -> A
     return result
 
 
-def _read_link(
-    link: Link, cuts: Layout, markers: Array, settings: ShapeSettings, order: int, known: ShapeFit | None
-) -> tuple[ShapeFit, Array, Array, Array]:
-    """Shape, phi (F, n), and the pose (F, 2), (F,) of the tip, from markers (F, k, 2) in the link frame."""
-    if settings.method == "curvature":
-        fit = known or fit_shape(
-            link.markers, markers[..., 1], link.length, settings.family, order, robust=settings.robust
-        )
-        phi = curvature_angles(fit, np.cumsum(cuts.lengths)[:-1], cuts.cells)
-        return (fit, phi, *tip_pose(fit))
-    if not np.isfinite(markers[..., 0]).any():
-        raise InsufficientDataError(
-            "representative points", f"the x coordinates of {link.name}'s markers were not measured", "record them"
-        )
-    fit = fit_shape(markers[..., 0], markers[..., 1], link.length, settings.family, order, robust=settings.robust)
-    points = representative_points(fit, cuts.lengths)
-    phi = chord_angles(points)
-    return fit, phi, points[:, -1], phi.sum(axis=1)
+@dataclass(frozen=True)
+class _LinkReading:
+    """How one link's angles follow from its markers."""
 
+    link: Link
+    cuts: Layout
+    distal: Distal
+    settings: ShapeSettings
 
-def _covariance(link: Link, cuts: Layout, fit: ShapeFit, marker_noise: float, encoder_noise: float) -> Array:
-    """Noise covariance of (theta, phi) of one link [rad^2], for small bends."""
-    to_phi = curvature_map(fit, np.cumsum(cuts.lengths)[:-1], cuts.cells)
-    phi_block = marker_noise**2 * to_phi @ fit.covariance @ to_phi.T
-    if link.joint == "clamped":
-        return phi_block
-    block = np.zeros((len(phi_block) + 1,) * 2)
-    block[0, 0] = encoder_noise**2
-    block[1:, 1:] = phi_block
-    return block
+    def shape(self, markers: Array, order: int) -> ShapeFit:
+        """Shape functions of markers (F, k, 2) in the link frame."""
+        link, settings = self.link, self.settings
+        if settings.method == "points":
+            if not np.isfinite(markers[..., 0]).any():
+                what = f"the x coordinates of {link.name}'s markers were not measured"
+                raise InsufficientDataError("representative points", what, "record them")
+            places = markers[..., 0]
+        else:
+            places = np.array(link.markers)
+        return fit_shape(places, markers[..., 1], link.length, settings.family, order, robust=settings.robust)
+
+    def angles(self, fit: ShapeFit, markers: Array) -> tuple[Array, Array, Array]:
+        """Angles phi (F, n), and the tip's position (F, 2) and heading (F,) in the link frame."""
+        if self.settings.method == "points":
+            points = representative_points(fit, self.cuts.lengths)
+            phi = chord_angles(points)
+            return phi, points[:, -1], phi.sum(axis=1)
+        phi = curvature_angles(fit, np.cumsum(self.cuts.lengths)[:-1], self.cuts.cells)
+        if self.settings.method == "curvature":
+            return (phi, *tip_pose(fit))
+        phi = curve_angles(curve_map_of(self.cuts, self.distal, self.link.markers), markers, phi)
+        tip = curve_map_of(self.cuts, self.distal, [self.link.length])
+        return phi, tip.positions(phi)[:, 0], phi @ tip.heading[0]
+
+    def covariance(self, fit: ShapeFit, marker_noise: float, encoder_noise: float) -> Array:
+        """Noise covariance of (theta, phi) [rad^2], for small bends."""
+        if self.settings.method == "curve":
+            phi_block = marker_noise**2 * curve_covariance(curve_map_of(self.cuts, self.distal, self.link.markers))
+        else:
+            to_phi = curvature_map(fit, np.cumsum(self.cuts.lengths)[:-1], self.cuts.cells)
+            phi_block = marker_noise**2 * to_phi @ fit.covariance @ to_phi.T
+        return phi_block if self.link.joint == "clamped" else block_diag(encoder_noise**2, phi_block)

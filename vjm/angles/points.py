@@ -55,7 +55,7 @@ def _next_point(fit: ShapeFit, point: Array, size: float) -> Array:
 
 
 def chord_angles(points: ArrayLike) -> Array:
-    """phi (T, n) [rad]: each virtual link's direction less that of the one before it (eq. 12).
+    """Angles phi (T, n) [rad]: each virtual link's direction less that of the one before it (eq. 12).
 
     Args:
         points: (T, n + 1, 2) joints 1 .. n and the tip [m].

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from vjm.chain.layout import Layout
 from vjm.chain.records import Chain, Distal, LinkChain
 
 Array = NDArray[np.float64]
@@ -62,11 +63,16 @@ def curvature_spline(joint_arcs: Array, cells: Array, length: float, distal: Dis
 
 def curve_map(link: LinkChain, arcs: ArrayLike) -> CurveMap:
     """The map from a link's phi to its curve at the given arc lengths [m]."""
+    return curve_map_of(Layout(link.lengths, link.cells), link.distal, arcs)
+
+
+def curve_map_of(cuts: Layout, distal: Distal, arcs: ArrayLike) -> CurveMap:
+    """The same for cuts that are not a chain yet; `distal` as in `LinkChain`."""
     return _curve_map(
-        tuple(link.joint_arcs.tolist()),
-        tuple(link.cells.tolist()),
-        link.length,
-        link.distal,
+        tuple(np.cumsum(cuts.lengths)[:-1].tolist()),
+        tuple(cuts.cells.tolist()),
+        float(cuts.lengths.sum()),
+        distal,
         tuple(np.asarray(arcs, dtype=float).ravel().tolist()),
     )
 

@@ -28,7 +28,8 @@ _FREE_END = (0.957, 1 / 0.934)
 # both exactly. lambda_1 L = 1.8751 is the first root of 1 + cos(z) cosh(z).
 _ROOT = 1.8751040687119611
 _SINGLE_DISTAL = 9 / _ROOT**4
-# A quadratic curvature that vanishes at the free end holds 3/5 of the last cell's outer part (to the layouts' accuracy).
+# Part of the last virtual link that its joint stands for, as the curvature vanishes towards the free end; makes the
+# free layout's cells those of the end-corrected one.
 _FREE_CELL = 0.6
 
 

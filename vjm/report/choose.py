@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.experiment.records import Recording, Rig
-from vjm.identify.records import RecordingFit, TorqueData
+from vjm.identification.records import RecordingFit, TorqueData
 
 Array = NDArray[np.float64]
 

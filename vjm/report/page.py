@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 from jinja2 import Environment, StrictUndefined, Template
 
-from vjm.identify.records import Identification
+from vjm.identification.records import Identification
 from vjm.report.comparison import Comparison
 from vjm.report.figures.pictures import Picture
 from vjm.report.tables import Table, mode_table, parameter_table, recording_table

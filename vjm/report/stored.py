@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from vjm.errors import ModelFileError
 from vjm.experiment.records import Experiment
-from vjm.identify.records import Identification
+from vjm.identification.records import Identification
 from vjm.model import Model
 from vjm.model_file import read_model
 from vjm.noise import sensor_noise
@@ -38,8 +38,15 @@ def identification_extra(fit: Identification) -> dict[str, Any]:
     }
 
 
-def stored_model(path: Path | str, experiment: Experiment) -> tuple[Model, Array]:
-    """The model in a model.json, for an experiment's rig, and the covariance of its estimates (empty if unknown).
+def stored_model(path: Path | str, experiment: Experiment) -> tuple[Model, Array, dict[str, Any]]:
+    """The model in a model.json, for an experiment's rig.
+
+    Args:
+        path: the file.
+        experiment: gives the rig and the sensors' noise.
+
+    Returns:
+        The model, the covariance of its estimates (empty if unknown), and all that the file holds beside the chain.
 
     Raises:
         ModelFileError: no usable model.json.
@@ -49,8 +56,8 @@ def stored_model(path: Path | str, experiment: Experiment) -> tuple[Model, Array
     try:
         estimates = TypeAdapter(tuple[Estimate, ...]).validate_python(extra.get("estimates", ()))
         rows = TypeAdapter(list[list[float]]).validate_python(extra.get("covariance", []))
-        covariance = np.array(rows, dtype=float).reshape(len(rows), -1)
+        covariance = np.array(rows, dtype=float) if rows else np.empty((0, 0))
     except (ValidationError, ValueError) as error:
         raise ModelFileError(path, "key 'extra' holds no usable estimates", "a model.json written by vjm") from error
     noise = sensor_noise(experiment.rig, experiment.recordings)
-    return Model(chain, experiment.rig, *noise, estimates), covariance
+    return Model(chain, experiment.rig, *noise, estimates), covariance, extra

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vjm.chain.records import Chain, LinkChain
-from vjm.identify.records import ModeComparison, RecordingFit
+from vjm.identification.records import ModeComparison, RecordingFit
 from vjm.parameters import Estimate
 from vjm.report.wording import UNKNOWN, millimetres, number, with_error
 
@@ -94,19 +94,13 @@ def mode_table(modes: Sequence[ModeComparison]) -> Table:
                 f"mode {k + 1}",
                 number(mode.frequency_model, 5),
                 "not seen" if measured is None else with_error(measured, mode.frequency_std),
-                UNKNOWN if difference is None else f"{difference:+.2f}",
+                UNKNOWN if difference is None else f"{difference:+.2f}".replace("-", "−"),
                 number(100 * mode.damping_model, 3),
                 "not seen" if mode.damping_measured is None else number(100 * mode.damping_measured, 3),
             )
         )
-    headers = (
-        "",
-        "frequency, model [Hz]",
-        "measured [Hz]",
-        "difference [%]",
-        "damping ratio, model [%]",
-        "measured [%]",
-    )
+    frequency = ("model [Hz]", "measured [Hz]", "difference [%]")
+    headers = ("", *frequency, "damping, model [%]", "damping, measured [%]")
     return Table("Table 2. Natural frequencies and damping", headers, tuple(rows))
 
 

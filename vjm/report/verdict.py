@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from vjm.identify.records import Identification, RecordingFit
+from vjm.identification.records import Identification, RecordingFit
 from vjm.model import Model
 from vjm.report.comparison import Comparison
 from vjm.report.tables import nominal_value, unit
@@ -14,7 +14,7 @@ from vjm.report.wording import counted, listed, millimetres, number, short, with
 from vjm.result import bending_stiffness
 
 Grade = Literal["good", "fair", "poor"]
-_AT_NOISE, _NEAR_NOISE = 1.25, 2.0  # residual over noise
+_AT_NOISE, _NEAR_NOISE = 1.1, 1.5  # residual over noise
 _MOST_NAMED = 3
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PLAIN_RANGE = range(-3, 5)  # decimal exponents written without a power of ten
+_LEAST_MILLIMETRES = 0.0095
 UNKNOWN = "–"
 
 
@@ -14,6 +15,8 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number with so many significant digits; a dash for what is not known."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
+    if value == 0:
+        return "0"
     exponent = _exponent(value, digits)
     if exponent in _PLAIN_RANGE:
         return f"{value:.{max(digits - 1 - exponent, 0)}f}"
@@ -46,10 +49,12 @@ def _power(exponent: int) -> str:
 
 
 def millimetres(value: float | None) -> str:
-    """A length [m] as text in mm, two significant digits or whole millimetres."""
+    """A length [m] as text in mm (small ones in µm), two significant digits or whole millimetres."""
     if value is None or not math.isfinite(value):
         return UNKNOWN
     scaled = value * 1e3
+    if 0 < abs(scaled) < _LEAST_MILLIMETRES:
+        return f"{number(scaled * 1e3, 2)}\N{NO-BREAK SPACE}µm"
     return f"{number(scaled, 2) if abs(scaled) < 99.5 else f'{scaled:.0f}'}\N{NO-BREAK SPACE}mm"
 
 

@@ -41,18 +41,21 @@ class ShapeFit:
     def evaluate(self, x: ArrayLike, derivative: int = 0) -> Array:
         """(T, p) shape, slope or second derivative at p places [m, -, 1/m]; x is (p,) or (T, p) [m]."""
         functions = basis(self.family, self.order, x, self.length, derivative)
-        return np.einsum("...po,...o->...p", functions, self.coefficients)
+        values: Array = np.einsum("...po,...o->...p", functions, self.coefficients)
+        return values
 
     def velocity(self, x: ArrayLike, rates: ArrayLike) -> Array:
         """(T, p) lateral velocity v(x, t) [m/s] from the coefficients' rates (T, order) [m/s]."""
         functions = basis(self.family, self.order, x, self.length)
-        return np.einsum("...po,...o->...p", functions, np.asarray(rates, dtype=float))
+        values: Array = np.einsum("...po,...o->...p", functions, np.asarray(rates, dtype=float))
+        return values
 
     @property
     def marker_rms(self) -> Array:
         """(k,) root mean square residual of each marker [m]."""
         with np.errstate(invalid="ignore"):
-            return np.sqrt(np.nanmean(self.residuals**2, axis=0))
+            result: Array = np.sqrt(np.nanmean(self.residuals**2, axis=0))
+        return result
 
 
 def fit_shape(
@@ -149,4 +152,5 @@ def _normal_equations(functions: Array, values: Array, weight: Array) -> Array:
     scaled = np.sqrt(weight)[..., None] * functions
     gram = np.einsum("tko,tkp->top", scaled, scaled)
     right = np.einsum("tko,tk->to", scaled, np.sqrt(weight) * values)
-    return np.einsum("top,tp->to", np.linalg.pinv(gram, rcond=1e-13, hermitian=True), right)
+    solution: Array = np.einsum("top,tp->to", np.linalg.pinv(gram, rcond=1e-13, hermitian=True), right)
+    return solution

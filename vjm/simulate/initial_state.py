@@ -145,7 +145,8 @@ class _Problem:
             q, _ = self._rollout(state[None])
         except SimulationDivergedError:
             return np.full(self.measured.values.size, np.inf)
-        return self.measured.weights * (self.measured.values - self._values(q)[0])
+        residual: Array = self.measured.weights * (self.measured.values - self._values(q)[0])
+        return residual
 
     def chi2(self, state: Array) -> float:
         """Sum of squared weighted residuals."""
@@ -179,7 +180,8 @@ class _Problem:
 
     def _difference(self, q: Array) -> Array:
         values = self._values(q)
-        return self.measured.weights[:, None] * (values[1:] - values[0]).T / _PERTURBATION
+        slope: Array = self.measured.weights[:, None] * (values[1:] - values[0]).T / _PERTURBATION
+        return slope
 
 
 def _start(chain: Chain, recording: Recording) -> Array:
@@ -194,7 +196,7 @@ def _state_scale(chain: Chain) -> Array:
     omega = np.sqrt(
         chain.stiffness.max() / max(sum(float(link.masses @ link.lengths**2) for link in chain.links), 1e-12)
     )
-    return np.r_[np.ones(chain.size), np.full(chain.size, omega)]
+    return np.concatenate([np.ones(chain.size), np.full(chain.size, float(omega))])
 
 
 def _damped_step(factors: tuple[Array, Array, Array], residual: Array, damping: float) -> tuple[Array, float]:

@@ -151,7 +151,8 @@ def linear_response(M: Array, D: Array, K: Array, start: float, step: float, cou
         states[k + 1] = flow @ states[k]
     copies = np.swapaxes(states, 1, 2)
     a = copies @ rate[n:].T
-    return Steps(start + step * np.arange(count + 1), copies[:, :, :n], copies[:, :, n:], a)
+    instants = np.asarray(start + step * np.arange(count + 1), dtype=float)
+    return Steps(instants, copies[:, :, :n], copies[:, :, n:], a)
 
 
 INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
@@ -184,7 +185,7 @@ def _linear_part(system: System) -> Array:
 
 @dataclass(frozen=True)
 class _Propagators:
-    """exp(L h), exp(L h / 2) and ETDRK4's weights; the remainder enters the rates only, so weights are (C, 2 nv, nv)."""
+    """L, exp(L h), exp(L h / 2) and ETDRK4's weights, (C, 2 nv, nv) as the remainder enters the rates only."""
 
     rate: Array
     half_flow: Array
@@ -236,7 +237,7 @@ class _Recorder:
     """Keeps the steps and notices divergence."""
 
     def __init__(self, start: float, step: float, count: int, q: Array) -> None:
-        self.time = start + step * np.arange(count + 1)
+        self.time = np.asarray(start + step * np.arange(count + 1), dtype=float)
         self.step = step
         self.q, self.v, self.a = (np.empty((count + 1, *q.shape)) for _ in range(3))
 

@@ -18,7 +18,7 @@ from vjm.simulate.integrators import INTEGRATORS, System, sample
 Array = NDArray[np.float64]
 
 # The remainder that the exponential integrator's steps resolve follows the slowest and the fastest mode of the locked
-# arm; measured on 1 m chains of 4 to 10 joints bent by an eighth of their length: the tip stays within 1e-6 m over 10 s.
+# arm; measured on 1 m chains of 4 to 10 joints bent by an eighth of their length: the tip stays within 1e-6 m for 10 s.
 # The error grows with the arm's length and the fourth power of the step.
 _STEPS_A_PERIOD = 120.0
 _TOP_MODE_STEP = 0.8  # periods of the fastest mode

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from vjm.chain.records import Chain
-from vjm.identify.records import TorqueData
+from vjm.identification.records import TorqueData
 from vjm.report.choose import liveliest_window
 from vjm.report.figures.style import BAND, Row, panel_title, series, sheet, styled
 from vjm.report.wording import short

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from vjm.identify.records import RecordingFit
+from vjm.identification.records import RecordingFit
 from vjm.report.figures.style import IDENTIFIED, MEASURED, NOMINAL, Row, log_ticks, printable, sheet, styled
 from vjm.report.wording import listed, number, short
 
@@ -68,5 +68,5 @@ def _title(fits: Sequence[RecordingFit], name: str) -> str:
         ratios = [fit.replay.marker_rms / fit.marker_noise for fit in fits if fit.replay and fit.recording.role == role]
         if ratios:
             low, high = number(min(ratios), 2), number(max(ratios), 2)
-            parts.append(f"{words} recordings to {low if low == high else f'{low} to {high}'} times the noise")
-    return f"The {name} model follows {listed(parts)}" if parts else "No recording could be simulated"
+            parts.append(f"{low if low == high else f'{low} to {high}'} times the noise in {words} recordings")
+    return f"Residual of the {name} model: {listed(parts)}" if parts else "No recording could be simulated"

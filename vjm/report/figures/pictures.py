@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from matplotlib.figure import Figure
 
 from vjm.experiment.records import Experiment
-from vjm.identify.records import Identification, RecordingFit
+from vjm.identification.records import Identification, RecordingFit
 from vjm.model import Model
 from vjm.report.choose import liveliest, spread_over, tips
 from vjm.report.figures.angles import joint_angles

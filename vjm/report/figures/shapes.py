@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from vjm.chain.curve import link_poses, rotate
 from vjm.chain.records import Chain, LinkChain
 from vjm.experiment.records import Rig
-from vjm.identify.records import TorqueData
+from vjm.identification.records import TorqueData
 from vjm.report.choose import period
 from vjm.report.figures.style import MEASURED, Row, panel_title, series, sheet, styled
 from vjm.report.wording import millimetres, short

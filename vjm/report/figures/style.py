@@ -36,7 +36,7 @@ _WIDTH = 9.2  # inches, as all lengths of the page below
 _LEFT, _RIGHT, _BOTTOM = 0.85, 0.2, 0.52
 _TITLE_LINE, _LEGEND_LINE, _TOP = 0.22, 0.27, 0.3
 _ROW_GAP, _COLUMN_GAP = 0.28, 0.85
-_TITLE_WIDTH = 98  # characters
+_TITLE_WIDTH = 101  # characters
 _SETTINGS: Any = {
     "font.family": ["DejaVu Sans"],
     "font.size": 9,

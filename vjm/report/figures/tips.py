@@ -15,7 +15,7 @@ from scipy.interpolate import CubicHermiteSpline
 from vjm.chain.curve import marker_positions
 from vjm.errors import InsufficientDataError
 from vjm.experiment.records import Rig
-from vjm.identify.records import RecordingFit
+from vjm.identification.records import RecordingFit
 from vjm.model import Model
 from vjm.report.choose import Signal, marker_name, tip_signal, windows
 from vjm.report.figures.style import (

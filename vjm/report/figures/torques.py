@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
-from vjm.identify.records import TorqueData
+from vjm.identification.records import TorqueData
 from vjm.modes import linearise
 from vjm.report.choose import liveliest_window
 from vjm.report.figures.style import (

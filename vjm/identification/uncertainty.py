@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.identify.parametrisation import Coordinate, Parametrisation
-from vjm.identify.torque_fit import TorqueFit
+from vjm.identification.parametrisation import Coordinate, Parametrisation
+from vjm.identification.torque_fit import TorqueFit
 from vjm.parameters import Estimate
 
 Array = NDArray[np.float64]
@@ -60,7 +60,8 @@ def to_physical(parametrisation: Parametrisation, x: Array, coordinates: Array) 
         moved[k] += step
         columns.append((parametrisation.physical(moved) - value) / step)
     slope = np.stack(columns, axis=1)
-    return slope @ coordinates @ slope.T
+    result: Array = slope @ coordinates @ slope.T
+    return result
 
 
 def estimates(parametrisation: Parametrisation, fit: TorqueFit, physical: Array) -> tuple[Estimate, ...]:

@@ -147,7 +147,7 @@ def prepare(
     noise = (settings.marker_noise, settings.encoder_noise)
     shapes = None if before is None else before.angles.shapes
     angles = estimate_angles(rig, cuts, recording, settings.shape, *noise, shapes)
-    measured = np.isfinite(angles.torque).any(axis=0)
+    measured = np.asarray(np.isfinite(angles.torque).any(axis=0))
     values = np.hstack([angles.q, angles.torque[:, measured]])
     usable = np.isfinite(values).all(axis=1)
     if usable.sum() < 10:

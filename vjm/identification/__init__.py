@@ -1,6 +1,6 @@
 """Identification of the chain's parameters from recordings."""
 
-from vjm.identify.records import (
+from vjm.identification.records import (
     METHODS,
     PARAMETERS,
     Identification,
@@ -8,7 +8,7 @@ from vjm.identify.records import (
     RecordingFit,
     TorqueData,
 )
-from vjm.identify.run import fit_recordings, identify
+from vjm.identification.run import fit_recordings, identify
 
 __all__ = [
     "METHODS",

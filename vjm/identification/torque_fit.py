@@ -20,8 +20,8 @@ from scipy.optimize import least_squares, lsq_linear
 from vjm import dynamics
 from vjm.chain.records import Chain
 from vjm.experiment.records import Rig
-from vjm.identify.parametrisation import Parametrisation, layouts_of
-from vjm.identify.prepare import Prepared, Settings, prepare
+from vjm.identification.parametrisation import Parametrisation, layouts_of
+from vjm.identification.prepare import Prepared, Settings, prepare
 from vjm.modes import modes
 from vjm.torque import torque_errors
 
@@ -198,6 +198,18 @@ def fit_torque(problem: TorqueProblem, progress: Progress | None = None) -> Torq
     if progress is not None:
         progress("fitting torque errors", _MOST_EVALUATIONS, _MOST_EVALUATIONS)
     return _unpacked(problem, x, np.asarray(result.jac), result.status > 0)
+
+
+def evaluate(problem: TorqueProblem, x: Array) -> TorqueFit:
+    """The residuals and their derivatives at x, without a search."""
+    base = problem.vector(x)
+    columns = []
+    for k, value in enumerate(x):
+        step = 1e-6 * max(abs(value), 1e-2)
+        moved = x.copy()
+        moved[k] += step
+        columns.append((problem.vector(moved) - base) / step)
+    return _unpacked(problem, x, np.stack(columns, axis=1), True)
 
 
 def _unpacked(problem: TorqueProblem, x: Array, jacobian: Array, converged: bool) -> TorqueFit:

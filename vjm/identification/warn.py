@@ -8,9 +8,9 @@ import numpy as np
 
 from vjm.experiment.checks import camera_rate
 from vjm.experiment.records import Experiment, Link
-from vjm.identify.prepare import Prepared
-from vjm.identify.records import RecordingFit
-from vjm.identify.select import FREQUENCY_TOLERANCE, JointChoice
+from vjm.identification.prepare import Prepared
+from vjm.identification.records import RecordingFit
+from vjm.identification.select import FREQUENCY_TOLERANCE, JointChoice
 from vjm.parameters import Estimate
 from vjm.shape.order import required_markers, visible_modes
 from vjm.spectrum import MeasuredModes
@@ -28,8 +28,8 @@ def marker_warnings(link: Link, modes: int | None) -> list[str]:
     if needed <= len(link.markers):
         return []
     return [
-        f"link {link.name}: {len(link.markers)} markers show {seen} bending mode(s); {modes} virtual joints have {modes} "
-        f"modes, which need {needed} markers (k >= 2 l / lambda_min, eq. 1)"
+        f"link {link.name}: {len(link.markers)} markers show {seen} bending mode(s); the {modes} modes of "
+        f"{modes} virtual joints need {needed} markers (k >= 2 l / lambda_min, eq. 1)"
     ]
 
 

@@ -1,0 +1,153 @@
+"""How near the chains' natural frequencies and deflections come to a uniform beam's, and how fast."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.chain.beams import beam_chain, clamped_frequencies, hub_frequencies
+from vjm.chain.curve import curve_map
+from vjm.modes import modes
+
+Array = NDArray[np.float64]
+
+
+def errors(n: int, name: str, payload: float = 0.0) -> Array:
+    """Relative errors of f1..f3, as many as there are, of a clamped chain."""
+    found = modes(beam_chain(n, name, payload=payload)).frequencies[:3]
+    return np.asarray(found / clamped_frequencies(3, payload)[: found.size] - 1)
+
+
+def hub_errors(n: int, name: str, hub_inertia: float) -> Array:
+    found = modes(beam_chain(n, name, joint="revolute", hub_inertia=hub_inertia)).frequencies[:3]
+    return np.asarray(found / hub_frequencies(3, hub_inertia)[: found.size] - 1)
+
+
+def orders(name: str, coarse: int, fine: int) -> Array:
+    """Observed orders of convergence of f1..f3 between two numbers of joints."""
+    return np.asarray(np.log(np.abs(errors(coarse, name) / errors(fine, name))) / np.log(fine / coarse))
+
+
+def test_reference_frequencies_are_the_tabulated_ones() -> None:
+    tabulated = np.array([1.8751040687119611, 4.694091132974175, 7.854757438237613])
+    np.testing.assert_allclose(clamped_frequencies(3), tabulated**2 / (2 * np.pi), rtol=1e-12)
+    pinned = np.array([3.9266023120479, 7.0685827456287, 10.2101761228130])  # tan z = tanh z: no hub at all
+    np.testing.assert_allclose(hub_frequencies(3, 0.0), pinned**2 / (2 * np.pi), rtol=1e-10)
+    np.testing.assert_allclose(hub_frequencies(3, 1e4), clamped_frequencies(3), rtol=1e-4)
+
+
+# Per cent, f1..f3 of a clamped link against Euler-Bernoulli.
+TABLE = {
+    ("equal", 2): (49.45, 58.65),
+    ("equal", 3): (33.10, 39.07, 33.44),
+    ("equal", 5): (19.92, 22.18, 23.64),
+    ("half-ends", 2): (6.08, 40.87),
+    ("half-ends", 3): (2.61, 9.71, 25.93),
+    ("half-ends", 5): (0.93, 3.27, 5.08),
+    ("half-ends", 8): (0.36, 1.26, 2.03),
+    ("end-corrected", 2): (-0.26, -1.55),
+    ("end-corrected", 3): (-0.09, 0.18, -6.28),
+    ("end-corrected", 5): (-0.03, 0.08, -0.20),
+    ("end-corrected", 8): (0.00, 0.00, 0.02),
+}
+
+
+@pytest.mark.parametrize(("name", "n"), TABLE)
+def test_frequency_errors_are_the_documented_ones(name: str, n: int) -> None:
+    np.testing.assert_allclose(100 * errors(n, name), TABLE[name, n], atol=0.0055)
+
+
+def test_correction_keeps_most_of_its_gain_under_a_payload() -> None:
+    np.testing.assert_allclose(100 * errors(5, "end-corrected", 1.0), (-0.06, -0.41, -0.84), atol=0.0055)
+    np.testing.assert_allclose(100 * errors(5, "half-ends", 1.0), (0.58, 2.71, 4.56), atol=0.0055)
+
+
+@pytest.mark.parametrize("hub_inertia", [0.05, 0.1, 0.2, 0.3])
+def test_correction_holds_on_a_free_hub(hub_inertia: float) -> None:
+    assert (np.abs(hub_errors(5, "end-corrected", hub_inertia)) < (3e-4, 7e-4, 3e-3)).all()
+    assert (np.abs(hub_errors(8, "end-corrected", hub_inertia)) < (1.5e-4, 4e-4, 2e-4)).all()
+    for n in (4, 5, 6, 8):
+        gain = np.abs(hub_errors(n, "half-ends", hub_inertia) / hub_errors(n, "end-corrected", hub_inertia))
+        assert gain[0] > 2
+        assert (gain[1:] > 5).all()
+
+
+def test_equal_links_converge_at_first_order() -> None:
+    np.testing.assert_allclose(orders("equal", 16, 32), 1.0, atol=0.08)
+
+
+def test_half_ends_converge_at_second_order() -> None:
+    np.testing.assert_allclose(orders("half-ends", 8, 16), 2.0, atol=0.02)
+    np.testing.assert_allclose(orders("half-ends", 16, 32), 2.0, atol=0.01)
+
+
+def test_end_correction_converges_faster_where_it_is_used() -> None:
+    """Nearly fourth order up to n = 8; constants of three digits then leave 2e-4, far below any measurement."""
+    assert (orders("end-corrected", 3, 8) > 3.5).all()
+    for n in range(8, 33, 4):
+        assert (np.abs(errors(n, "end-corrected")) < 2e-4).all()
+
+
+@pytest.mark.parametrize("n", range(2, 17))
+def test_end_correction_is_far_better_than_half_ends(n: int) -> None:
+    assert (np.abs(errors(n, "end-corrected")) < np.abs(errors(n, "half-ends")) / 4).all()
+
+
+def test_a_few_corrected_joints_do_what_sixteen_did() -> None:
+    assert (np.abs(errors(4, "end-corrected"))[:2] < np.abs(errors(16, "half-ends"))[:2]).all()
+    assert (np.abs(errors(5, "end-corrected")) < np.abs(errors(16, "half-ends"))).all()
+
+
+def static_tip_deflection(n: int, name: str) -> float:
+    """Of the chain's curve under a unit end load, times 3 EI / F L^3: one for a beam."""
+    chain = beam_chain(n, name, payload=1.0)
+    link = chain.links[0]
+    arms = link.length - link.joint_arcs
+    phi = 1e-6 * arms / link.stiffness
+    return float(3e6 * curve_map(link, [link.length]).positions(phi)[0, 1])
+
+
+@pytest.mark.parametrize(("n", "bound"), [(1, 1e-9), (2, 0.004), (3, 0.002), (5, 0.001), (8, 0.001)])
+def test_static_end_load_deflection(n: int, bound: float) -> None:
+    assert static_tip_deflection(n, "end-corrected") == pytest.approx(1.0, abs=bound)
+
+
+@pytest.mark.parametrize(("length", "mass", "stiffness"), [(1.0, 1.0, 1.0), (0.7, 0.31, 1.97)])
+def test_one_joint_has_the_beam_s_first_frequency_and_compliance(length: float, mass: float, stiffness: float) -> None:
+    chain = beam_chain(1, length=length, mass=mass, bending_stiffness=stiffness)
+    scale = np.sqrt(stiffness / (mass * length**3))
+    np.testing.assert_allclose(modes(chain).frequencies, clamped_frequencies(1) * scale, rtol=1e-12)
+    link = chain.links[0]
+    np.testing.assert_allclose(link.lengths[1] ** 2 / link.stiffness, length**3 / (3 * stiffness), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["end-corrected", "half-ends", "equal"])
+def test_frequencies_scale_as_a_beam_s(name: str) -> None:
+    unit = modes(beam_chain(5, name)).frequencies
+    scaled = modes(beam_chain(5, name, length=0.7, mass=0.31, bending_stiffness=1.97)).frequencies
+    np.testing.assert_allclose(scaled, unit * np.sqrt(1.97 / (0.31 * 0.7**3)), rtol=1e-9)
+
+
+def test_kelvin_voigt_damping_ratio_is_half_the_pulsation_times_the_time() -> None:
+    found = modes(beam_chain(6, kelvin_voigt=1e-3))
+    np.testing.assert_allclose(found.damping_ratios, np.pi * found.frequencies * 1e-3, rtol=1e-10)
+
+
+def test_a_link_joined_on_both_sides_bends_alike_from_either_end() -> None:
+    """Two revolute joints on a joined link: turned end for end, it is the same beam."""
+    link = beam_chain(5, distal="joined", joint="revolute").links[0]
+    turned = replace(
+        link,
+        lengths=link.lengths[::-1],
+        masses=link.masses[::-1],
+        mass_centers=(link.lengths - link.mass_centers)[::-1],
+        inertias=link.inertias[::-1],
+        stiffness=link.stiffness[::-1],
+        damping=link.damping[::-1],
+        cells=link.cells[::-1],
+    )
+    for field in ("lengths", "masses", "mass_centers", "inertias", "stiffness", "cells"):
+        np.testing.assert_allclose(getattr(link, field), getattr(turned, field), rtol=1e-12)

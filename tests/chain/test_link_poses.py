@@ -1,0 +1,114 @@
+"""Frames Sigma_i and markers of arms of several links (eq. 9)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tests.chain.beams import beam_chain
+from vjm.chain import Chain, marker_positions
+from vjm.chain.curve import curve_map, link_poses
+
+Array = NDArray[np.float64]
+Joint = Literal["revolute", "clamped"]
+ARCS = (np.array([0.3, 0.8]), np.array([0.1, 0.2, 0.5]), np.array([0.4]))
+LENGTHS = (0.8, 0.5, 0.4)
+BASE, OWN = (False, False, False), (True, True, True)
+JOINTS = list(product(["revolute", "clamped"], repeat=3))
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def arm(joints: tuple[Joint, ...]) -> Chain:
+    links = [
+        replace(beam_chain(n, joint=joint, length=length, distal=distal).links[0], name=f"link_{n}")
+        for n, joint, length, distal in zip((3, 2, 1), joints, LENGTHS, ("joined", "joined", "free"), strict=True)
+    ]
+    return Chain("arm", tuple(links))
+
+
+def posture(chain: Chain, seed: int) -> Array:
+    return np.random.default_rng(seed).uniform(-0.7, 0.7, chain.size)
+
+
+def complex_of(points: Array) -> NDArray[np.complex128]:
+    return np.asarray(points[..., 0] + 1j * points[..., 1])
+
+
+@given(st.sampled_from(JOINTS), SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_each_frame_sits_on_the_tip_before_it(joints: tuple[Joint, ...], seed: int) -> None:
+    """Where the curve before it ends, along its tangent, turned by the active angle."""
+    chain = arm(joints)
+    q = posture(chain, seed)
+    origins, headings = link_poses(chain, q)
+    tips = marker_positions(chain, q, tuple(np.array([length]) for length in LENGTHS), BASE)
+    np.testing.assert_array_equal(origins[0], 0.0)
+    np.testing.assert_allclose(origins[1:], tips[:2], atol=1e-12)
+    heading = 0.0
+    for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
+        heading += q[part.start - 1] if link.joint == "revolute" else 0.0
+        assert headings[i] == pytest.approx(heading, abs=1e-12)
+        heading += float(curve_map(link, [link.length]).heading[0] @ q[part])
+
+
+@given(st.sampled_from(JOINTS), SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_markers_in_the_link_frame_are_the_same_points(joints: tuple[Joint, ...], seed: int) -> None:
+    chain = arm(joints)
+    q = posture(chain, seed)
+    origins, headings = map(np.array, link_poses(chain, q))
+    base, own = marker_positions(chain, q, ARCS, BASE), marker_positions(chain, q, ARCS, OWN)
+    of_link = np.repeat([0, 1, 2], [2, 3, 1])
+    carried = complex_of(origins)[of_link] + np.exp(1j * headings[of_link]) * complex_of(own)
+    np.testing.assert_allclose(carried, complex_of(base), atol=1e-12)
+    mixed = marker_positions(chain, q, ARCS, (False, True, False))
+    np.testing.assert_array_equal(mixed, np.concatenate([base[:2], own[2:5], base[5:]]))
+
+
+@given(st.sampled_from([joints for joints in JOINTS if joints[0] == "revolute"]), SEEDS, st.floats(-6, 6))
+@settings(max_examples=40, deadline=None)
+def test_turning_the_base_turns_everything(joints: tuple[Joint, ...], seed: int, turn: float) -> None:
+    chain = arm(joints)
+    q = posture(chain, seed)
+    turned = q + turn * np.eye(chain.size)[0]
+    before, after = (complex_of(marker_positions(chain, each, ARCS, BASE)) for each in (q, turned))
+    np.testing.assert_allclose(after, np.exp(1j * turn) * before, atol=1e-12)
+    np.testing.assert_array_equal(marker_positions(chain, q, ARCS, OWN), marker_positions(chain, turned, ARCS, OWN))
+
+
+@given(st.sampled_from(JOINTS), SEEDS)
+@settings(max_examples=20, deadline=None)
+def test_many_postures_at_once_are_the_same_one_by_one(joints: tuple[Joint, ...], seed: int) -> None:
+    chain = arm(joints)
+    q = np.random.default_rng(seed).uniform(-0.7, 0.7, (3, 2, chain.size))
+    together = marker_positions(chain, q, ARCS, BASE)
+    assert together.shape == (3, 2, 6, 2)
+    for index in np.ndindex(3, 2):
+        np.testing.assert_allclose(together[index], marker_positions(chain, q[index], ARCS, BASE), atol=1e-13)
+
+
+def test_a_straight_arm_lies_along_its_active_angles() -> None:
+    chain = arm(("revolute", "revolute", "clamped"))
+    q = np.zeros(chain.size)
+    q[chain.active] = [0.4, -1.1]
+    points = complex_of(marker_positions(chain, q, ARCS, BASE))
+    first, second = np.exp(0.4j), np.exp(-0.7j)
+    expected = [0.3 * first, 0.8 * first, *(0.8 * first + np.array([0.1, 0.2, 0.5, 0.9]) * second)]
+    np.testing.assert_allclose(points, expected, atol=1e-12)
+
+
+def test_joints_of_an_outer_link_leave_inner_markers_alone() -> None:
+    chain = arm(("revolute", "revolute", "revolute"))
+    q = posture(chain, 1)
+    moved = q.copy()
+    moved[chain.passive_slices[2].start - 1 :] += 0.3
+    before, after = marker_positions(chain, q, ARCS, BASE), marker_positions(chain, moved, ARCS, BASE)
+    np.testing.assert_array_equal(before[:5], after[:5])
+    assert np.abs(before[5] - after[5]).max() > 0.05

@@ -1,0 +1,84 @@
+"""The arguments: names, defaults, and that asking for help costs nothing."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+import time
+
+import pytest
+
+from vjm.cli.arguments import DEFAULT_METHOD, METHODS, PARAMETERS, parse
+from vjm.identification import METHODS as KNOWN_METHODS
+from vjm.identification import PARAMETERS as KNOWN_PARAMETERS
+from vjm.identification import identify
+
+
+def test_choices_are_those_of_the_identification() -> None:
+    assert METHODS == KNOWN_METHODS
+    assert PARAMETERS == KNOWN_PARAMETERS
+    signature = inspect.signature(identify)
+    assert signature.parameters["method"].default == DEFAULT_METHOD
+    assert signature.parameters["parameters"].default == parse(["identify", "x.toml"]).parameters
+
+
+def test_help_and_version_import_nothing_heavy() -> None:
+    code = "import sys; from vjm.cli import main\ntry: main([{!r}])\nexcept SystemExit: pass\n"
+    code += "print(sorted({{'numpy', 'rich', 'matplotlib', 'pydantic'}} & set(sys.modules)))"
+    for option in ("--help", "--version"):
+        command = [sys.executable, "-c", code.format(option)]
+        result = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert result.stdout.splitlines()[-1] == "[]"
+
+
+def test_help_is_quick() -> None:
+    def once() -> float:
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "vjm", "--help"], capture_output=True, check=True)
+        return time.perf_counter() - start
+
+    assert min(once() for _ in range(4)) < 0.4
+
+
+@pytest.mark.parametrize("command", ["demo", "check", "identify", "simulate", "urdf"])
+def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        parse([command, "--help"])
+    assert stop.value.code == 0
+    text = capsys.readouterr().out
+    for option in ("--out", "--json", "--quiet", "--no-progress", "Exit status"):
+        assert option in text
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["colour"],
+        ["identify"],
+        ["identify", "x.toml", "--method", "guess"],
+        ["identify", "x.toml", "--parameters", "all"],
+        ["identify", "x.toml", "--virtual-joints", "0"],
+        ["identify", "x.toml", "--virtual-joints", "many"],
+        ["simulate", "x.toml"],
+        ["urdf"],
+        ["demo", "extra"],
+    ],
+)
+def test_senseless_arguments_end_with_status_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        parse(arguments)
+    assert stop.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "usage: vjm" in captured.err
+
+
+def test_common_options() -> None:
+    arguments = parse(["identify", "x.toml", "-o", "here", "--json", "-q", "--no-progress", "--virtual-joints", "4"])
+    assert (str(arguments.out), arguments.json, arguments.quiet, arguments.no_progress) == ("here", True, True, True)
+    assert arguments.virtual_joints == 4
+    assert str(parse(["demo"]).out) == "vjm-out"
+    assert parse(["check", "x.toml"]).out is None
+    assert parse(["urdf", "x.toml"]).out is None

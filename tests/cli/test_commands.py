@@ -1,0 +1,255 @@
+"""What the commands print and write; the identification itself is put in place, not run."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.report.fits import DEMO, demo_fit, elbow_fit
+from tests.report.schema import CheckResult, IdentifyResult, SimulateResult, UrdfResult
+from vjm.checking import Check
+from vjm.cli import commands, main
+from vjm.cli.progress import progress
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.model_file import write_model
+from vjm.report import save as saving
+from vjm.report.comparison import Comparison
+from vjm.urdf import chain_from_urdf, chain_to_urdf
+
+Raise = Callable[[BaseException], None]
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = demo_fit()
+
+    def identify(*_: object, progress: Callable[[str, int, int], None]) -> Any:
+        progress("pretending", 1, 2)
+        return fit
+
+    def compare(*_: object, progress: Callable[[str, int, int], None]) -> Comparison:
+        return Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, {}, fit.recordings, ("careful",))
+
+    monkeypatch.setattr(commands, "identify", identify)
+    monkeypatch.setattr(commands, "compare", compare)
+    monkeypatch.setattr(saving, "identification_pictures", lambda fit: [])
+    monkeypatch.setattr(saving, "replay_pictures", lambda *_: [])
+    checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})
+    monkeypatch.setattr("vjm.checking.check", lambda experiment: checked)
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    path = tmp_path / "model.json"
+    write_model(demo_fit().model.chain, path)
+    return path
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    status = main([str(each) for each in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_identify_prints_a_short_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "identify", DEMO, "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert out.splitlines()[0] == "stainless steel beam, clamped"
+    for words in ("held-out", "beam.bending_stiffness", "mode 1", "both_modes.csv", f"Report: {tmp_path / 'out'}"):
+        assert words in out
+    assert len(out.splitlines()) < 45
+    assert max(map(len, out.splitlines())) <= 110 or "Report" in max(out.splitlines(), key=len)
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("command", ["identify", "demo"])
+def test_json_prints_the_object_alone(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [DEMO] if command == "identify" else []
+    status, out, err = run(capsys, command, *files, "-o", tmp_path / "out", "--json")
+    assert (status, err) == (0, "")
+    IdentifyResult.model_validate_json(out)
+    assert out == (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
+
+
+def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "identify", DEMO, "-o", tmp_path / "out", "-q") == (0, "", "")
+    assert run(capsys, "check", DEMO, "-q") == (0, "", "")
+    assert (tmp_path / "out" / "result.json").is_file()
+
+
+def test_check_writes_only_where_it_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = run(capsys, "check", DEMO)
+    assert status == 0
+    assert "3 recordings to train on, 1 held out" in out
+    assert "careful" in out
+    assert not list(tmp_path.iterdir())
+    status, out, _ = run(capsys, "check", DEMO, "--json", "-o", tmp_path / "out")
+    CheckResult.model_validate_json(out)
+    assert (tmp_path / "out" / "result.json").read_text(encoding="utf-8") == out
+
+
+def test_check_of_hopeless_recordings_ends_with_status_2(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hopeless = Check(demo_fit().experiment, (), np.array([1.2]), (), {}, "identification: nothing moves; excite it")
+    monkeypatch.setattr("vjm.checking.check", lambda experiment: hopeless)
+    status, out, err = run(capsys, "check", DEMO)
+    assert status == 2
+    assert err == "vjm: identification: nothing moves; excite it\n"
+    assert "virtual joints: none" in out
+
+
+def test_simulate(tmp_path: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "simulate", DEMO, model, "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert "careful" in out
+    status, out, _ = run(capsys, "simulate", DEMO, model, "-o", tmp_path / "out", "--json")
+    SimulateResult.model_validate_json(out)
+
+
+def test_model_of_another_arm_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_model(elbow_fit().model.chain, tmp_path / "elbow.json")
+    status, out, err = run(capsys, "simulate", DEMO, tmp_path / "elbow.json", "-o", tmp_path / "out")
+    assert (status, out) == (2, "")
+    assert "upper" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_urdf_of_a_model(tmp_path: Path, model: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:
+    expected = chain_to_urdf(demo_fit().model.chain)
+    assert main(["urdf", str(model)]) == 0
+    assert capfdbinary.readouterr().out.decode() == expected
+    assert main(["urdf", str(model), "-o", str(tmp_path / "arm.urdf")]) == 0
+    assert (tmp_path / "arm.urdf").read_text(encoding="utf-8") == expected
+    capfdbinary.readouterr()
+    assert main(["urdf", str(model), "--json"]) == 0
+    assert UrdfResult.model_validate_json(capfdbinary.readouterr().out).urdf == expected
+
+
+def test_urdf_of_an_experiment_has_its_nominal_values(tmp_path: Path) -> None:
+    assert main(["urdf", str(DEMO), "-o", str(tmp_path / "arm.urdf"), "-q"]) == 0
+    link = chain_from_urdf(tmp_path / "arm.urdf").links[0]
+    assert link.stiffness * link.cells == pytest.approx(demo_fit().experiment.rig.links[0].bending_stiffness)
+    assert link.damping.tolist() == [0.0] * link.virtual_joints
+
+
+def test_experiment_without_suffix_and_model_without_suffix_are_told_apart(
+    tmp_path: Path, model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    renamed = tmp_path / "no_suffix"
+    renamed.write_bytes(model.read_bytes())
+    assert run(capsys, "urdf", renamed, "-o", tmp_path / "arm.urdf")[0] == 0
+    renamed.write_text("schema = 2")
+    status, _, err = run(capsys, "urdf", renamed)
+    assert status == 2
+    assert "schema" in err
+
+
+def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for place in (file, tmp_path / "missing" / "out", file / "out"):
+        for command in (["identify", DEMO], ["demo"], ["check", DEMO], ["simulate", DEMO, model]):
+            status, out, err = run(capsys, *command, "-o", place)
+            assert (status, out) == (2, "")
+            assert err.startswith("vjm: ")
+            assert len(err.splitlines()) == 1
+    assert run(capsys, "urdf", model, "-o", tmp_path)[0] == 2
+    assert run(capsys, "urdf", model, "-o", tmp_path / "missing" / "arm.urdf")[0] == 2
+    assert file.read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"file", "model.json"}
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "text"),
+    [
+        (InsufficientDataError("modes", "nothing moves", "excite it"), 2, "vjm: modes: nothing moves; excite it"),
+        (SimulationDivergedError(1.0, 0.01, "check the masses"), 1, "check the masses"),
+        (ZeroDivisionError("two\nlines"), 1, "vjm: internal error: ZeroDivisionError: two lines"),
+        (KeyboardInterrupt(), 1, "vjm: interrupted"),
+    ],
+)
+def test_failures_are_one_line_and_leave_nothing(
+    error: BaseException,
+    status: int,
+    text: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(commands, "identify", fail)
+    found, out, err = run(capsys, "identify", DEMO, "-o", tmp_path / "out")
+    assert (found, out) == (status, "")
+    assert text in err
+    assert len(err.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", ["check", "identify", "urdf"])
+def test_malformed_experiments_end_with_status_2(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cases = {"missing.toml": None, "broken.toml": "schema = [", "empty.toml": "", "binary.toml": "\x00\x01"}
+    for name, text in cases.items():
+        if text is not None:
+            (tmp_path / name).write_text(text)
+        place = [] if command == "urdf" else ["-o", tmp_path / "out"]
+        status, out, err = run(capsys, command, tmp_path / name, *place)
+        assert (status, out) == (2, "")
+        assert name in err
+        assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    options = argparse.Namespace(quiet=False, no_progress=False)
+    for stream, wanted in ((Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress(options) as report:
+            report("fitting [bold]", 1, 2)
+        assert ("fitting [bold]" in stream.getvalue()) == wanted
+    for silent in (
+        argparse.Namespace(quiet=True, no_progress=False),
+        argparse.Namespace(quiet=False, no_progress=True),
+    ):
+        stream = Terminal()
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress(silent) as report:
+            report("fitting", 1, 2)
+        assert stream.getvalue() == ""
+
+
+def test_warnings_and_names_are_printed_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = demo_fit()
+    strange = Check(fit.experiment, ("[red]not markup[/red] :smile:", ""), np.array([1.0]), (4,), {})
+    monkeypatch.setattr("vjm.checking.check", lambda experiment: strange)
+    assert "[red]not markup[/red] :smile:" in run(capsys, "check", DEMO)[1]
+    result = json.loads(run(capsys, "check", DEMO, "--json")[1])
+    assert result["warnings"][0] == "[red]not markup[/red] :smile:"
+
+
+def test_terminal_without_unicode(monkeypatch: pytest.MonkeyPatch) -> None:
+    raw = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(raw, encoding="ascii"))
+    assert main(["check", str(DEMO)]) == 0
+    assert b"stainless steel beam" in raw.getvalue()

@@ -1,0 +1,14 @@
+from __future__ import annotations
+
+import pytest
+
+from tests.report.fits import FITS, SHARED
+from vjm.identification.records import Identification
+
+
+@pytest.fixture(params=list(FITS))
+def fit(request: pytest.FixtureRequest) -> Identification:
+    name: str = request.param
+    if name in ("hub", "silicone") and not SHARED.is_dir():
+        pytest.skip("the recordings of these rigs are not part of the repository")
+    return FITS[name]()

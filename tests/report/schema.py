@@ -1,0 +1,136 @@
+"""result.json as strict pydantic models: no key but those named, every number finite or null."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Entry(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class Known(Entry):
+    value: float
+    std: float | None
+
+
+class VirtualLink(Entry):
+    length: float
+    mass_center: float
+    mass: float
+    inertia: float
+
+
+class VirtualJoint(Entry):
+    stiffness: Known
+    damping: Known
+
+
+class LinkResult(Entry):
+    name: str
+    bending_stiffness: Known
+    hub_inertia: float
+    virtual_links: list[VirtualLink]
+    virtual_joints: list[VirtualJoint]
+
+
+class ModelResult(Entry):
+    links: list[LinkResult]
+
+
+class Frequency(Entry):
+    model: float
+    measured: float | None
+    measured_std: float | None = None
+
+
+class Damping(Entry):
+    model: float
+    measured: float | None
+
+
+class Objective(Entry):
+    torque: float | None
+
+
+class RecordingResult(Entry):
+    file: str
+    role: Literal["train", "holdout"]
+    marker_rms_m: float | None
+    theta_rms_rad: float | None
+    noise_m: float
+    nominal_marker_rms_m: float | None
+    problem: str
+
+
+class Identifiable(Entry):
+    parameter: str
+    identifiable: bool
+    reason: str
+
+
+class EstimateResult(Entry):
+    parameter: str
+    value: float | None
+    std: float | None
+    unit: str
+
+
+class Common(Entry):
+    schema_version: Literal[1] = Field(alias="schema")
+    command: str
+    vjm: str
+    experiment: str
+    warnings: list[str]
+
+
+class IdentifyResult(Common):
+    command: Literal["identify"]
+    method: Literal["torque", "torque+frequency"]
+    parameters: Literal["uniform", "joints", "lengths", "full"]
+    model: ModelResult
+    frequencies_hz: list[Frequency]
+    damping_ratios: list[Damping]
+    objective: Objective
+    recordings: list[RecordingResult]
+    status: Literal["converged", "not converged"]
+    remedy: str
+    identifiable: list[Identifiable]
+    estimates: list[EstimateResult]
+
+
+class SimulateResult(Common):
+    command: Literal["simulate"]
+    model: ModelResult
+    frequencies_hz: list[Frequency]
+    recordings: list[RecordingResult]
+
+
+class CheckedLink(Entry):
+    name: str
+    virtual_joints: int | None
+
+
+class CheckedRecording(Entry):
+    file: str
+    kind: Literal["driven", "decay", "static", "quiet"]
+    role: Literal["train", "holdout"]
+    duration_s: float
+
+
+class CheckResult(Common):
+    command: Literal["check"]
+    problem: str
+    links: list[CheckedLink]
+    frequencies_hz: list[Frequency]
+    recordings: list[CheckedRecording]
+    identifiable: dict[Literal["uniform", "joints", "lengths", "full"], list[Identifiable]]
+
+
+class UrdfResult(Common):
+    command: Literal["urdf"]
+    file: str | None
+    joints: list[str]
+    urdf: str | None

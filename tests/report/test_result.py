@@ -1,0 +1,99 @@
+"""result.json: the keys of the interface, finite numbers, and standard errors that follow from the covariance."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.report.fits import demo_fit, elbow_fit
+from tests.report.schema import CheckResult, IdentifyResult, SimulateResult, UrdfResult
+from vjm.checking import Check
+from vjm.files import json_text
+from vjm.identification.records import Identification
+from vjm.parameters import Estimate
+from vjm.report.comparison import Comparison
+from vjm.result import (
+    bending_stiffness,
+    check_result,
+    comparison_result,
+    identification_result,
+    model_result,
+    urdf_result,
+)
+from vjm.urdf import chain_to_urdf
+
+
+def test_identification_has_the_keys_of_the_interface(fit: Identification) -> None:
+    text = json_text(identification_result(fit))
+    result = IdentifyResult.model_validate_json(text)
+    assert [each.file for each in result.recordings] == [each.file for each in fit.experiment.recordings]
+    assert len(result.frequencies_hz) == len(result.damping_ratios) == len(fit.modes)
+    for link, chain in zip(result.model.links, fit.model.chain.links, strict=True):
+        assert [each.length for each in link.virtual_links] == chain.lengths.tolist()
+        assert [each.stiffness.value for each in link.virtual_joints] == chain.stiffness.tolist()
+
+
+def test_encoder_and_simulation_are_null_where_there_are_none() -> None:
+    elbow = identification_result(elbow_fit())["recordings"]
+    assert elbow[-1]["marker_rms_m"] is None
+    assert elbow[-1]["problem"] == "no torque was measured"
+    assert elbow[0]["theta_rms_rad"] > 0
+    assert identification_result(demo_fit())["recordings"][0]["theta_rms_rad"] is None
+
+
+def test_what_is_not_finite_becomes_null() -> None:
+    fit = demo_fit()
+    lost = replace(fit.parameters[0], std=math.inf, identifiable=False, reason="nothing moves")
+    modes = (replace(fit.modes[0], frequency_measured=math.nan), *fit.modes[1:])
+    broken = replace(fit, parameters=(lost, *fit.parameters[1:]), objective=math.nan, modes=modes)
+    result = IdentifyResult.model_validate_json(json_text(identification_result(broken)))
+    assert result.objective.torque is None
+    assert result.estimates[0].std is None
+    assert result.frequencies_hz[0].measured is None
+    assert result.model.links[0].bending_stiffness.std is None
+
+
+def test_joint_errors_follow_from_correlated_link_parameters() -> None:
+    fit = demo_fit()
+    stds = np.array([estimate.std or 0.0 for estimate in fit.parameters])
+    covariance = np.outer(stds, stds) * np.array([[1.0, -0.6], [-0.6, 1.0]])
+    joint = model_result(fit.model.chain, fit.parameters, covariance)["links"][0]["virtual_joints"][1]
+    means = [estimate.value for estimate in fit.parameters]
+    drawn = np.random.default_rng(1).multivariate_normal(means, covariance, 200_000)
+    cell = fit.model.chain.links[0].cells[1]
+    assert joint["stiffness"]["std"] == pytest.approx(np.std(drawn[:, 0] / cell), rel=0.01)
+    assert joint["damping"]["std"] == pytest.approx(np.std(drawn[:, 0] * drawn[:, 1] / cell), rel=0.01)
+
+
+def test_bending_stiffness_of_free_joints_is_their_mean() -> None:
+    link = demo_fit().model.chain.links[0]
+    n = link.virtual_joints
+    joints = tuple(Estimate(f"beam.stiffness_{j + 1}", k, 0.1, "N m/rad") for j, k in enumerate(link.stiffness))
+    covariance = 0.01 * (0.5 * np.eye(n) + 0.5)
+    value, std = bending_stiffness(link, joints, covariance)
+    drawn = np.random.default_rng(1).multivariate_normal(link.stiffness, covariance, 200_000)
+    assert value == pytest.approx(float(np.mean(link.stiffness * link.cells)))
+    assert std == pytest.approx(np.std(np.mean(drawn * link.cells, axis=1)), rel=0.01)
+    assert bending_stiffness(link, ())[1] is None
+
+
+def test_results_of_the_other_commands() -> None:
+    fit = elbow_fit()
+    comparison = Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, {}, fit.recordings, ("careful",))
+    simulated = SimulateResult.model_validate_json(json_text(comparison_result(comparison)))
+    assert simulated.warnings == ["careful"]
+    check = Check(fit.experiment, (), np.array([1.0, 2.0]), (3, 4), {"uniform": fit.parameters})
+    assert [link.virtual_joints for link in parse_check(check).links] == [3, 4]
+    hopeless = Check(fit.experiment, (), np.array([1.0]), (), {}, "nothing moves")
+    assert [link.virtual_joints for link in parse_check(hopeless).links] == [None, None]
+    text = chain_to_urdf(fit.model.chain)
+    assert UrdfResult.model_validate_json(json_text(urdf_result(fit.model.chain, text, None))).urdf == text
+    assert json.loads(json_text(urdf_result(fit.model.chain, text, "arm.urdf")))["urdf"] is None
+
+
+def parse_check(check: Check) -> CheckResult:
+    return CheckResult.model_validate_json(json_text(check_result(check)))

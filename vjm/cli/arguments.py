@@ -1,0 +1,121 @@
+"""The command line's arguments; light, so that --help answers at once."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+# Written out here so that --help need not import the identification; a test holds them equal.
+METHODS = ("torque", "torque+frequency")
+PARAMETERS = ("uniform", "joints", "lengths", "full")
+DEFAULT_METHOD = "torque"
+DEFAULT_DIRECTORY = Path("vjm-out")
+
+_FILES = "DIR gets result.json, model.json, model.urdf, report.html and figures/*.png."
+_STATUS = "Exit status: 0 done, 2 the input is unusable, 1 anything else."
+
+
+def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
+    """The arguments; ends the program on --help, --version and on arguments that make no sense (status 2)."""
+    return _parser().parse_args(argv)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="vjm",
+        description="Identify a flexible robot arm from camera markers as a chain of rigid links and springs.",
+        epilog=f"{_STATUS} 'vjm COMMAND --help' tells more.",
+    )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_demo(commands)
+    _add_check(commands)
+    _add_identify(commands)
+    _add_simulate(commands)
+    _add_urdf(commands)
+    return parser
+
+
+class _Version(argparse.Action):
+    """Prints the version; `importlib.metadata` is slow to import and rarely needed."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib.metadata import version
+
+        print(f"vjm {version('vjm')}")
+        parser.exit()
+
+
+_Commands = argparse._SubParsersAction  # argparse has no public name for it
+
+
+def _command(commands: _Commands[argparse.ArgumentParser], name: str, text: str, more: str) -> argparse.ArgumentParser:
+    command = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}. {more}", epilog=_STATUS)
+    command.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
+    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+    command.add_argument("--no-progress", action="store_true", help="no progress bar on the terminal")
+    return command
+
+
+def _add_experiment(command: argparse.ArgumentParser) -> None:
+    command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
+
+
+def _add_directory(command: argparse.ArgumentParser) -> None:
+    text = f"folder for the results (default: {DEFAULT_DIRECTORY}); made if need be"
+    command.add_argument("-o", "--out", metavar="DIR", type=Path, default=DEFAULT_DIRECTORY, help=text)
+
+
+def _add_demo(commands: _Commands[argparse.ArgumentParser]) -> None:
+    text = "a worked example on the data that comes with the package"
+    _add_directory(_command(commands, "demo", text, f"Identifies a steel beam from simulated markers. {_FILES}"))
+
+
+def _add_check(commands: _Commands[argparse.ArgumentParser]) -> None:
+    more = "Also says what the recordings can identify, and what they cannot tell apart."
+    command = _command(commands, "check", "read an experiment and say what is wrong with it", more)
+    _add_experiment(command)
+    text = "folder for result.json; without it nothing is written"
+    command.add_argument("-o", "--out", metavar="DIR", type=Path, default=None, help=text)
+
+
+def _add_identify(commands: _Commands[argparse.ArgumentParser]) -> None:
+    command = _command(commands, "identify", "identify the virtual-joint model of an arm", _FILES)
+    _add_experiment(command)
+    _add_directory(command)
+    text = f"torque errors alone, or with the natural frequencies (default: {DEFAULT_METHOD})"
+    command.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help=text)
+    text = "number of virtual joints of each link (default: the experiment file's, else chosen from the data)"
+    command.add_argument("--virtual-joints", metavar="N", type=_positive, default=None, help=text)
+    text = (
+        "uniform: one bending stiffness and Kelvin-Voigt time per link (default); joints: every joint's stiffness and "
+        "damping; lengths: those and the virtual links' lengths; full: masses and inertias too"
+    )
+    command.add_argument("--parameters", choices=PARAMETERS, default=PARAMETERS[0], help=text)
+
+
+def _add_simulate(commands: _Commands[argparse.ArgumentParser]) -> None:
+    text = "replay every recording with an identified model, and compare"
+    command = _command(commands, "simulate", text, _FILES)
+    _add_experiment(command)
+    command.add_argument("model", metavar="MODEL", type=Path, help="the model.json of an identification")
+    _add_directory(command)
+
+
+def _add_urdf(commands: _Commands[argparse.ArgumentParser]) -> None:
+    more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
+    command = _command(commands, "urdf", "write the virtual-joint chain as URDF", more)
+    command.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
+    text = "the URDF file (default: standard output; with --json, inside the result object)"
+    command.add_argument("-o", "--out", metavar="FILE", type=Path, default=None, help=text)
+
+
+def _positive(text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return value

@@ -1,0 +1,191 @@
+"""What each command does."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from vjm.chain.records import Chain
+from vjm.cli.printing import Summary, print_json
+from vjm.cli.progress import Report, progress
+from vjm.errors import InputError, ModelFileError
+from vjm.experiment import load_experiment
+from vjm.files import json_text, write_text_atomic
+from vjm.identification import identify
+from vjm.identification.records import Identification
+from vjm.identification.select import choose_virtual_joints, cuts_of, nominal_chain
+from vjm.model_file import read_model
+from vjm.parameters import Estimate
+from vjm.report.comparison import Comparison, compare
+from vjm.report.folder import FolderError, check_folder, check_parent, write_together
+from vjm.report.save import REPORT, save
+from vjm.report.stored import stored_model
+from vjm.report.tables import mode_table, parameter_table, recording_table
+from vjm.report.verdict import comparison_verdict, identification_verdict
+from vjm.report.wording import counted, number
+from vjm.result import check_result, comparison_result, identification_result, urdf_result
+from vjm.shape.order import visible_modes
+from vjm.urdf import chain_to_urdf
+
+if TYPE_CHECKING:
+    from vjm.checking import Check
+
+_MOST_NAMED = 6
+
+
+def demo(arguments: argparse.Namespace) -> None:
+    """`vjm demo`."""
+    with resources.as_file(resources.files("vjm") / "demo") as folder:
+        _identify(arguments, folder / "experiment.toml", "torque", None, "uniform")
+
+
+def identification(arguments: argparse.Namespace) -> None:
+    """`vjm identify`."""
+    _identify(arguments, arguments.experiment, arguments.method, arguments.virtual_joints, arguments.parameters)
+
+
+def _identify(
+    arguments: argparse.Namespace, file: Path, method: str, virtual_joints: int | None, parameters: str
+) -> None:
+    check_folder(arguments.out)
+    with progress(arguments) as report:
+        fit = identify(load_experiment(file), method, virtual_joints, parameters, progress=report)
+        folder = _save(fit, arguments.out, report)
+    if arguments.json:
+        print_json(identification_result(fit))
+    elif not arguments.quiet:
+        summary = Summary(fit.experiment.rig.name)
+        summary.verdict(identification_verdict(fit))
+        summary.table(parameter_table(fit.parameters, fit.nominal.chain))
+        summary.table(mode_table(fit.modes))
+        summary.table(recording_table(fit.recordings))
+        summary.warnings(fit.warnings)
+        summary.report(folder / REPORT)
+
+
+def simulation(arguments: argparse.Namespace) -> None:
+    """`vjm simulate`."""
+    check_folder(arguments.out)
+    with progress(arguments) as report:
+        experiment = load_experiment(arguments.experiment)
+        comparison = compare(experiment, *stored_model(arguments.model, experiment), progress=report)
+        folder = _save(comparison, arguments.out, report)
+    if arguments.json:
+        print_json(comparison_result(comparison))
+    elif not arguments.quiet:
+        summary = Summary(experiment.rig.name)
+        summary.verdict(comparison_verdict(comparison))
+        summary.table(recording_table(comparison.recordings, "given"))
+        summary.warnings(comparison.warnings)
+        summary.report(folder / REPORT)
+
+
+def _save(result: Identification | Comparison, directory: Path, report: Report) -> Path:
+    report("drawing the report", 0, 1)
+    folder = save(result, directory)
+    report("drawing the report", 1, 1)
+    return folder
+
+
+def checking(arguments: argparse.Namespace) -> None:
+    """`vjm check`."""
+    from vjm.checking import check
+
+    if arguments.out is not None:
+        check_folder(arguments.out)
+    with progress(arguments):
+        found = check(load_experiment(arguments.experiment))
+    result = check_result(found)
+    if arguments.out is not None:
+        text = json_text(result)
+        write_together(arguments.out, lambda stage: write_text_atomic(stage / "result.json", text))
+    if arguments.json:
+        print_json(result)
+    elif not arguments.quiet:
+        _print_check(found)
+    if found.problem:
+        raise InputError(found.problem)
+
+
+def _print_check(found: Check) -> None:
+    rig = found.experiment.rig
+    summary = Summary(rig.name)
+    trained, held_out = (len(found.experiment.with_role(role)) for role in ("train", "holdout"))
+    counts = [f"{link.name} {joints}" for link, joints in zip(rig.links, found.virtual_joints, strict=False)]
+    summary.points(
+        [
+            f"read: {counted(trained, 'recording')} to train on, {held_out} held out",
+            f"virtual joints: {', '.join(counts) or 'none'}",
+            f"natural frequencies expected: {', '.join(number(each, 3) for each in found.modes[:5])} Hz",
+            *(f"--parameters {kind}: {_share(each)}" for kind, each in found.identifiable.items()),
+        ]
+    )
+    summary.warnings(found.warnings)
+
+
+def _share(estimates: Sequence[Estimate]) -> str:
+    """How many of the parameters the recordings determine, and which they do not."""
+    missing = [each for each in estimates if not each.identifiable]
+    text = f"{len(estimates) - len(missing)} of {len(estimates)} parameters determined"
+    if not missing:
+        return text
+    names = [f"{each.name} ({each.reason})" if len(missing) <= 2 else each.name for each in missing[:_MOST_NAMED]]
+    return f"{text}; not {', '.join(names)}{' …' if len(missing) > _MOST_NAMED else ''}"
+
+
+def urdf(arguments: argparse.Namespace) -> None:
+    """`vjm urdf`."""
+    if arguments.out is not None:
+        if arguments.out.is_dir():
+            raise FolderError(arguments.out, "this is a folder", "name a file with -o FILE")
+        check_parent(arguments.out)
+    chain = _chain(arguments.source)
+    text = chain_to_urdf(chain)
+    if arguments.out is not None:
+        _write_urdf(arguments.out, text)
+    if arguments.json:
+        print_json(urdf_result(chain, text, None if arguments.out is None else str(arguments.out)))
+    elif arguments.out is None:
+        sys.stdout.buffer.write(text.encode("utf-8"))
+    elif not arguments.quiet:
+        print(f"{arguments.out}: {chain.size} joints, {len(chain.links)} flexible links")
+
+
+def _write_urdf(file: Path, text: str) -> None:
+    try:
+        write_text_atomic(file, text)
+    except OSError as error:
+        raise FolderError(file, f"cannot be written ({error.strerror or error})", "choose another with -o") from error
+
+
+def _chain(source: Path) -> Chain:
+    """The chain of a model.json, or the nominal one of an experiment file; the content says which it is."""
+    if source.suffix != ".toml" and _is_json(source):
+        return read_model(source)[0]
+    rig = load_experiment(source).rig
+    joints = [
+        choose_virtual_joints(link, visible_modes(len(link.markers)), link.virtual_joints).joints for link in rig.links
+    ]
+    return nominal_chain(rig, cuts_of(rig, joints))
+
+
+def _is_json(source: Path) -> bool:
+    try:
+        with source.open("rb") as stream:
+            return source.suffix == ".json" or stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+    except (OSError, ValueError) as error:
+        problem = f"cannot be read ({getattr(error, 'strerror', None) or error})"
+        raise ModelFileError(source, problem, "a model.json or an experiment file (TOML)") from error
+
+
+COMMANDS: dict[str, Callable[[argparse.Namespace], None]] = {
+    "demo": demo,
+    "check": checking,
+    "identify": identification,
+    "simulate": simulation,
+    "urdf": urdf,
+}
