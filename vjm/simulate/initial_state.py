@@ -15,17 +15,16 @@ from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
 from vjm.modes import equilibrium, linearise
 from vjm.simulate.integrators import linear_response, sample
-from vjm.simulate.rollout import Simulation, default_step, marker_arcs, rollout, simulate
+from vjm.simulate.rollout import Simulation, default_step, marker_arcs, rollout
 
 Array = NDArray[np.float64]
 
-_MOST_ITERATIONS = 10
+_MOST_ITERATIONS = 8
 _TOLERANCE = 1e-4  # relative decrease of chi^2 at which the search has converged
 _COARSE_TOLERANCE = 5e-2
 _PERTURBATION = 1e-6  # rad, and rad times the slowest angular frequency for rates
 _LARGEST_UNCERTAINTY = 0.02  # rad a joint: directions of the state that the recording shows less surely stay at rest
 _LEAST_DAMPING = 1e-6  # of the largest singular value squared
-_MOST_DAMPING = 1e2
 
 
 @dataclass(frozen=True)
@@ -51,8 +50,9 @@ class Replay:
 
 @dataclass(frozen=True)
 class _Measured:
-    """What was measured, flat, with where it stands in (T, k, 2) and (T, n_a) arrays."""
+    """What was measured, flat: markers at the camera's frames, then angles at the encoders' samples."""
 
+    frames: NDArray[np.intp]
     markers: NDArray[np.intp]
     theta: NDArray[np.intp]
     values: Array
@@ -60,14 +60,15 @@ class _Measured:
 
     @classmethod
     def of(cls, recording: Recording, marker_noise: float, encoder_noise: float) -> _Measured:
-        markers = np.flatnonzero(np.isfinite(recording.markers))
-        theta = np.flatnonzero(np.isfinite(recording.theta))
-        values = np.r_[recording.markers.ravel()[markers], recording.theta.ravel()[theta]]
-        weights = np.r_[np.full(markers.size, 1 / marker_noise), np.full(theta.size, 1 / encoder_noise)]
-        return cls(markers, theta, values, weights)
+        frames = recording.frames
+        seen = recording.markers[frames].ravel()
+        markers, theta = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(recording.theta))
+        values = np.concatenate([seen[markers], recording.theta.ravel()[theta]])
+        weights = np.concatenate([np.full(markers.size, 1 / marker_noise), np.full(theta.size, 1 / encoder_noise)])
+        return cls(frames, markers, theta, values, weights)
 
     def of_model(self, markers: Array, theta: Array) -> Array:
-        """Model values (C, m) at what was measured, of markers (T, C, k, 2) and theta (T, C, n_a)."""
+        """Model values (C, m) at what was measured, of markers (F, C, k, 2) and theta (T, C, n_a)."""
         copies = markers.shape[1]
         flat = np.moveaxis(markers, 1, 0).reshape(copies, -1)[:, self.markers]
         return np.concatenate([flat, np.moveaxis(theta, 1, 0).reshape(copies, -1)[:, self.theta]], axis=1)
@@ -91,42 +92,45 @@ def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, en
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
     problem = _Problem(chain, rig, recording, _Measured.of(recording, marker_noise, encoder_noise), _state_scale(chain))
-    guess = np.concatenate([_start(chain, recording), np.zeros(chain.size)])
-    linear, _ = _search(problem, guess, problem.linear_jacobian, _COARSE_TOLERANCE)
-    state, converged = _search(problem, linear, problem.jacobian, _TOLERANCE)
-    simulation = simulate(chain, rig, recording, state[: chain.size], state[chain.size :])
-    return _report(simulation, recording, problem.chi2(state), problem.measured.values.size, converged)
+    run = problem.run(np.concatenate([_start(chain, recording), np.zeros(chain.size)]))
+    run, _ = _search(problem, run, problem.linear_jacobian, _COARSE_TOLERANCE)
+    run, converged = _search(problem, run, problem.jacobian, _TOLERANCE)
+    return _report(problem, run, converged)
 
 
-def _search(
-    problem: _Problem, state: Array, jacobian_at: Callable[[Array], Array], tolerance: float
-) -> tuple[Array, bool]:
-    """Levenberg-Marquardt; a Jacobian is kept as long as it halves chi^2's remaining decrease."""
-    residual = problem.residual(state)
-    chi2, damping = float(residual @ residual), 0.0
-    factors = np.linalg.svd(jacobian_at(state), full_matrices=False)
-    fresh = True
+@dataclass(frozen=True)
+class _Run:
+    """One simulation from an initial state: (2 nv,), its path (T, nv) each, weighted residuals (m,) and chi^2."""
+
+    state: Array
+    q: Array
+    v: Array
+    residual: Array
+
+    @property
+    def chi2(self) -> float:
+        return float(self.residual @ self.residual)
+
+
+def _search(problem: _Problem, run: _Run, jacobian_at: Callable[[_Run], Array], tolerance: float) -> tuple[_Run, bool]:
+    """Levenberg-Marquardt; a Jacobian is kept as long as steps along it bring half of what they promise."""
+    damping, fresh = 0.0, True
+    factors = np.linalg.svd(jacobian_at(run), full_matrices=False)
     for _ in range(_MOST_ITERATIONS):
-        step, predicted = _damped_step(factors, residual, damping)
-        if fresh and predicted < tolerance * chi2:
-            return state, True
-        trial = problem.residual(state + problem.scale * step)
-        decrease = chi2 - float(trial @ trial)
-        if decrease > 0:
-            state, residual, chi2 = state + problem.scale * step, trial, chi2 - decrease
-            damping = damping / 10 if damping > _LEAST_DAMPING else 0.0
+        step, predicted = _damped_step(factors, run.residual, damping)
+        if predicted < tolerance * run.chi2:
+            return run, True
+        trial = problem.attempt(run.state + problem.scale * step)
+        decrease = -np.inf if trial is None else run.chi2 - trial.chi2
+        if trial is not None and decrease > 0:
+            run, damping = trial, damping / 10 if damping > _LEAST_DAMPING else 0.0
         if decrease > predicted / 2:
-            fresh = fresh and decrease > 0.9 * predicted
-            if decrease < tolerance * chi2:
-                return state, True
-            continue
-        if fresh and decrease <= 0:
+            fresh = False
+        elif decrease > 0 or not fresh:
+            factors, fresh = np.linalg.svd(jacobian_at(run), full_matrices=False), True
+        else:
             damping = max(10 * damping, _LEAST_DAMPING)
-            if damping > _MOST_DAMPING:
-                return state, True
-            continue
-        factors, fresh = np.linalg.svd(jacobian_at(state), full_matrices=False), True
-    return state, False
+    return run, False
 
 
 @dataclass(frozen=True)
@@ -139,47 +143,44 @@ class _Problem:
     measured: _Measured
     scale: Array
 
-    def residual(self, state: Array) -> Array:
-        """(m,) weighted residuals from the initial state (2 nv,); infinite where the simulation diverges."""
+    def run(self, state: Array) -> _Run:
+        """Simulate from the initial state (2 nv,)."""
+        q, v = self._rollout(state[None])
+        residual = self.measured.weights * (self.measured.values - self._values(q)[0])
+        return _Run(state, q[:, 0], v[:, 0], residual)
+
+    def attempt(self, state: Array) -> _Run | None:
+        """The same; None where the simulation diverges."""
         try:
-            q, _ = self._rollout(state[None])
+            return self.run(state)
         except SimulationDivergedError:
-            return np.full(self.measured.values.size, np.inf)
-        residual: Array = self.measured.weights * (self.measured.values - self._values(q)[0])
-        return residual
+            return None
 
-    def chi2(self, state: Array) -> float:
-        """Sum of squared weighted residuals."""
-        residual = self.residual(state)
-        return float(residual @ residual)
-
-    def jacobian(self, state: Array) -> Array:
+    def jacobian(self, run: _Run) -> Array:
         """(m, 2 nv) derivative of the weighted model values by the scaled state: one batched simulation."""
-        states = state + np.vstack([np.zeros(state.size), np.diag(_PERTURBATION * self.scale)])
-        return self._difference(self._rollout(states)[0])
+        q, _ = self._rollout(run.state + np.diag(_PERTURBATION * self.scale))
+        return self._difference(run.q, q)
 
-    def linear_jacobian(self, state: Array) -> Array:
+    def linear_jacobian(self, run: _Run) -> Array:
         """The same with the linear motion's derivatives about the position of rest."""
         recording, chain = self.recording, self.chain
-        nominal, _ = self._rollout(state[None])
-        M, D, K, _ = linearise(chain, recording.payload, recording.gravity, nominal[0, 0, chain.active])
+        M, D, K, _ = linearise(chain, recording.payload, recording.gravity, run.q[0, chain.active])
         step = default_step(chain, recording.payload)
         count = int(np.ceil((recording.time[-1] - recording.time[0]) / step))
         free, _ = sample(linear_response(M, D, K, float(recording.time[0]), step, count), recording.time)
-        moved = nominal + _PERTURBATION * self.scale[:, None] * free
-        return self._difference(np.concatenate([nominal, moved], axis=1))
+        return self._difference(run.q, run.q[:, None] + _PERTURBATION * self.scale[:, None] * free)
 
     def _rollout(self, states: Array) -> tuple[Array, Array]:
         n = self.chain.size
         return rollout([self.chain] * len(states), self.recording, states[:, :n], states[:, n:])
 
     def _values(self, q: Array) -> Array:
-        return self.measured.of_model(
-            marker_positions(self.chain, q, *marker_arcs(self.rig)), q[..., self.chain.active]
-        )
+        markers = marker_positions(self.chain, q[self.measured.frames], *marker_arcs(self.rig))
+        return self.measured.of_model(markers, q[..., self.chain.active])
 
-    def _difference(self, q: Array) -> Array:
-        values = self._values(q)
+    def _difference(self, nominal: Array, moved: Array) -> Array:
+        """Slope (m, C) between a path (T, nv) and its perturbed copies (T, C, nv)."""
+        values = self._values(np.concatenate([nominal[:, None], moved], axis=1))
         slope: Array = self.measured.weights[:, None] * (values[1:] - values[0]).T / _PERTURBATION
         return slope
 
@@ -209,14 +210,17 @@ def _damped_step(factors: tuple[Array, Array, Array], residual: Array, damping: 
     return right.T @ (gains * components), float(np.sum(components**2 * taken * (2 - taken)))
 
 
-def _report(simulation: Simulation, recording: Recording, chi2: float, count: int, converged: bool) -> Replay:
-    marker_residual = recording.markers - simulation.markers
+def _report(problem: _Problem, run: _Run, converged: bool) -> Replay:
+    chain, recording = problem.chain, problem.recording
+    markers = marker_positions(chain, run.q, *marker_arcs(problem.rig))
+    simulation = Simulation(recording.time, run.q, run.v, run.q[:, chain.active], markers)
+    marker_residual = recording.markers - markers
     theta_residual = recording.theta - simulation.theta
     known = np.isfinite(theta_residual)
     return Replay(
         simulation=simulation,
-        chi2=chi2,
-        count=count,
+        chi2=run.chi2,
+        count=run.residual.size,
         marker_rms=float(np.sqrt(np.nanmean(marker_residual**2))),
         theta_rms=float(np.sqrt(np.mean(theta_residual[known] ** 2))) if known.any() else None,
         status="converged" if converged else "not converged",
