@@ -37,7 +37,7 @@ def main(file: Path | str = DEMO) -> None:
     above.plot(recording.time, 1e3 * tip, ".", color="0.6", label="measured")
     above.plot(simulation.time, 1e3 * simulation.markers[:, -1, 1], lw=1, label="simulated")
     above.set_ylabel("tip marker y [mm]")
-    above.legend(loc="upper right")
+    above.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
     below.plot(recording.time, 1e3 * miss, ".", ms=3)
     below.set(xlabel="time [s]", ylabel="difference [mm]")
     figure.savefig("tip.png", dpi=150, bbox_inches="tight")

@@ -14,14 +14,14 @@ from vjm.experiment import Link, Recording, Rig
 from vjm.modes import modes
 from vjm.simulate import simulate
 
-STEEL = 1.93e11 * 0.035 * 0.0015**3 / 12  # E w h^3 / 12 of a 35 mm x 1.5 mm strip [N m^2]
+STEEL = 1.93e11 * 0.035 * 0.001**3 / 12  # E w h^3 / 12 of a 35 mm x 1 mm strip [N m^2]
 MARKERS = (0.15, 0.3, 0.45, 0.6)  # m
 
 RIG = Rig(
     "two flexible links",
     (
-        Link("upper", "revolute", 0.6, 0.26, STEEL, MARKERS, hub_inertia=0.05),
-        Link("lower", "revolute", 0.6, 0.26, STEEL, MARKERS, hub_inertia=0.01, payload=0.05),
+        Link("upper", "revolute", 0.6, 0.16, STEEL, MARKERS, hub_inertia=0.05),
+        Link("lower", "revolute", 0.6, 0.16, STEEL, MARKERS, hub_inertia=0.01, payload=0.05),
     ),
 )
 
@@ -40,9 +40,9 @@ def main() -> None:
     chain = arm(RIG)
     print("natural frequencies:", ", ".join(f"{f:.2f}" for f in modes(chain).frequencies[:4]), "Hz")
 
-    time = np.linspace(0, 2, 401)
-    push = 0.25 * np.sin(np.pi * time) ** 3  # N m
-    torque = np.stack([push, -0.3 * push], axis=1)
+    time = np.linspace(0, 1, 401)
+    push = 1.2 * np.sin(2 * np.pi * time)  # N m
+    torque = np.stack([push, -0.1 * push], axis=1)
     unknown = np.full((time.size, 8, 2), np.nan)  # the markers are what the simulation gives
     drive = Recording("drive", "driven", "train", time, np.full((time.size, 2), np.nan), torque, unknown)
     motion = simulate(chain, RIG, drive, q=np.zeros(chain.size), v=np.zeros(chain.size))
@@ -54,7 +54,7 @@ def main() -> None:
     for curve, shade in zip(curves, np.linspace(0.8, 0, len(curves)), strict=True):
         axes.plot(curve[:, 0], curve[:, 1], color=str(shade))
     axes.plot(*motion.markers[::50].reshape(-1, 2).T, "o", ms=3)
-    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="every 0.25 s, later is darker")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="every 0.125 s, later is darker")
     figure.savefig("two_links.png", dpi=150, bbox_inches="tight")
 
 

@@ -65,11 +65,13 @@ def measure_modes(
     oscillators = _Oscillators(t, torque)
     values = np.zeros((0, 2))
     residual, _ = _project(oscillators.columns(values), y)
-    while len(values) < most and len(t) > 8 * (len(values) + 1):
+    for _ in range(2 * most):
+        if len(values) == most or len(t) <= 8 * (len(values) + 1):
+            break
         start = _peak(t, residual / noise, values[:, 0] if len(values) else np.empty(0))
         if start is None:
             break
-        values = _fit(oscillators, y, noise, values, start)
+        values = _pruned(oscillators, y, noise, _fit(oscillators, y, noise, values, start))
         residual, _ = _project(oscillators.columns(values), y)
     std = _standard_errors(oscillators, y, values)
     order = np.argsort(values[:, 0])
@@ -238,6 +240,22 @@ def _fit(oscillators: _Oscillators, y: Array, noise: float, known: Array, start:
     best = min(results, key=lambda result: result.cost)
     refined: Array = np.asarray(best.x).reshape(-1, 2)
     return refined
+
+
+def _pruned(oscillators: _Oscillators, y: Array, noise: float, values: Array) -> Array:
+    """Without the modes that later ones have made superfluous: what they explain is no more than noise would be."""
+    kept = values
+    for row in values:
+        without = kept[~(kept == row).all(axis=1)]
+        with_it, alone = (
+            float(np.sum(_project(oscillators.columns(v), y)[0] ** 2)) / noise**2 for v in (kept, without)
+        )
+        freedom = 2 * (1 + len(oscillators.inputs)) * y.shape[1] + 2
+        # A model error in the residual counts as noise here: a mode has to stand out of what is left anyway.
+        scale = max(with_it / y.size, 1.0)
+        if (alone - with_it) / scale < stats.chi2.isf(_FALSE_ALARM, freedom):
+            kept = without
+    return kept
 
 
 def _standard_errors(oscillators: _Oscillators, y: Array, values: Array) -> Array:

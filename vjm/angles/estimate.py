@@ -180,4 +180,4 @@ class _LinkReading:
         else:
             to_phi = curvature_map(fit, np.cumsum(self.cuts.lengths)[:-1], self.cuts.cells)
             phi_block = marker_noise**2 * to_phi @ fit.covariance @ to_phi.T
-        return phi_block if self.link.joint == "clamped" else block_diag(encoder_noise**2, phi_block)
+        return phi_block if self.link.joint == "clamped" else block_diag(np.array([[encoder_noise**2]]), phi_block)

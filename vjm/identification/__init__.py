@@ -1,5 +1,6 @@
 """Identification of the chain's parameters from recordings."""
 
+from vjm.identification.assess import fit_recordings
 from vjm.identification.records import (
     METHODS,
     PARAMETERS,
@@ -8,7 +9,7 @@ from vjm.identification.records import (
     RecordingFit,
     TorqueData,
 )
-from vjm.identification.run import fit_recordings, identify
+from vjm.identification.run import identify
 
 __all__ = [
     "METHODS",

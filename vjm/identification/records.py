@@ -103,6 +103,7 @@ class Identification:
         status: `converged` or `not converged`.
         remedy: what to do when it has not converged; empty otherwise.
         warnings: what a user should know before trusting the result.
+        notes: what was decided on the way, and why.
     """
 
     experiment: Experiment
@@ -120,3 +121,4 @@ class Identification:
     status: Literal["converged", "not converged"]
     remedy: str
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()

@@ -28,7 +28,7 @@ from vjm.identification.records import METHODS, Identification
 from vjm.identification.select import nominal_chain
 from vjm.identification.torque_fit import FrequencyTarget, Progress, TorqueFit, TorqueProblem, fit_torque, spread_of
 from vjm.identification.uncertainty import covariance, estimates, to_physical
-from vjm.identification.warn import data_warnings, result_warnings
+from vjm.identification.warn import data_warnings, joint_notes, mode_warnings, result_warnings
 from vjm.model import Model
 from vjm.modes import modes
 from vjm.noise import sensor_noise
@@ -39,6 +39,7 @@ Array = NDArray[np.float64]
 _MODEL_FLOOR = 5e-4  # relative accuracy of a small chain's frequencies, however sharp the measured ones are
 _EXTRA_MODES = 2  # peaks looked for beyond the modes that the shapes show
 _START_DAMPING = 1e-3  # s, Kelvin-Voigt time the search starts from
+_MOST_PASSES = 5  # with a weight of the preference that follows from the pass before
 _NOT_CONVERGED = "the search stopped early: ask for fewer parameters, or give recordings that move more"
 
 
@@ -79,12 +80,11 @@ def identify(
     problem, fit = fit_uniform(experiment, data, progress)
     if parameters != "uniform":
         # The uniform link found first is where the search starts, and what it keeps to where the data are silent.
-        problem = refined(problem, fit, parameters)
-        fit = fit_torque(problem, progress)
+        problem, fit = fit_refined(refined(problem, fit, parameters), progress)
     if method == "torque+frequency":
         chain = problem.parametrisation.chain(fit.x)
         problem = replace(problem, targets=tuple(_targets(chain, data.payload, data.seen)))
-        fit = fit_torque(problem, progress)
+        fit = fit_torque(problem, progress, fit.x)
     return _result(experiment, method, data, problem, fit, progress)
 
 
@@ -144,6 +144,18 @@ def refined(problem: TorqueProblem, fit: TorqueFit, parameters: str) -> TorquePr
     template = problem.parametrisation.chain(fit.x)
     parametrisation = Parametrisation(template, parameters, problem.parametrisation.hubs)
     return replace(problem, parametrisation=parametrisation, preference=parametrisation.preference)
+
+
+def fit_refined(problem: TorqueProblem, progress: Progress | None = None) -> tuple[TorqueProblem, TorqueFit]:
+    """Fit with a preference, whose weight beside the data follows from what this model itself leaves unexplained."""
+    fit = fit_torque(problem, progress)
+    for _ in range(_MOST_PASSES):
+        before = problem.spread
+        problem = replace(problem, spread=spread_of(fit))
+        fit = fit_torque(problem, progress, fit.x)
+        if abs(problem.spread - before) < 0.1 * before:
+            break
+    return problem, fit
 
 
 def _check_choices(method: str, parameters: str, angles: str | None, virtual_joints: int | None) -> None:
@@ -225,6 +237,8 @@ def _result(
         warnings=(
             *experiment.warnings,
             *data_warnings(experiment, fit.prepared, plan.shape.orders, plan.joints, data.seen, parametrisation.kind),
+            *mode_warnings(comparison if method == "torque" else ()),
             *result_warnings(recordings, parameters),
         ),
+        notes=tuple(joint_notes(experiment, plan.shape.orders, plan.joints, parametrisation.kind)),
     )

@@ -162,17 +162,19 @@ def whiten(errors: Array, factor: Array) -> Array:
     return result
 
 
-def fit_torque(problem: TorqueProblem, progress: Progress | None = None) -> TorqueFit:
+def fit_torque(problem: TorqueProblem, progress: Progress | None = None, start: Array | None = None) -> TorqueFit:
     """Minimise the torque errors: variable projection with fixed weights, then all coordinates with their own weights.
 
     Args:
         problem: the recordings and the parametrisation.
         progress: told (text, done, total) now and then.
+        start: (p,) coordinates of an earlier fit; from the template when None.
     """
     parametrisation = problem.parametrisation
-    start = parametrisation.start
-    if problem.preference is None:
-        start = _projected_start(problem, start)
+    if start is None:
+        start = parametrisation.start
+        if problem.preference is None:
+            start = _projected_start(problem, start)
     lower, upper = parametrisation.bounds
     start = np.clip(start, lower + 1e-6, upper)
     count = 0

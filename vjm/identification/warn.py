@@ -9,7 +9,7 @@ import numpy as np
 from vjm.experiment.checks import camera_rate
 from vjm.experiment.records import Experiment, Link
 from vjm.identification.prepare import Prepared
-from vjm.identification.records import RecordingFit
+from vjm.identification.records import ModeComparison, RecordingFit
 from vjm.identification.select import FREQUENCY_TOLERANCE, JointChoice
 from vjm.parameters import Estimate
 from vjm.shape.order import required_markers, visible_modes
@@ -18,6 +18,7 @@ from vjm.spectrum import MeasuredModes
 _LEAST_SAMPLES_A_PERIOD = 2.5
 _MANY_NOISES = 1.5  # a training replay this many times the noise is not followed
 _LEAST_MOTION = 10.0  # times the noise
+_LARGEST_MISMATCH = 0.02
 
 
 def marker_warnings(link: Link, modes: int | None) -> list[str]:
@@ -33,6 +34,19 @@ def marker_warnings(link: Link, modes: int | None) -> list[str]:
     ]
 
 
+def joint_notes(experiment: Experiment, orders: Sequence[int], joints: Sequence[JointChoice], kind: str) -> list[str]:
+    """Which modes each link shows and how many virtual joints it got, a sentence a link."""
+    found = []
+    for link, order, choice in zip(experiment.rig.links, orders, joints, strict=True):
+        plural = "s" if len(link.markers) > 1 else ""
+        modes = "only mode 1 is" if order == 1 else f"modes 1 to {order} are"
+        text = f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual joints"
+        if kind == "uniform":
+            text += f", whose natural frequencies are right to {100 * choice.error:.2g} %"
+        found.append(text)
+    return found
+
+
 def data_warnings(
     experiment: Experiment,
     prepared: Sequence[Prepared],
@@ -42,14 +56,11 @@ def data_warnings(
     parametrisation: str,
 ) -> list[str]:
     """About the recordings, the modes they show and the number of joints."""
+    notes = joint_notes(experiment, orders, joints, parametrisation)
     found = []
-    for link, order, choice in zip(experiment.rig.links, orders, joints, strict=True):
-        plural = "s" if len(link.markers) > 1 else ""
-        modes = "only mode 1 is" if order == 1 else f"modes 1 to {order} are"
-        text = f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual joints"
-        if parametrisation == "uniform":
-            text += f", whose natural frequencies are right to {100 * choice.error:.2g} %"
-        found.append(text)
+    for link, order, choice, note in zip(experiment.rig.links, orders, joints, notes, strict=True):
+        if order == 1:
+            found.append(note)
         if parametrisation == "uniform" and choice.error > 10 * FREQUENCY_TOLERANCE:
             found.append(f"link {link.name}: n = {choice.joints} is too small for the modes seen; ask for more")
         found += marker_warnings(link, link.virtual_joints)
@@ -74,6 +85,22 @@ def _recording_warnings(prepared: Prepared) -> list[str]:
     motion = np.nanstd(angles.q, axis=0) / np.sqrt(np.maximum(np.diag(angles.covariance), 1e-300))
     if motion.max() < _LEAST_MOTION:
         found.append(f"{name}: the arm moves only {motion.max():.1f} times its angles' noise; it can tell little")
+    return found
+
+
+def mode_warnings(comparison: Sequence[ModeComparison]) -> list[str]:
+    """Where the model's frequencies are not those of the recordings."""
+    found = []
+    for number, mode in enumerate(comparison, start=1):
+        if mode.frequency_measured is None:
+            continue
+        off = mode.frequency_model / mode.frequency_measured - 1
+        if abs(off) > _LARGEST_MISMATCH:
+            found.append(
+                f"mode {number}: the model's {mode.frequency_model:.4g} Hz is {100 * abs(off):.2g} % "
+                f"{'above' if off > 0 else 'below'} the recordings' {mode.frequency_measured:.4g} Hz; "
+                "method torque+frequency holds it there"
+            )
     return found
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 # The error grows with the arm's length and the fourth power of the step.
 _STEPS_A_PERIOD = 140.0
 _TOP_MODE_STEP = 0.8  # periods of the fastest mode
-_ELBOW_STEP = 0.03  # the same where an active joint further out bends the arm and so changes its mass matrix
+_ELBOW_STEP = 0.015  # the same where an active joint further out bends the arm and so changes its mass matrix
 REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20
 
@@ -77,12 +77,12 @@ def _grid(chain: Chain, recording: Recording, wanted: float) -> tuple[Array, flo
     """Joint torques (2 S + 1, nv) at the ends and middles of the steps, and the step [s]."""
     knots, torque = measured_torque(chain, recording)
     duration = float(recording.time[-1] - recording.time[0])
-    step = min(wanted, duration / _LEAST_STEPS)
+    step = min(wanted, duration / _LEAST_STEPS) if duration > 0 else wanted
     if knots.size > 1:
         # A torque that is linear between knots has kinks there: whole steps begin at them, and none passes over one.
         spacing = float(np.median(np.diff(knots)))
         step = spacing / np.ceil(spacing / step)
-    count = int(np.ceil(duration / step - 1e-9))
+    count = max(1, int(np.ceil(duration / step - 1e-9)))
     instants = recording.time[0] + step / 2 * np.arange(2 * count + 1)
     spread = np.zeros((instants.size, chain.size))
     for column, at in enumerate(chain.active):

@@ -1,0 +1,111 @@
+"""What README.md says is so: its code runs, its commands and files exist, its numbers are those of the demo."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import vjm
+from tests.fine_beam.make_demo import NOMINAL_STIFFNESS, TRUE_BEAM
+from vjm.cli.arguments import parse
+from vjm.experiment.cells import parse_cells, read_text
+from vjm.experiment.load import parse_experiment
+from vjm.experiment.rules import build_rig
+from vjm.experiment.table import check_columns
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+DEMO = Path(vjm.__file__).parent / "demo"
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, flags=re.DOTALL | re.MULTILINE)
+
+
+def commands() -> list[str]:
+    return [line for block in blocks("sh") for line in block.splitlines()]
+
+
+def test_python_code_runs_and_the_demo_gives_the_numbers_quoted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(DEMO, tmp_path / "my_beam")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), names)
+    for name in ("arm.urdf", "out/report.html", "out/result.json", "out/model.json", "out/model.urdf"):
+        assert (tmp_path / name).stat().st_size > 0
+
+    fit = names["fit"]
+    assert isinstance(fit, vjm.Identification)
+    stiffness, held_out = fit.parameters[0], fit.recordings[-1]
+    assert held_out.replay is not None
+    assert held_out.nominal is not None
+    assert stiffness.std is not None
+    quoted = {
+        r"bending stiffness is ([\d.]+) N m²": TRUE_BEAM.bending_stiffness,
+        r"not the ([\d.]+) N m² that the nominal": NOMINAL_STIFFNESS,
+        r"([\d.]+) ± [\d.]+ N m²": stiffness.value,
+        r"± ([\d.]+) N m²": stiffness.std,
+        r"open loop, to ([\d.]+) mm RMS": 1e3 * held_out.replay.marker_rms,
+        r"misses it by ([\d.]+) mm": 1e3 * held_out.nominal.marker_rms,
+    }
+    for pattern, value in quoted.items():
+        (said,) = re.findall(pattern, README.replace("\n", " "))
+        digit = 10.0 ** -len(said.partition(".")[2])
+        assert float(said) == pytest.approx(value, abs=digit), pattern
+
+
+def test_experiment_file_and_recording_are_valid(tmp_path: Path) -> None:
+    (toml,), (csv,) = blocks("toml"), blocks("csv")
+    file, recording = tmp_path / "experiment.toml", tmp_path / "drive_1.csv"
+    file.write_text(toml, encoding="utf-8")
+    recording.write_text(csv, encoding="utf-8")
+    tables = parse_experiment(file)
+    columns, body = read_text(recording)
+    check_columns(recording, columns, build_rig(file, tables), tables.recording[0].kind)
+    assert len(parse_cells(recording, columns, body).values) == 3
+
+
+def test_every_vjm_command_is_one_that_vjm_takes() -> None:
+    lines = [part for line in commands() for part in line.split(" && ") if part.startswith("vjm ")]
+    assert {shlex.split(line)[1] for line in lines} == {"demo", "check", "identify", "simulate", "urdf"}
+    for line in lines:
+        parse(shlex.split(line)[1:])
+
+
+def test_installing_takes_one_line_and_testing_another() -> None:
+    lines = [line for line in commands() if "pip install" in line]
+    assert lines == [
+        "python -m pip install . && vjm demo",
+        'python -m pip install ".[test]" && python -m pytest -n auto',
+    ]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert "test" in project["optional-dependencies"]
+    assert project["requires-python"] == ">=3.11"
+
+
+def test_what_it_links_to_is_there() -> None:
+    targets = [target for target in re.findall(r"\]\(([^)]+)\)", README) if "://" not in target]
+    targets += re.findall(r"`((?:examples|tests|docs|benchmarks|\.ci)/[\w./]*)`", README)
+    assert len(targets) > 5
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+def test_examples_are_named() -> None:
+    assert [path.name for path in (ROOT / "examples").glob("*.py") if path.name not in README] == []
+
+
+def test_the_layout_names_every_module() -> None:
+    rows = re.findall(r"^\| (`[^|]+`) \| [^|]+ \|$", README, flags=re.MULTILINE)
+    named = {name.rstrip("/") for row in rows for name in re.findall(r"`([\w/]+)`", row)}
+    package = ROOT / "vjm"
+    there = {path.stem for path in package.iterdir() if path.suffix == ".py" and path.stem != "__init__"}
+    there |= {path.name for path in package.iterdir() if path.is_dir() and path.name != "__pycache__"}
+    assert named == there
