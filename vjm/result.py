@@ -27,6 +27,7 @@ def identification_result(fit: Identification) -> Result:
     """The result object of `vjm identify`."""
     return {
         **_common("identify", fit.experiment.rig.name, fit.warnings),
+        "notes": list(fit.notes),
         "method": fit.method,
         "parameters": fit.parametrisation,
         "model": model_result(fit.model.chain, fit.parameters, fit.covariance),

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
 from tests.simulate.setups import DOWN, arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
-from vjm.chain import Chain
+from vjm.chain import Chain, marker_positions
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
 from vjm.experiment.records import Recording
-from vjm.simulate import Replay, replay, simulate
+from vjm.simulate import Replay, replay, rollout, simulate
+from vjm.simulate.rollout import marker_arcs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -57,9 +58,9 @@ def found_state(chain: Chain, recording: Recording) -> tuple[Array, Array, Repla
 def test_a_released_link_s_state_is_recovered(n: int) -> None:
     """From rest and far away, first-mode swings of 0.1 m included."""
     chain, recording, q, v = released(n)
-    q_found, v_found, result = found_state(chain, seen(chain, recording, q, v))
+    q_found, _, result = found_state(chain, seen(chain, recording, q, v))
     np.testing.assert_allclose(q_found, q, atol=2e-3)
-    assert result.marker_rms < 0.01 * NOISE
+    assert result.marker_rms < 0.02 * NOISE
     assert result.theta_rms is None
     assert result.count == 2 * 5 * recording.time.size
 
@@ -99,18 +100,15 @@ def test_no_neighbouring_state_fits_better(seed: int) -> None:
     noisy = seen(chain, recording, q, v, NOISE, seed)
     q_found, v_found, result = found_state(chain, noisy)
 
-    def chi2(state: Array) -> float:
-        n = chain.size
-        path = simulate(chain, rig_of(chain), noisy, state[:n], state[n:])
-        return float(np.sum(((noisy.markers - path.markers) / NOISE) ** 2))
-
     state = np.concatenate([q_found, v_found])
-    assert chi2(state) == pytest.approx(result.chi2, rel=1e-9)
     scale = np.r_[np.full(chain.size, 1e-3), np.full(chain.size, 2e-2)]
-    directions = np.vstack([np.diag(scale), scale * np.random.default_rng(seed).normal(size=(6, state.size))])
-    for direction in directions:
-        for sign in (1, -1):
-            assert chi2(state + sign * direction) > result.chi2
+    steps = np.vstack([np.diag(scale), scale * np.random.default_rng(seed).normal(size=(6, state.size))])
+    states = state + np.vstack([0 * state, steps, -steps])
+    paths, _ = rollout([chain] * len(states), noisy, *np.hsplit(states, 2))
+    markers = marker_positions(chain, paths, *marker_arcs(rig_of(chain)))
+    chi2 = np.sum(((noisy.markers[:, None] - markers) / NOISE) ** 2, axis=(0, 2, 3))
+    assert chi2[0] == pytest.approx(result.chi2, rel=1e-9)
+    assert (chi2[1:] > chi2[0]).all()
 
 
 def test_lost_frames_and_hidden_markers_do_not_matter() -> None:
@@ -127,10 +125,12 @@ def test_lost_frames_and_hidden_markers_do_not_matter() -> None:
     )
     clean = seen(chain, recording, q, v).markers
     for spoilt, rows in ((holed, slice(None)), (dropped, kept)):
-        q_found, v_found, result = found_state(chain, spoilt)
+        _, _, result = found_state(chain, spoilt)
         assert result.count == np.isfinite(spoilt.markers).sum()
         assert result.marker_rms == pytest.approx(NOISE, rel=0.06)
-        np.testing.assert_allclose(result.simulation.markers, clean[rows], atol=1.5 * NOISE)
+        error = result.simulation.markers - clean[rows]
+        assert np.sqrt(np.mean(error**2)) < NOISE / 4
+        assert np.abs(error).max() < 3 * NOISE
 
 
 def test_camera_and_encoder_keep_their_own_clocks() -> None:
@@ -169,8 +169,16 @@ def demo() -> tuple[Experiment, dict[str, float]]:
     return load_experiment(DEMO), json.loads(TRUTH_FILE.read_text())
 
 
-@pytest.mark.parametrize(("n", "most"), [(6, 1.06), (8, 1.03)])
-@pytest.mark.parametrize("file", ["quiet.csv", "first_mode.csv", "second_mode.csv", "both_modes.csv"])
+@pytest.mark.parametrize(
+    ("file", "n", "most"),
+    [
+        ("quiet.csv", 6, 1.05),
+        ("first_mode.csv", 6, 1.06),
+        ("second_mode.csv", 6, 1.03),
+        ("both_modes.csv", 6, 1.05),
+        ("first_mode.csv", 8, 1.02),
+    ],
+)
 def test_the_true_stiffness_follows_the_independent_beam_to_the_noise(file: str, n: int, most: float) -> None:
     experiment, truth = demo()
     (recording,) = (each for each in experiment.recordings if each.file == file)

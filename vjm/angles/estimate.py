@@ -119,11 +119,29 @@ def estimate_angles(
     return Angles(
         time=recording.time[rows],
         q=q,
-        torque=_at_frames(recording, recording.tau, rows),
+        torque=_at_frames(recording, held_linearly(recording.time, recording.tau), rows),
         covariance=block_diag(*blocks),
         shapes=tuple(fits),
         unsolved=int((~np.isfinite(q).all(axis=1)).sum()),
     )
+
+
+def held_linearly(time: Array, samples: Array) -> Array:
+    """Samples (T, m) of a smooth signal with the content of the lines drawn between a sampled signal's samples.
+
+    Lines between samples h apart hold sinc^2(f h) of a tone of f, to second order its samples plus h^2 / 12 times
+    their second derivative: 2 % less at a dozen samples a period, which a filtered torque has to know.
+    """
+    result = samples.copy()
+    for column in range(samples.shape[1]):
+        known = np.flatnonzero(np.isfinite(samples[:, column]))
+        if known.size < 3:
+            continue
+        t, y = time[known], samples[known, column]
+        slopes = np.diff(y) / np.diff(t)
+        # h^2 times the second difference quotient, h the mean of the two neighbouring intervals
+        result[known[1:-1], column] += np.diff(slopes) * (t[2:] - t[:-2]) / 2 / 12
+    return result
 
 
 def _at_frames(recording: Recording, values: Array, rows: NDArray[np.intp]) -> Array:

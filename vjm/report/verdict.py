@@ -132,6 +132,7 @@ def settings(fit: Identification) -> list[tuple[str, str]]:
         *_encoder(fit.model),
         ("J, eq. (15)", f"nominal model {number(fit.objective_nominal, 4)}, identified {number(fit.objective, 4)}"),
     ]
+    rows += [("Note", note) for note in fit.notes]
     for k, link in enumerate(fit.model.rig.links):
         shapes = [data.angles.shapes[k] for data in fit.torque_data[:1]]
         rows += [(f"Shape functions, {link.name}", f"{shape.family}, order {shape.order}") for shape in shapes]

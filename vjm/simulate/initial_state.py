@@ -20,8 +20,9 @@ from vjm.simulate.rollout import Simulation, default_step, marker_arcs, rollout
 Array = NDArray[np.float64]
 
 _MOST_ITERATIONS = 8
-_TOLERANCE = 1e-4  # relative decrease of chi^2 at which the search has converged
+_TOLERANCE = 1e-3  # relative decrease of chi^2 that is not worth another step: half a thousandth of the residual
 _COARSE_TOLERANCE = 5e-2
+_NEGLIGIBLE = 1e-2  # decrease of chi^2: what is left is a tenth of a standard deviation of the state
 _PERTURBATION = 1e-6  # rad, and rad times the slowest angular frequency for rates
 _LARGEST_UNCERTAINTY = 0.02  # rad a joint: directions of the state that the recording shows less surely stay at rest
 _LEAST_DAMPING = 1e-6  # of the largest singular value squared
@@ -118,7 +119,7 @@ def _search(problem: _Problem, run: _Run, jacobian_at: Callable[[_Run], Array], 
     factors = np.linalg.svd(jacobian_at(run), full_matrices=False)
     for _ in range(_MOST_ITERATIONS):
         step, predicted = _damped_step(factors, run.residual, damping)
-        if predicted < tolerance * run.chi2:
+        if predicted < max(tolerance * run.chi2, _NEGLIGIBLE):
             return run, True
         trial = problem.attempt(run.state + problem.scale * step)
         decrease = -np.inf if trial is None else run.chi2 - trial.chi2
