@@ -59,7 +59,7 @@ def test_angles_come_back_through_the_curve(links: int, seed: int, size: float) 
 
 
 def joints_of(chain: Chain, q: Array) -> Array:
-    """Ends of the virtual links 1 .. n of every link in the base frame, by adding up chords (own forward kinematics)."""
+    """Ends of the virtual links 1 .. n of every link in the base frame, by adding up chords."""
     result = []
     position, heading = np.zeros((len(q), 2)), np.zeros(len(q))
     columns = iter(q.T)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from vjm.angles.estimate import AngleMethod, ShapeSettings
 from vjm.chain.layout import Layout
@@ -52,9 +52,7 @@ def make_plan(
     provisional = cuts_of(rig, [3] * len(rig.links), layout)
     orders = choose_orders(rig, provisional, recordings, family)
     joints = tuple(
-        choose_virtual_joints(
-            link, order, virtual_joints or link.virtual_joints or _joints_told(link, order, parameters)
-        )
+        _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
         for link, order in zip(rig.links, orders, strict=True)
     )
     if angles is None:
@@ -63,6 +61,11 @@ def make_plan(
     robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
     shape = ShapeSettings(family, orders, angles, robust)
     return Plan(shape, joints, tuple(cuts_of(rig, [choice.joints for choice in joints], layout)))
+
+
+def _choose_joints(link: Link, order: int, parameters: str, asked: int | None) -> JointChoice:
+    choice = choose_virtual_joints(link, order, asked or _joints_told(link, order, parameters))
+    return replace(choice, asked=asked is not None)
 
 
 def _joints_told(link: Link, order: int, parameters: str) -> int | None:

@@ -28,11 +28,13 @@ class JointChoice:
         joints: n.
         modes: number of modes it has to carry.
         error: largest relative error of their natural frequencies, against a chain of 40 joints.
+        asked: whether a user asked for this n.
     """
 
     joints: int
     modes: int
     error: float
+    asked: bool = False
 
 
 def choose_virtual_joints(link: Link, seen: int, joints: int | None = None) -> JointChoice:

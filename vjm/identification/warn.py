@@ -22,7 +22,7 @@ _LARGEST_MISMATCH = 0.02
 
 
 def marker_warnings(link: Link, modes: int | None) -> list[str]:
-    """Whether the markers can show the modes asked for (eq. 1); as many as virtual joints asked for in the rig file."""
+    """Whether the markers can show the modes asked for (eq. 1): as many as the virtual joints asked for."""
     if modes is None:
         return []
     seen, needed = visible_modes(len(link.markers)), required_markers(link.length, modes)
@@ -63,7 +63,7 @@ def data_warnings(
             found.append(note)
         if parametrisation == "uniform" and choice.error > 10 * FREQUENCY_TOLERANCE:
             found.append(f"link {link.name}: n = {choice.joints} is too small for the modes seen; ask for more")
-        found += marker_warnings(link, link.virtual_joints)
+        found += marker_warnings(link, choice.joints if choice.asked else None)
     for one in prepared:
         found += _recording_warnings(one)
     fastest = max((float(m.frequencies[-1]) for m in seen if m.frequencies.size), default=0.0)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from vjm.identification.records import Identification, RecordingFit
 from vjm.model import Model
 from vjm.report.comparison import Comparison
@@ -142,6 +144,9 @@ def settings(fit: Identification) -> list[tuple[str, str]]:
         how = "interpolated" if smoothing is None else f"smoothing spline, penalty 10^{smoothing:.1f}"
         text = f"{frames} frames, {lost} without a solution; {how}"
         rows.append((f"Used from {data.recording.file}", text))
+        noise = data.derivatives.noise(np.sqrt(np.diag(data.angles.covariance))).max(axis=1)
+        values = f"{number(1e3 * noise[0], 2)} mrad, {number(noise[1], 2)} rad/s, {number(noise[2], 2)} rad/s²"
+        rows.append((f"Noise in {data.recording.file}", f"angle, rate and acceleration of the worst joint: {values}"))
     return rows
 
 
