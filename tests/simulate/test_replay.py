@@ -109,6 +109,9 @@ def test_no_neighbouring_state_fits_better(seed: int) -> None:
     chi2 = np.sum(((noisy.markers[:, None] - markers) / NOISE) ** 2, axis=(0, 2, 3))
     assert chi2[0] == pytest.approx(result.chi2, rel=1e-9)
     assert (chi2[1:] > chi2[0]).all()
+    ahead, behind = np.split(chi2[1:], 2)
+    to_gain = (ahead - behind) ** 2 / (8 * (ahead + behind - 2 * chi2[0]))  # at the parabola's bottom
+    assert (to_gain < 0.1).all()
 
 
 def test_lost_frames_and_hidden_markers_do_not_matter() -> None:
