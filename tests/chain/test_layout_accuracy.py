@@ -52,6 +52,10 @@ TABLE = {
     ("end-corrected", 3): (-0.09, 0.18, -6.28),
     ("end-corrected", 5): (-0.03, 0.08, -0.20),
     ("end-corrected", 8): (0.00, 0.00, 0.02),
+    ("fourth-order", 2): (-0.07, -0.01),
+    ("fourth-order", 3): (-0.02, 0.10, -4.20),
+    ("fourth-order", 5): (0.00, -0.03, -0.12),
+    ("fourth-order", 8): (0.00, -0.01, -0.05),
 }
 
 
@@ -82,6 +86,28 @@ def test_equal_links_converge_at_first_order() -> None:
 def test_half_ends_converge_at_second_order() -> None:
     np.testing.assert_allclose(orders("half-ends", 8, 16), 2.0, atol=0.02)
     np.testing.assert_allclose(orders("half-ends", 16, 32), 2.0, atol=0.01)
+
+
+def test_exact_ends_converge_at_fourth_order() -> None:
+    np.testing.assert_allclose(orders("fourth-order", 16, 32), 4.0, atol=0.3)
+    assert (np.abs(errors(32, "fourth-order")) < 4e-6).all()
+
+
+@pytest.mark.parametrize("payload", [0.0, 0.1, 1.0])
+def test_exact_ends_hold_under_a_payload(payload: float) -> None:
+    assert (np.abs(errors(5, "fourth-order", payload)) < (4e-5, 6e-4, 2.2e-3)).all()
+
+
+@pytest.mark.parametrize("hub_inertia", [0.05, 0.1, 0.2, 0.3])
+def test_exact_ends_hold_on_a_free_hub(hub_inertia: float) -> None:
+    assert (np.abs(hub_errors(5, "fourth-order", hub_inertia)) < (2e-4, 1e-3, 2.5e-3)).all()
+    gain = np.abs(hub_errors(16, "end-corrected", hub_inertia) / hub_errors(16, "fourth-order", hub_inertia))
+    assert (gain > (30, 10, 1.5)).all()
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 8])
+def test_exact_ends_give_the_static_deflection_exactly(n: int) -> None:
+    assert static_tip_deflection(n, "fourth-order") == pytest.approx(1.0, abs=1e-12)
 
 
 def test_end_correction_converges_faster_where_it_is_used() -> None:
@@ -124,7 +150,7 @@ def test_one_joint_has_the_beam_s_first_frequency_and_compliance(length: float, 
     np.testing.assert_allclose(link.lengths[1] ** 2 / link.stiffness, length**3 / (3 * stiffness), rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["end-corrected", "half-ends", "equal"])
+@pytest.mark.parametrize("name", ["fourth-order", "end-corrected", "half-ends", "equal"])
 def test_frequencies_scale_as_a_beam_s(name: str) -> None:
     unit = modes(beam_chain(5, name)).frequencies
     scaled = modes(beam_chain(5, name, length=0.7, mass=0.31, bending_stiffness=1.97)).frequencies

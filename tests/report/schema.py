@@ -88,6 +88,7 @@ class Common(Entry):
 
 class IdentifyResult(Common):
     command: Literal["identify"]
+    notes: list[str]
     method: Literal["torque", "torque+frequency"]
     parameters: Literal["uniform", "joints", "lengths", "full"]
     model: ModelResult

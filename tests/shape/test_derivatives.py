@@ -54,12 +54,12 @@ def test_residual_is_as_large_as_the_noise(noise: float) -> None:
 def test_noise_of_the_derivatives_is_what_the_gains_say() -> None:
     t = np.arange(400) / RATE
     smoother = Smoother.of(t)
-    samples = np.random.default_rng(4).normal(size=(400, 3000))
-    found = smoother.derivatives(samples, np.ones(3000), exponent=1.0)
+    samples = np.random.default_rng(4).normal(size=(400, 500))
+    found = smoother.derivatives(samples, np.ones(500), exponent=1.0)
     stack = np.stack([found.value[200], found.rate[200], found.acceleration[200]])
     size = np.sqrt(np.diag(found.gains))
     correlation = np.cov(stack) / np.outer(size, size)
-    assert correlation == pytest.approx(found.gains / np.outer(size, size), abs=0.08)
+    assert correlation == pytest.approx(found.gains / np.outer(size, size), abs=0.15)
     assert found.noise([2.0])[2, 0] == pytest.approx(2 * size[2])
     assert found.interior[200]
     assert not found.interior[0]
@@ -67,7 +67,7 @@ def test_noise_of_the_derivatives_is_what_the_gains_say() -> None:
 
 def test_interpolation_says_how_noisy_it_is() -> None:
     t = np.arange(300) / RATE
-    samples = np.random.default_rng(6).normal(size=(300, 2000))
+    samples = np.random.default_rng(6).normal(size=(300, 500))
     found = interpolate(t, samples)
     inner = found.acceleration[500:-500]
     assert np.sqrt(np.mean(inner**2)) == pytest.approx(float(found.noise([1.0])[2, 0]), rel=0.05)

@@ -1,7 +1,9 @@
 """Where to cut a uniform flexible link: lengths, cells and nominal stiffness of the virtual joints.
 
-The bulk of a chain of uniform rods with K = EI / Delta is fourth-order accurate in its natural frequencies; the
-second-order error sits at the two ends. The layout `end-corrected` takes it out there.
+The bulk of a chain of uniform rods with K = EI / Delta is fourth-order accurate by itself: with displacements
+y - kappa Delta^2 / 12 at the joints, its moments there are the beam's. The error sits at the ends. A free end needs no
+correction; at an end that carries a moment two links and two joints are changed so that a curvature and its slope come
+out exactly (layout `fourth-order`). The layout `end-corrected` has constants fitted to frequencies.
 """
 
 from __future__ import annotations
@@ -17,20 +19,27 @@ from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.records import Link
 
 Array = NDArray[np.float64]
-LayoutName = Literal["end-corrected", "half-ends", "equal"]
+LayoutName = Literal["fourth-order", "end-corrected", "half-ends", "equal"]
 LAYOUTS: tuple[str, ...] = get_args(LayoutName)
+DEFAULT_LAYOUT = "fourth-order"
 
-# Link length and joint compliance next to an end, in units of the inner link length Delta (and Delta / EI),
-# found by least squares on frequencies and static deflections over n = 6..16.
+# Lengths of the two virtual links, and compliances of the two joints, next to an end that carries a moment, in units of
+# Delta and Delta / EI. Exact curvature and slope of curvature leave one number free, where the second joint is: 1.4
+# gives the smallest errors of small chains.
+_SECOND_JOINT = 1.4
+_FIRST_LINK = _SECOND_JOINT * (2 * _SECOND_JOINT**2 - 1) / (6 * _SECOND_JOINT**2 - 1)
+_SECOND_LINK = _SECOND_JOINT - _FIRST_LINK
+_FIRST_CELL = (_SECOND_JOINT**2 / 2 - 1 / 12) / _SECOND_LINK
+_SECOND_CELL = _SECOND_JOINT + 0.5 - _FIRST_CELL
+
+# `end-corrected`: link length and joint compliance next to an end, found by least squares on frequencies and static
+# deflections over n = 6..16.
 _MOMENT_END = (0.390, 1 / 1.126)
 _FREE_END = (0.957, 1 / 0.934)
 # One joint has no bulk: its two constants meet the first natural frequency and the static end-load deflection,
 # both exactly. lambda_1 L = 1.8751 is the first root of 1 + cos(z) cosh(z).
 _ROOT = 1.8751040687119611
 _SINGLE_DISTAL = 9 / _ROOT**4
-# Part of the last virtual link that its joint stands for, as the curvature vanishes towards the free end; makes the
-# free layout's cells those of the end-corrected one.
-_FREE_CELL = 0.6
 
 
 @dataclass(frozen=True)
@@ -46,13 +55,13 @@ class Layout:
     cells: Array
 
 
-def layout(length: float, n: int, name: str = "end-corrected", distal: Distal = "free") -> Layout:
+def layout(length: float, n: int, name: str = DEFAULT_LAYOUT, distal: Distal = "free") -> Layout:
     """Cut a link of `length` [m] at n virtual joints.
 
     Args:
         length: of the flexible link [m].
         n: number of virtual joints, at least 1.
-        name: `end-corrected`; `half-ends`: the end links are half as long; `equal`: all links are equal.
+        name: `fourth-order`, `end-corrected`; `half-ends`: the end links are half as long; `equal`: all are equal.
         distal: whether the distal end is free of moment, or joined to a further link.
 
     Returns:
@@ -68,7 +77,7 @@ def layout(length: float, n: int, name: str = "end-corrected", distal: Distal = 
         return Layout(np.full(n + 1, length / (n + 1)), np.full(n, length / (n + 1)))
     if name == "half-ends":
         return Layout(length / n * np.r_[0.5, np.ones(n - 1), 0.5], np.full(n, length / n))
-    if name != "end-corrected":
+    if name not in LAYOUTS:
         raise ChoiceError("layout", name, LAYOUTS)
     if n == 1 and distal == "free":
         return Layout(
@@ -76,15 +85,30 @@ def layout(length: float, n: int, name: str = "end-corrected", distal: Distal = 
         )
     if n == 1:
         return layout(length, 1, "half-ends")
-    outer = _FREE_END if distal == "free" else _MOMENT_END
-    lengths = np.r_[_MOMENT_END[0], np.ones(n - 1), outer[0]]
-    cells = np.r_[_MOMENT_END[1], np.ones(n - 2), outer[1]]
+    lengths, cells = (_fourth_order if name == "fourth-order" else _end_corrected)(n, distal)
     delta = length / lengths.sum()
     return Layout(delta * lengths, delta * cells)
 
 
+def _fourth_order(n: int, distal: Distal) -> tuple[Array, Array]:
+    lengths, cells = np.ones(n + 1), np.ones(n)
+    for side in (slice(None), slice(None, None, -1)) if distal == "joined" else (slice(None),):
+        # Corrections of both ends add up where a short chain makes them meet.
+        lengths[side][:2] += (_FIRST_LINK - 1, _SECOND_LINK - 1)
+        cells[side][:2] += (_FIRST_CELL - 1, _SECOND_CELL - 1)
+    return lengths, cells
+
+
+def _end_corrected(n: int, distal: Distal) -> tuple[Array, Array]:
+    outer = _FREE_END if distal == "free" else _MOMENT_END
+    lengths = np.r_[_MOMENT_END[0], np.ones(n - 1), outer[0]]
+    return lengths, np.r_[_MOMENT_END[1], np.ones(n - 2), outer[1]]
+
+
 def free_layout(lengths: ArrayLike, distal: Distal = "free") -> Layout:
     """The layout with the given virtual-link lengths; each joint's cell ends midway to its neighbours.
+
+    Past the last joint before a free end the curvature falls to zero: only half of the last virtual link counts.
 
     Args:
         lengths: (n + 1,) [m], positive.
@@ -93,7 +117,8 @@ def free_layout(lengths: ArrayLike, distal: Distal = "free") -> Layout:
     values = np.asarray(lengths, dtype=float)
     cells = (values[:-1] + values[1:]) / 2
     cells[0] += values[0] / 2
-    cells[-1] += values[-1] * ((_FREE_CELL if distal == "free" else 1.0) - 0.5)
+    if distal == "joined":
+        cells[-1] += values[-1] / 2
     return Layout(values, cells)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.angles.estimate import ANGLE_METHODS, AngleMethod
+from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.chain.records import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
 from vjm.experiment.records import Experiment, Recording
@@ -49,7 +50,7 @@ def identify(
     virtual_joints: int | None = None,
     parameters: str = "uniform",
     *,
-    layout: str = "end-corrected",
+    layout: str = DEFAULT_LAYOUT,
     family: str = "cantilever",
     angles: str | None = None,
     derivatives: str = "smoothing",
@@ -63,7 +64,7 @@ def identify(
         virtual_joints: n of every link; the experiment file's, or chosen from the data, when None.
         parameters: `uniform`, one bending stiffness and Kelvin-Voigt time a link; `joints`, every joint's K and D;
             `lengths`, those and the virtual links' lengths; `full`, all of alpha (eq. 13).
-        layout: where the links are cut: `end-corrected`, `half-ends` or `equal`.
+        layout: where the links are cut: `fourth-order`, `end-corrected`, `half-ends` or `equal`.
         family: of the shape functions.
         angles: `curvature`, `curve` or, as in the paper, `points`; chosen by the parametrisation when None.
         derivatives: `smoothing` or, as in the paper, `interpolating`.
@@ -111,7 +112,7 @@ def read_data(
     experiment: Experiment,
     parameters: str,
     virtual_joints: int | None = None,
-    layout: str = "end-corrected",
+    layout: str = DEFAULT_LAYOUT,
     family: str = "cantilever",
     angles: AngleMethod | None = None,
     derivatives: str = "smoothing",

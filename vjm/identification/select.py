@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.layout import Layout, layout, uniform_chain
+from vjm.chain.layout import DEFAULT_LAYOUT, Layout, layout, uniform_chain
 from vjm.chain.records import Chain
 from vjm.experiment.records import Link, Rig
 from vjm.modes import modes
@@ -63,7 +63,7 @@ def _frequencies(link: Link, n: int) -> Array:
     return modes(chain).frequencies
 
 
-def cuts_of(rig: Rig, joints: Sequence[int], name: str = "end-corrected") -> list[Layout]:
+def cuts_of(rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT) -> list[Layout]:
     """Each link's layout; only the last link's distal end is free of moment."""
     last = len(rig.links) - 1
     return [
