@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 _STEPS = 12  # Gauss-Newton converges quadratically on exact data
 _TOLERANCE = 1e-13  # rad
 _LARGEST_TURN = 0.5  # rad a step
+_RIDGE = 1e-14  # keeps frames without enough markers solvable; their angles are thrown away
 _CHUNK = 20_000  # frames a batch, bounds the memory
 
 
@@ -56,7 +57,7 @@ def _solve(curve: CurveMap, markers: Array, phi: Array) -> Array:
         # Columns scaled to one before solving: joints near the tip move the markers little.
         size = np.sqrt(np.maximum(np.einsum("tii->ti", normal), 1e-300))
         scaled = normal / (size[:, :, None] * size[:, None, :])
-        step = np.einsum("tij,tj->ti", np.linalg.pinv(scaled, rcond=1e-14, hermitian=True), right / size) / size
+        step = np.linalg.solve(scaled + _RIDGE * np.eye(phi.shape[1]), (right / size)[..., None])[..., 0] / size
         largest = np.abs(step).max(axis=1, keepdims=True)
         phi = phi + step * np.minimum(1.0, _LARGEST_TURN / np.maximum(largest, 1e-300))
         if not (largest[enough] > _TOLERANCE).any():

@@ -138,11 +138,14 @@ def _solve_varying(family: str, order: int, length: float, x: Array, y: Array, w
     usable = known.sum(axis=1) >= order
     functions, values, base = functions[usable], values[usable], np.where(known, weight, 0.0)[usable]
     solution = _normal_equations(functions, values, base)
-    for _ in range(_ROBUST_PASSES if robust else 0):
+    for _ in range(_ROBUST_PASSES if robust and len(solution) else 0):
         residual = np.abs(values - np.einsum("tko,to->tk", functions, solution)) * np.sqrt(weight)
-        scale = _MAD_TO_SIGMA * np.median(residual[base > 0]) if (base > 0).any() else 1.0
-        trust = np.minimum(1.0, _HUBER * max(float(scale), 1e-300) / np.maximum(residual, 1e-300))
-        solution = _normal_equations(functions, values, base * trust)
+        scale = _MAD_TO_SIGMA * float(np.median(residual[base > 0]))
+        trust = np.minimum(1.0, _HUBER * max(scale, 1e-300) / np.maximum(residual, 1e-300))
+        doubted = ((trust < 1) & (base > 0)).any(axis=1)  # the others' solution is the plain one
+        if not doubted.any():
+            break
+        solution[doubted] = _normal_equations(functions[doubted], values[doubted], (base * trust)[doubted])
     result[usable] = solution
     return result
 
