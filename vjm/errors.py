@@ -23,7 +23,8 @@ class ExperimentError(InputError):
 
     Attributes:
         file: the experiment file.
-        table: the TOML table, counted from 1 and named, as `link[1] beam` or `recording[2] slew.csv`; empty for the file as a whole.
+        table: the TOML table, counted from 1 and named, as `link[1] beam` or `recording[2] slew.csv`; empty for the
+            file as a whole.
         key: the key inside the table; empty where the table itself is at fault.
         expected: what would have been right.
     """
