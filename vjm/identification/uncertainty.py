@@ -12,7 +12,8 @@ from vjm.parameters import Estimate
 Array = NDArray[np.float64]
 
 _LARGEST_RELATIVE = 0.5  # standard error over value beyond which a parameter is not identified
-_SINGULAR = 1e-10
+_SINGULAR = 1e-10  # eigenvalues this small against the largest are none
+_NOT_SEEN = 100.0  # standard error over value beyond which the number itself says nothing
 _STRONG = 0.9  # correlation worth naming
 _AT_BOUND = 1e-6
 
@@ -37,8 +38,13 @@ def covariance(fit: TorqueFit) -> Array:
     normal += fit.frequency_jacobian.T @ fit.frequency_jacobian
     spread += fit.frequency_jacobian.T @ fit.frequency_jacobian
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    inverse = scale[:, None] * np.linalg.pinv(normal * np.outer(scale, scale), rcond=_SINGULAR, hermitian=True) * scale
-    return inverse @ spread @ inverse
+    values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
+    silent = values <= _SINGULAR * values[-1]
+    inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
+    # What the recordings do not respond to at all is not known at all, rather than known exactly.
+    unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
+    result: Array = inverse @ spread @ inverse + unknown / _SINGULAR
+    return result
 
 
 def _long_run(scores: Array, lags: int) -> Array:
@@ -119,6 +125,8 @@ def _reason(
     others[k] = 0.0
     partner = int(np.argmax(others))
     reason = f"its standard error is {100 * relative:.0f} % of its value"
+    if relative > _NOT_SEEN:
+        reason = "the recordings see it only together with other parameters"
     if others[partner] > _STRONG:
         name = parametrisation.coordinates[partner].name
         reason += f"; it moves together with {name} (correlation {correlation[k, partner]:+.2f})"
