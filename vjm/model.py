@@ -14,7 +14,6 @@ from vjm.chain.records import Chain
 from vjm.errors import ShapeError
 from vjm.experiment.records import Recording, Rig
 from vjm.files import write_text_atomic
-from vjm.model_file import read_model
 from vjm.modes import Modes, modes
 from vjm.parameters import Estimate
 from vjm.simulate.initial_state import Replay, replay
@@ -39,22 +38,6 @@ class PinocchioModel(NamedTuple):
     model: pin.Model
     stiffness: Array
     damping: Array
-
-
-def load_model(path: Path | str, rig: Rig, marker_noise: float, encoder_noise: float) -> Model:
-    """A model.json as a model of a rig.
-
-    Args:
-        path: the file.
-        rig: the arm it models.
-        marker_noise: 1-sigma [m].
-        encoder_noise: 1-sigma [rad].
-
-    Raises:
-        ModelFileError: the file is no usable model.
-        ShapeError: it models another arm.
-    """
-    return Model(read_model(path)[0], rig, marker_noise, encoder_noise)
 
 
 @dataclass(frozen=True)
