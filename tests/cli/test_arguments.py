@@ -11,13 +11,12 @@ import pytest
 
 from vjm.cli.arguments import DEFAULT_METHOD, METHODS, PARAMETERS, parse
 from vjm.identification import METHODS as KNOWN_METHODS
-from vjm.identification import PARAMETERS as KNOWN_PARAMETERS
-from vjm.identification import identify
+from vjm.identification import PARAMETRISATIONS, identify
 
 
 def test_choices_are_those_of_the_identification() -> None:
     assert METHODS == KNOWN_METHODS
-    assert PARAMETERS == KNOWN_PARAMETERS
+    assert PARAMETERS == PARAMETRISATIONS
     signature = inspect.signature(identify)
     assert signature.parameters["method"].default == DEFAULT_METHOD
     assert signature.parameters["parameters"].default == parse(["identify", "x.toml"]).parameters

@@ -1,9 +1,9 @@
 """Identification of the chain's parameters from recordings."""
 
 from vjm.identification.assess import fit_recordings
+from vjm.identification.parametrisation import PARAMETRISATIONS
 from vjm.identification.records import (
     METHODS,
-    PARAMETERS,
     Identification,
     ModeComparison,
     RecordingFit,
@@ -13,7 +13,7 @@ from vjm.identification.run import identify
 
 __all__ = [
     "METHODS",
-    "PARAMETERS",
+    "PARAMETRISATIONS",
     "Identification",
     "ModeComparison",
     "RecordingFit",

@@ -18,8 +18,6 @@ from vjm.simulate.initial_state import Replay
 Array = NDArray[np.float64]
 Method = Literal["torque", "torque+frequency"]
 METHODS: tuple[str, ...] = get_args(Method)
-Parameters = Literal["uniform", "joints", "lengths", "full"]
-PARAMETERS: tuple[str, ...] = get_args(Parameters)
 
 
 @dataclass(frozen=True)
