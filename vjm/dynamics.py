@@ -53,17 +53,19 @@ class Mechanism:
 
 
 def build(
-    chains: Chain | Sequence[Chain], payload: float = 0.0, gravity: tuple[float, float] | None = None
+    chains: Chain | Sequence[Chain],
+    payload: float | Sequence[float] = 0.0,
+    gravity: tuple[float, float] | None = None,
 ) -> Mechanism:
     """Build the Pinocchio model of one chain, or of several as separate branches.
 
     Args:
         chains: the chain, or copies with the same coordinates.
-        payload: extra point mass on the last link's tip [kg].
+        payload: extra point mass on the last link's tip [kg]; for all, or one a copy.
         gravity: in the plane, (x, y) of the base frame [m/s^2]; the (first) chain's when None.
 
     Raises:
-        ShapeError: copies whose coordinates differ.
+        ShapeError: copies whose coordinates differ, or not as many payloads as copies.
     """
     several = [chains] if isinstance(chains, Chain) else list(chains)
     sizes = {chain.size for chain in several}
@@ -71,8 +73,11 @@ def build(
         raise ShapeError("chains", f"sizes {sorted(sizes)}", "copies with the same number of coordinates")
     model = pin.Model()
     model.gravity = pin.Motion(np.r_[several[0].gravity if gravity is None else gravity, 0.0], np.zeros(3))
-    for c, chain in enumerate(several):
-        _add_chain(model, chain, payload, "" if len(several) == 1 else f"@{c}")
+    payloads = [payload] * len(several) if isinstance(payload, (int, float)) else list(payload)
+    if len(payloads) != len(several):
+        raise ShapeError("payload", f"{len(payloads)} of them", f"one for each of {len(several)} copies")
+    for c, (chain, extra) in enumerate(zip(several, payloads, strict=True)):
+        _add_chain(model, chain, extra, "" if len(several) == 1 else f"@{c}")
     return Mechanism(model, len(several))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,7 +17,7 @@ from vjm.experiment.records import Recording, Rig
 from vjm.files import write_text_atomic
 from vjm.modes import Modes, modes
 from vjm.parameters import Estimate
-from vjm.simulate.initial_state import Replay, replay
+from vjm.simulate.initial_state import Replay, replays
 from vjm.simulate.rollout import Simulation
 from vjm.urdf import chain_to_urdf
 
@@ -78,7 +79,11 @@ class Model:
 
     def replay(self, recording: Recording) -> Replay:
         """The same as `simulate`, with the residuals' statistics."""
-        return replay(self.chain, self.rig, recording, self.marker_noise, self.encoder_noise)
+        return self.replays([recording])[0]
+
+    def replays(self, recordings: Sequence[Recording]) -> list[Replay]:
+        """Replays of several recordings, advanced together."""
+        return replays(self.chain, self.rig, recordings, self.marker_noise, self.encoder_noise)
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""

@@ -141,9 +141,11 @@ def _modes(model: Model) -> tuple[ModeComparison, ...]:
 
 def _fit(model: Model, nominal: Model, recording: Recording, replayer: Replayer) -> RecordingFit:
     if recording.theta.size and not np.isfinite(recording.tau).any():
-        return RecordingFit(recording, None, None, model.marker_noise, model.encoder_noise, "no torque was measured")
+        return RecordingFit(
+            recording, None, None, None, model.marker_noise, model.encoder_noise, "no torque was measured"
+        )
     replays = [replayer(each, recording) for each in (model, nominal)]
-    return RecordingFit(recording, replays[0], replays[1], model.marker_noise, model.encoder_noise)
+    return RecordingFit(recording, replays[0], replays[1], None, model.marker_noise, model.encoder_noise)
 
 
 def two_link_experiment() -> Experiment:

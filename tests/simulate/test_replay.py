@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
 from tests.simulate.setups import DOWN, arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
-from vjm.chain import Chain, marker_positions
+from vjm.chain import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
 from vjm.experiment.records import Recording
 from vjm.simulate import Replay, replay, rollout, simulate
-from vjm.simulate.rollout import marker_arcs
+from vjm.simulate.observation import Arcs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -105,7 +105,7 @@ def test_no_neighbouring_state_fits_better(seed: int) -> None:
     steps = np.vstack([np.diag(scale), scale * np.random.default_rng(seed).normal(size=(6, state.size))])
     states = state + np.vstack([0 * state, steps, -steps])
     paths, _ = rollout([chain] * len(states), noisy, *np.hsplit(states, 2))
-    markers = marker_positions(chain, paths, *marker_arcs(rig_of(chain)))
+    markers = Arcs.of(rig_of(chain)).markers(chain, paths)
     chi2 = np.sum(((noisy.markers[:, None] - markers) / NOISE) ** 2, axis=(0, 2, 3))
     assert chi2[0] == pytest.approx(result.chi2, rel=1e-9)
     assert (chi2[1:] > chi2[0]).all()

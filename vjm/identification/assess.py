@@ -8,7 +8,9 @@ import numpy as np
 
 from vjm.chain.records import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import Experiment, Recording
+from vjm.identification.outliers import without_outliers
 from vjm.identification.prepare import Prepared
 from vjm.identification.records import ModeComparison, RecordingFit, TorqueData
 from vjm.identification.torque_fit import Progress, TorqueFit, noise_factor, seen_errors, whiten
@@ -64,24 +66,53 @@ def compare_modes(
 
 
 def fit_recordings(
-    experiment: Experiment, model: Model, nominal: Model | None, progress: Progress | None = None
+    experiment: Experiment,
+    model: Model,
+    nominal: Model | None,
+    progress: Progress | None = None,
+    torque: Model | None = None,
 ) -> tuple[RecordingFit, ...]:
-    """Open-loop replay of every recording by the model and, for comparison, by the nominal one."""
-    fits = []
-    total = len(experiment.recordings)
-    for k, recording in enumerate(experiment.recordings):
-        if progress is not None:
-            progress("replaying recordings", k, total)
-        replayed, problem = _replay(model, recording)
-        compared = _replay(nominal, recording)[0] if nominal is not None and replayed is not None else None
-        fits.append(RecordingFit(recording, replayed, compared, model.marker_noise, model.encoder_noise, problem))
-    if progress is not None:
-        progress("replaying recordings", total, total)
-    return tuple(fits)
+    """Open-loop replay of every recording by the model and, for comparison, by others.
+
+    Coordinates that cannot be right, and outliers, are left out of the recordings and counted.
+
+    Args:
+        experiment: the recordings.
+        model: the identified one.
+        nominal: of the experiment file's values.
+        progress: told (text, done, total) while it runs.
+        torque: what the torque method found; None where that is the model itself.
+    """
+    tell = progress or (lambda *_: None)
+    tell("replaying recordings", 0, 4)
+    recordings = [cleaned(experiment.rig, recording) for recording in experiment.recordings]
+    replayed = _replayed(model, recordings)
+    kept, left_out, again = list(recordings), [0] * len(recordings), []
+    for k, (recording, (found, _)) in enumerate(zip(recordings, replayed, strict=True)):
+        if found is not None:
+            kept[k], left_out[k] = without_outliers(recording, found.simulation.markers, model.marker_noise)
+            again += [k] if left_out[k] else []
+    for k, found in zip(again, _replayed(model, [kept[k] for k in again]), strict=True):
+        replayed[k] = found
+    others = []
+    for done, other in enumerate((nominal, torque), start=1):
+        tell("replaying recordings", done, 4)
+        others.append([(None, "")] * len(kept) if other is None else _replayed(other, kept))
+    tell("replaying recordings", 4, 4)
+    return tuple(
+        RecordingFit(kept[k], replayed[k][0], others[0][k][0], others[1][k][0], *noise, replayed[k][1], left_out[k])
+        for noise in [(model.marker_noise, model.encoder_noise)]
+        for k in range(len(kept))
+    )
 
 
-def _replay(model: Model, recording: Recording) -> tuple[Replay | None, str]:
+def _replayed(model: Model, recordings: Sequence[Recording]) -> list[tuple[Replay | None, str]]:
+    """Each recording's replay, or why there is none."""
+    if not recordings:
+        return []
     try:
-        return model.replay(recording), ""
+        return [(each, "") for each in model.replays(recordings)]
     except (InsufficientDataError, SimulationDivergedError) as error:
-        return None, str(error)
+        if len(recordings) == 1:
+            return [(None, str(error))]
+    return [_replayed(model, [each])[0] for each in recordings]

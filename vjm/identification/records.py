@@ -65,20 +65,24 @@ class RecordingFit:
     """How well the model follows one recording, open loop over its whole length.
 
     Attributes:
-        recording: which.
+        recording: which, without coordinates that cannot be right.
         replay: the simulation from its most likely initial state; None where it cannot be simulated.
         nominal: the same of the nominal model of the experiment file; None where it cannot be simulated.
+        torque: the same of what the torque method found; None where that is the model itself.
         marker_noise: 1-sigma of a marker coordinate [m].
         encoder_noise: 1-sigma [rad].
         problem: why there is no replay; empty otherwise.
+        left_out: number of outlying marker coordinates that are not in `recording` any more.
     """
 
     recording: Recording
     replay: Replay | None
     nominal: Replay | None
+    torque: Replay | None
     marker_noise: float
     encoder_noise: float
     problem: str = ""
+    left_out: int = 0
 
 
 @dataclass(frozen=True)

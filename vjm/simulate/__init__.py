@@ -1,7 +1,17 @@
-"""Open-loop simulation of recordings, and replay from the most likely initial state."""
+"""Open-loop simulation of recordings, its derivatives, and replay from the most likely initial state."""
 
-from vjm.simulate.initial_state import Replay, replay
+from vjm.simulate.initial_state import Replay, replay, replays
 from vjm.simulate.integrators import INTEGRATORS
-from vjm.simulate.rollout import Simulation, default_step, rollout, simulate
+from vjm.simulate.rollout import Simulation, default_step, rollout, rollouts, simulate
 
-__all__ = ["INTEGRATORS", "Replay", "Simulation", "default_step", "replay", "rollout", "simulate"]
+__all__ = [
+    "INTEGRATORS",
+    "Replay",
+    "Simulation",
+    "default_step",
+    "replay",
+    "replays",
+    "rollout",
+    "rollouts",
+    "simulate",
+]

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.curve import marker_positions
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
 from vjm.modes import equilibrium, linearise
-from vjm.simulate.integrators import linear_response, sample
-from vjm.simulate.rollout import Simulation, default_step, marker_arcs, rollout
+from vjm.simulate.observation import Observed
+from vjm.simulate.rollout import Simulation, half_interval, rollouts
+from vjm.simulate.sensitivity import Basis, Moved, first_angles, jacobian
+from vjm.simulate.steps import Steps, sample
+from vjm.simulate.triangle import Triangle
 
 Array = NDArray[np.float64]
 
-_MOST_ITERATIONS = 8
-_TOLERANCE = 1e-3  # relative decrease of chi^2 that is not worth another step: half a thousandth of the residual
-_COARSE_TOLERANCE = 5e-2
+_MOST_ITERATIONS = 15
+_TOLERANCE = 1e-5  # relative decrease of chi^2 that is not worth another step
 _NEGLIGIBLE = 1e-2  # decrease of chi^2: what is left is a tenth of a standard deviation of the state
-_PERTURBATION = 1e-6  # rad, and rad times the slowest angular frequency for rates
-_LARGEST_UNCERTAINTY = 0.02  # rad a joint: directions of the state that the recording shows less surely stay at rest
-_LEAST_DAMPING = 1e-6  # of the largest singular value squared
+_FIRST_DAMPING = 1e-3
+_USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
+_USUAL_TURN = 1.0  # rad of an active joint
 
 
 @dataclass(frozen=True)
@@ -50,41 +52,142 @@ class Replay:
 
 
 @dataclass(frozen=True)
-class _Measured:
-    """What was measured, flat: markers at the camera's frames, then angles at the encoders' samples."""
+class Start:
+    """What is known of a recording's initial state before it is looked at.
 
-    frames: NDArray[np.intp]
-    markers: NDArray[np.intp]
-    theta: NDArray[np.intp]
-    values: Array
-    weights: Array
+    A weak preference for rest, by the energy that bending the arm by a tenth of its length takes: it matters only for
+    motion that the recording cannot show.
+
+    Attributes:
+        rest: (2 nv,) angles of rest at the first measured active angles, and zero rates [rad, rad/s].
+        root: (2 nv, 2 nv) |root (state - rest)|^2 is added to chi^2.
+    """
+
+    rest: Array
+    root: Array
 
     @classmethod
-    def of(cls, recording: Recording, marker_noise: float, encoder_noise: float) -> _Measured:
-        frames = recording.frames
-        seen = recording.markers[frames].ravel()
-        markers, theta = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(recording.theta))
-        values = np.concatenate([seen[markers], recording.theta.ravel()[theta]])
-        weights = np.concatenate([np.full(markers.size, 1 / marker_noise), np.full(theta.size, 1 / encoder_noise)])
-        return cls(frames, markers, theta, values, weights)
+    def of(cls, chain: Chain, recording: Recording) -> Start:
+        """Of a chain at a recording's beginning."""
+        theta = first_angles(recording)
+        q = equilibrium(chain, recording.payload, recording.gravity, theta)
+        M, _, _, _ = linearise(chain, recording.payload, recording.gravity, theta)
+        stiffness = min(float(np.mean(link.stiffness * link.cells)) for link in chain.links)
+        energy = 1.5 * stiffness * _USUAL_BEND**2 / sum(link.length for link in chain.links)
+        n = chain.size
+        root = np.zeros((2 * n, 2 * n))
+        root[range(n), range(n)] = np.sqrt(chain.stiffness / (2 * energy))
+        root[chain.active, chain.active] = 1 / _USUAL_TURN
+        root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
+        return cls(np.concatenate([q, np.zeros(n)]), root)
 
-    def of_model(self, markers: Array, theta: Array) -> Array:
-        """Model values (C, m) at what was measured, of markers (F, C, k, 2) and theta (T, C, n_a)."""
-        copies = markers.shape[1]
-        flat = np.moveaxis(markers, 1, 0).reshape(copies, -1)[:, self.markers]
-        return np.concatenate([flat, np.moveaxis(theta, 1, 0).reshape(copies, -1)[:, self.theta]], axis=1)
+
+@dataclass(frozen=True)
+class Run:
+    """A simulation of one recording from an initial state, beside what was measured.
+
+    Attributes:
+        observed: the measurements.
+        start: what was known of the initial state.
+        chain: what was simulated.
+        state: (2 nv,) initial angles and rates.
+        steps: the trajectory at the integrator's instants; one copy.
+    """
+
+    observed: Observed
+    start: Start
+    chain: Chain
+    state: Array
+    steps: Steps
+
+    @cached_property
+    def path(self) -> tuple[Array, Array]:
+        """q, v (T, nv) at the recording's instants [rad, rad/s]."""
+        q, v = sample(self.steps, self.observed.recording.time)
+        return q[:, 0], v[:, 0]
+
+    @cached_property
+    def residual(self) -> Array:
+        """(N,) measured less simulated, weighted."""
+        return self.observed.residual(self.chain, self.path[0])
+
+    @cached_property
+    def chi2(self) -> float:
+        """Sum of the squared weighted residuals."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def cost(self) -> float:
+        """The residuals' loss and what the initial state adds to it."""
+        away = self.start.root @ (self.state - self.start.rest)
+        return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away)
+
+    @cached_property
+    def stride(self) -> int:
+        """Steps in half an interval over which derivatives are advanced."""
+        return half_interval(self.chain, self.observed.recording, self.steps.step)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """The m modes that its derivatives are told in."""
+        return Basis.of(self.chain, self.observed.recording, 2 * self.stride * self.steps.step)
+
+    def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
+        """Derivatives (r, 2 m + p) of the weighted predictions, and the residuals (r,), as the loss lets them count."""
+        parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
+        kept = np.sqrt(self.observed.loss.slope(self.residual**2))
+        for markers, angles, part in parts:
+            share = np.concatenate([kept[markers], kept[angles]])
+            yield share[:, None] * part, share * np.concatenate([self.residual[markers], self.residual[angles]])
+
+    def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
+        """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters."""
+        states = self.basis.states
+        columns = states.shape[1] + len(moved)
+        root = np.zeros((self.state.size, columns))
+        root[:, : states.shape[1]] = self.start.root @ states
+        gathered = Triangle.of(self.rows(moved), columns)
+        return gathered.with_rows(root, self.start.root @ (self.start.rest - self.state))
 
 
-def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
-    """Simulate a recording open loop from its most likely initial state (Levenberg-Marquardt from rest).
+def run_all(
+    chains: Sequence[Chain],
+    observed: Sequence[Observed],
+    starts: Sequence[Start],
+    states: Sequence[Array],
+    coarse: float,
+) -> list[Run]:
+    """Simulate several recordings together.
 
-    The linear motion's least-squares fit to the whole recording comes first, so no guess is needed; the last steps use
-    the simulation's own derivatives.
+    Args:
+        chains: one a recording.
+        observed, starts: the recordings.
+        states: (2 nv,) initial states.
+        coarse: multiple of the default step.
+
+    Raises:
+        SimulationDivergedError: one of them diverged.
+    """
+    recordings = [each.recording for each in observed]
+    n = chains[0].size
+    first = np.stack(states)
+    steps = rollouts(chains, recordings, first[:, :n], first[:, n:], coarse=coarse)
+    return [Run(*each) for each in zip(observed, starts, chains, states, steps, strict=True)]
+
+
+def replays(
+    chain: Chain,
+    rig: Rig,
+    recordings: Sequence[Recording],
+    marker_noise: float,
+    encoder_noise: float,
+) -> list[Replay]:
+    """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
 
     Args:
         chain: the arm.
         rig: says where the markers are.
-        recording: what was measured, and the torque.
+        recordings: what was measured, and the torques.
         marker_noise: 1-sigma [m].
         encoder_noise: 1-sigma [rad].
 
@@ -92,137 +195,93 @@ def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, en
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
-    problem = _Problem(chain, rig, recording, _Measured.of(recording, marker_noise, encoder_noise), _state_scale(chain))
-    run = problem.run(np.concatenate([_start(chain, recording), np.zeros(chain.size)]))
-    run, _ = _search(problem, run, problem.linear_jacobian, _COARSE_TOLERANCE)
-    run, converged = _search(problem, run, problem.jacobian, _TOLERANCE)
-    return _report(problem, run, converged)
+    observed = [Observed.of(rig, recording, marker_noise, encoder_noise) for recording in recordings]
+    return [report(run, converged) for run, converged in most_likely(chain, observed)]
 
 
-@dataclass(frozen=True)
-class _Run:
-    """One simulation from an initial state: (2 nv,), its path (T, nv) each, weighted residuals (m,) and chi^2."""
-
-    state: Array
-    q: Array
-    v: Array
-    residual: Array
-
-    @property
-    def chi2(self) -> float:
-        return float(self.residual @ self.residual)
+def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
+    """The same of a single recording."""
+    return replays(chain, rig, [recording], marker_noise, encoder_noise)[0]
 
 
-def _search(problem: _Problem, run: _Run, jacobian_at: Callable[[_Run], Array], tolerance: float) -> tuple[_Run, bool]:
-    """Levenberg-Marquardt; a Jacobian is kept as long as steps along it bring half of what they promise."""
-    damping, fresh = 0.0, True
-    factors = np.linalg.svd(jacobian_at(run), full_matrices=False)
-    for _ in range(_MOST_ITERATIONS):
-        step, predicted = _damped_step(factors, run.residual, damping)
-        if predicted < max(tolerance * run.chi2, _NEGLIGIBLE):
-            return run, True
-        trial = problem.attempt(run.state + problem.scale * step)
-        decrease = -np.inf if trial is None else run.chi2 - trial.chi2
-        if trial is not None and decrease > 0:
-            run, damping = trial, damping / 10 if damping > _LEAST_DAMPING else 0.0
-        if decrease > predicted / 2:
-            fresh = False
-        elif decrease > 0 or not fresh:
-            factors, fresh = np.linalg.svd(jacobian_at(run), full_matrices=False), True
-        else:
-            damping = max(10 * damping, _LEAST_DAMPING)
-    return run, False
+@dataclass
+class _Search:
+    """One recording's way to its most likely initial state."""
 
+    run: Run
+    damping: float = 0.0
+    triangle: Triangle | None = None
+    converged: bool = False
 
-@dataclass(frozen=True)
-class _Problem:
-    """Weighted residuals of a recording as a function of the initial state."""
-
-    chain: Chain
-    rig: Rig
-    recording: Recording
-    measured: _Measured
-    scale: Array
-
-    def run(self, state: Array) -> _Run:
-        """Simulate from the initial state (2 nv,)."""
-        q, v = self._rollout(state[None])
-        residual = self.measured.weights * (self.measured.values - self._values(q)[0])
-        return _Run(state, q[:, 0], v[:, 0], residual)
-
-    def attempt(self, state: Array) -> _Run | None:
-        """The same; None where the simulation diverges."""
-        try:
-            return self.run(state)
-        except SimulationDivergedError:
+    def proposal(self) -> Array | None:
+        """The next state to try; None once nothing is to be gained."""
+        if self.triangle is None:
+            self.triangle = self.run.triangle()
+        step = self.triangle.damped(self.damping).best()
+        if self.triangle.decrease(step) < max(_TOLERANCE * self.run.chi2, _NEGLIGIBLE):
+            self.converged = True
             return None
+        return self.run.state + self.run.basis.states @ step
 
-    def jacobian(self, run: _Run) -> Array:
-        """(m, 2 nv) derivative of the weighted model values by the scaled state: one batched simulation."""
-        q, _ = self._rollout(run.state + np.diag(_PERTURBATION * self.scale))
-        return self._difference(run.q, q)
-
-    def linear_jacobian(self, run: _Run) -> Array:
-        """The same with the linear motion's derivatives about the position of rest."""
-        recording, chain = self.recording, self.chain
-        M, D, K, _ = linearise(chain, recording.payload, recording.gravity, run.q[0, chain.active])
-        step = default_step(chain, recording.payload)
-        count = int(np.ceil((recording.time[-1] - recording.time[0]) / step))
-        free, _ = sample(linear_response(M, D, K, float(recording.time[0]), step, count), recording.time)
-        return self._difference(run.q, run.q[:, None] + _PERTURBATION * self.scale[:, None] * free)
-
-    def _rollout(self, states: Array) -> tuple[Array, Array]:
-        n = self.chain.size
-        return rollout([self.chain] * len(states), self.recording, states[:, :n], states[:, n:])
-
-    def _values(self, q: Array) -> Array:
-        markers = marker_positions(self.chain, q[self.measured.frames], *marker_arcs(self.rig))
-        return self.measured.of_model(markers, q[..., self.chain.active])
-
-    def _difference(self, nominal: Array, moved: Array) -> Array:
-        """Slope (m, C) between a path (T, nv) and its perturbed copies (T, C, nv)."""
-        values = self._values(np.concatenate([nominal[:, None], moved], axis=1))
-        slope: Array = self.measured.weights[:, None] * (values[1:] - values[0]).T / _PERTURBATION
-        return slope
+    def judge(self, trial: Run | None) -> None:
+        """Go there if it is better."""
+        if trial is not None and trial.cost < self.run.cost:
+            self.run, self.triangle = trial, None
+            self.damping = self.damping / 10 if self.damping > _FIRST_DAMPING else 0.0
+        else:
+            self.damping = max(10 * self.damping, _FIRST_DAMPING)
 
 
-def _start(chain: Chain, recording: Recording) -> Array:
-    """Rest at the first measured active angles, passive joints hanging under gravity."""
-    first = [column[np.isfinite(column)][:1] for column in recording.theta.T]
-    theta = np.array([value[0] if value.size else 0.0 for value in first])
-    return equilibrium(chain, recording.payload, recording.gravity, theta)
+def most_likely(
+    chain: Chain, observed: Sequence[Observed], states: Sequence[Array] | None = None, coarse: float = 1.0
+) -> list[tuple[Run, bool]]:
+    """Each recording's run from its most likely initial state, and whether the search for it converged.
+
+    Args:
+        chain: the arm.
+        observed: the recordings.
+        states: (2 nv,) where to start; None: at rest.
+        coarse: multiple of the default step.
+    """
+    starts = [Start.of(chain, each.recording) for each in observed]
+    first = [start.rest for start in starts] if states is None else states
+    runs = run_all([chain] * len(observed), observed, starts, first, coarse)
+    searches = [_Search(run) for run in runs]
+    for _ in range(_MOST_ITERATIONS):
+        proposals = [(search, search.proposal()) for search in searches if not search.converged]
+        pending = [(search, state) for search, state in proposals if state is not None]
+        if not pending:
+            break
+        for (search, _), trial in zip(pending, _attempts(chain, pending, coarse), strict=True):
+            search.judge(trial)
+    return [(search.run, search.converged) for search in searches]
 
 
-def _state_scale(chain: Chain) -> Array:
-    """(2 nv,) natural sizes of the state's components: one radian, and one radian per unit of the stiffest joint."""
-    omega = np.sqrt(
-        chain.stiffness.max() / max(sum(float(link.masses @ link.lengths**2) for link in chain.links), 1e-12)
-    )
-    return np.concatenate([np.ones(chain.size), np.full(chain.size, float(omega))])
+def _attempts(chain: Chain, pending: Sequence[tuple[_Search, Array]], coarse: float) -> list[Run | None]:
+    """Runs from the proposed states; None where one diverges."""
+    parts = [(search.run.observed, search.run.start, state) for search, state in pending]
+    try:
+        return list(run_all([chain] * len(parts), *map(list, zip(*parts, strict=True)), coarse))  # type: ignore[arg-type]
+    except SimulationDivergedError:
+        if len(parts) == 1:
+            return [None]
+        return [_attempts(chain, [each], coarse)[0] for each in pending]
 
 
-def _damped_step(factors: tuple[Array, Array, Array], residual: Array, damping: float) -> tuple[Array, float]:
-    """Step along the Jacobian's singular directions and the decrease of chi^2 that it promises."""
-    left, singular, right = factors
-    kept = singular > 1 / _LARGEST_UNCERTAINTY
-    components = left.T @ residual
-    gains = np.where(kept, singular / np.maximum(singular**2 + damping * singular[0] ** 2, 1e-300), 0.0)
-    taken = gains * singular
-    return right.T @ (gains * components), float(np.sum(components**2 * taken * (2 - taken)))
-
-
-def _report(problem: _Problem, run: _Run, converged: bool) -> Replay:
-    chain, recording = problem.chain, problem.recording
-    markers = marker_positions(chain, run.q, *marker_arcs(problem.rig))
-    simulation = Simulation(recording.time, run.q, run.v, run.q[:, chain.active], markers)
-    marker_residual = recording.markers - markers
-    theta_residual = recording.theta - simulation.theta
-    known = np.isfinite(theta_residual)
+def report(run: Run, converged: bool) -> Replay:
+    """A run as its user sees it."""
+    recording, chain = run.observed.recording, run.chain
+    q, v = run.path
+    simulation = Simulation(recording.time, q, v, q[:, chain.active], run.observed.arcs.markers(chain, q))
+    split = run.observed.markers.size
+    off = run.observed.values - run.observed.predicted(chain, q)
+    counted = run.observed.weights > 0
+    markers, angles = off[:split][counted[:split]], off[split:][counted[split:]]
     return Replay(
         simulation=simulation,
         chi2=run.chi2,
-        count=run.residual.size,
-        marker_rms=float(np.sqrt(np.nanmean(marker_residual**2))),
-        theta_rms=float(np.sqrt(np.mean(theta_residual[known] ** 2))) if known.any() else None,
+        count=run.observed.count,
+        marker_rms=float(np.sqrt(np.mean(markers**2))) if markers.size else float("nan"),
+        theta_rms=float(np.sqrt(np.mean(angles**2))) if angles.size else None,
         status="converged" if converged else "not converged",
     )

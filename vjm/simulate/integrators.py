@@ -1,6 +1,6 @@
 """Time steps for virtual-joint chains: stiff in K, smooth in everything else.
 
-Every integrator advances all copies of a `Mechanism` together, with joint torques that are linear between knots.
+Every integrator advances all copies of a `Mechanism` together, each under its own torque.
 """
 
 from __future__ import annotations
@@ -15,25 +15,12 @@ from scipy.linalg import expm
 from vjm import dynamics
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
+from vjm.simulate.drive import Drive
+from vjm.simulate.steps import Steps
 
 Array = NDArray[np.float64]
 
 _LARGEST_ANGLE = 1e3  # rad; beyond it a trajectory has diverged
-
-
-@dataclass(frozen=True)
-class Steps:
-    """A trajectory at the integrator's own instants.
-
-    Attributes:
-        time: (S + 1,) [s].
-        q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
-    """
-
-    time: Array
-    q: Array
-    v: Array
-    a: Array
 
 
 @dataclass(frozen=True)
@@ -43,45 +30,57 @@ class System:
     Attributes:
         mechanism: the copies as branches of one model.
         stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
+        active: coordinates that torques drive.
     """
 
     mechanism: dynamics.Mechanism
     stiffness: Array
     damping: Array
+    active: NDArray[np.intp]
 
     @classmethod
-    def of(cls, chains: Sequence[Chain], payload: float, gravity: tuple[float, float]) -> System:
-        """The system of several chains with the same coordinates, all under the same gravity [m/s^2]."""
+    def of(cls, chains: Sequence[Chain], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
+        """The system of several chains with the same coordinates, each with its own payload [kg] on the tip.
+
+        Args:
+            chains: one a copy.
+            payloads: one a copy [kg].
+            gravity: in the plane, for all [m/s^2].
+        """
         return cls(
-            dynamics.build(chains, payload, gravity),
+            dynamics.build(chains, payloads, gravity),
             np.stack([chain.stiffness for chain in chains]),
             np.stack([chain.damping for chain in chains]),
+            chains[0].active,
         )
 
     def acceleration(self, q: Array, v: Array, torque: Array) -> Array:
-        """(C, nv) accelerations at q, v (C, nv) under joint torques (nv,) or (C, nv) [N m]."""
-        total = torque - self.stiffness * q - self.damping * v
+        """(C, nv) accelerations at q, v (C, nv) under torques (C, n_a) of the active joints [N m]."""
+        total = -self.stiffness * q - self.damping * v
+        total[:, self.active] += torque
         flat = dynamics.forward_dynamics(self.mechanism, q.ravel(), v.ravel(), total.ravel())
         return flat.reshape(q.shape)
 
 
-def runge_kutta(system: System, q: Array, v: Array, torque: Array, start: float, step: float) -> Steps:
+def runge_kutta(system: System, q: Array, v: Array, drive: Drive) -> Steps:
     """Classical fourth-order Runge-Kutta with fixed steps: the reference (section 6.4 takes 100 us).
 
     Args:
         system: the copies.
         q, v: (C, nv) initial angles [rad] and rates [rad/s].
-        torque: (2 S + 1, nv) joint torques [N m] at the S steps' ends and middles.
-        start, step: first instant and step [s].
+        drive: the torques over the steps.
+
+    Returns:
+        The trajectory, from time zero.
 
     Raises:
         SimulationDivergedError: the trajectory left the finite numbers.
     """
-    count = len(torque) // 2
-    record = _Recorder(start, step, count, q)
+    step, count = drive.step, len(drive.start)
+    record = _Recorder(drive, q)
     half = step / 2
     for k in range(count):
-        now, middle, end = torque[2 * k : 2 * k + 3]
+        now, middle, end = drive.start[k], drive.middle[k], drive.end[k]
         a1 = system.acceleration(q, v, now)
         record.put(k, q, v, a1)
         v2 = v + half * a1
@@ -92,26 +91,28 @@ def runge_kutta(system: System, q: Array, v: Array, torque: Array, start: float,
         a4 = system.acceleration(q + step * v3, v4, end)
         q = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    return record.finish(q, v, system.acceleration(q, v, torque[-1]))
+    return record.finish(q, v, system.acceleration(q, v, drive.ends[-1]))
 
 
-def exponential(system: System, q: Array, v: Array, torque: Array, start: float, step: float) -> Steps:
+def exponential(system: System, q: Array, v: Array, drive: Drive) -> Steps:
     """Fourth-order exponential time differencing (Cox and Matthews 2002, ETDRK4): the fast default.
 
     The constant part (M at zero angles, D, K) is advanced exactly whatever the step; the steps only have to resolve
     what the bending itself changes. Arguments, result and errors are those of `runge_kutta`.
     """
-    linear = _linear_part(system)
-    n, count = q.shape[1], len(torque) // 2
-    propagators = _Propagators.of(linear, step)
+    linear, inverse = _linear_part(system)
+    n, count = q.shape[1], len(drive.start)
+    propagators = _Propagators.of(linear, drive.step)
     multiply = _multiply_shared if len(linear) == 1 else _multiply_each
     from_state, from_first, from_second, from_middle, rate, end = propagators.stacked()
-    record = _Recorder(start, step, count, q)
+    record = _Recorder(drive, q)
+    # From the quadratic's acceleration at the start of each step to the torque's own, for what lies between steps.
+    missing = np.einsum("cij,scj->sci", inverse[:, :, system.active], drive.ends[:-1] - drive.start)
     x = np.concatenate([q, v], axis=1)
     for k in range(count):
-        now, middle, last = torque[2 * k : 2 * k + 3]
+        now, middle, last = drive.start[k], drive.middle[k], drive.end[k]
         a = system.acceleration(x[:, :n], x[:, n:], now)
-        record.put(k, x[:, :n], x[:, n:], a)
+        record.put(k, x[:, :n], x[:, n:], a + missing[k])
         products = multiply(x, from_state)  # exp(L h / 2) x, exp(L h) x, L x
         drift, result = products[:, : 2 * n], products[:, 2 * n : 4 * n]
         n1 = a - products[:, 4 * n :]
@@ -128,31 +129,7 @@ def exponential(system: System, q: Array, v: Array, torque: Array, start: float,
         x4, result = later + 2 * products[:, : 2 * n], result + products[:, 2 * n :]
         n4 = system.acceleration(x4[:, :n], x4[:, n:], last) - multiply(x4, rate)
         x = result + multiply(n4, end)
-    return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], torque[-1]))
-
-
-def linear_response(M: Array, D: Array, K: Array, start: float, step: float, count: int) -> Steps:
-    """Free motion of M x'' + D x' + K x = 0 from each unit initial state in turn, exact at every step.
-
-    Args:
-        M, D, K: (nv, nv).
-        start, step: first instant and step [s].
-        count: number of steps S.
-
-    Returns:
-        Steps of C = 2 nv copies; copy c started with component c of (x, x') at one and all others at zero.
-    """
-    n = len(M)
-    rate = np.block([[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(M, np.hstack([K, D]))]])
-    flow = expm(rate * step)
-    states = np.empty((count + 1, 2 * n, 2 * n))
-    states[0] = np.eye(2 * n)
-    for k in range(count):
-        states[k + 1] = flow @ states[k]
-    copies = np.swapaxes(states, 1, 2)
-    a = copies @ rate[n:].T
-    instants = np.asarray(start + step * np.arange(count + 1), dtype=float)
-    return Steps(instants, copies[:, :, :n], copies[:, :, n:], a)
+    return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], drive.ends[-1]))
 
 
 INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
@@ -170,8 +147,8 @@ def _multiply_each(states: Array, matrices: Array) -> Array:
     return result
 
 
-def _linear_part(system: System) -> Array:
-    """(C, 2 nv, 2 nv) constant part of d/dt (q, v), at zero angles; a single one if all copies share it."""
+def _linear_part(system: System) -> tuple[Array, Array]:
+    """Constant part (C, 2 nv, 2 nv) of d/dt (q, v) at zero angles, a single one where all share it; M^-1 (C, nv, nv)."""
     copies, n = system.stiffness.shape
     full = dynamics.mass_matrix(system.mechanism, np.zeros((1, copies * n)))[0]
     inertia = np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])
@@ -180,7 +157,7 @@ def _linear_part(system: System) -> Array:
     linear[:, :n, n:] = np.eye(n)
     linear[:, n:, :n] = -inverse * system.stiffness[:, None, :]
     linear[:, n:, n:] = -inverse * system.damping[:, None, :]
-    return linear[:1] if (linear == linear[0]).all() else linear
+    return (linear[:1] if (linear == linear[0]).all() else linear), inverse
 
 
 @dataclass(frozen=True)
@@ -236,40 +213,18 @@ def _phi_functions(linear: Array, step: float) -> tuple[Array, Array, Array, Arr
 class _Recorder:
     """Keeps the steps and notices divergence."""
 
-    def __init__(self, start: float, step: float, count: int, q: Array) -> None:
-        self.time = np.asarray(start + step * np.arange(count + 1), dtype=float)
-        self.step = step
-        self.q, self.v, self.a = (np.empty((count + 1, *q.shape)) for _ in range(3))
+    def __init__(self, drive: Drive, q: Array) -> None:
+        self.drive = drive
+        self.q, self.v, self.a = (np.empty((len(drive.ends), *q.shape)) for _ in range(3))
 
     def put(self, k: int, q: Array, v: Array, a: Array) -> None:
         self.q[k], self.v[k], self.a[k] = q, v, a
         if not np.abs(q).max() < _LARGEST_ANGLE:
+            copy = int(np.argmin((np.abs(q) < _LARGEST_ANGLE).all(axis=1)))
+            time = float(self.drive.first[copy]) + self.drive.step * max(k - 1, 0)
             remedy = "take smaller steps, or check the model's masses, stiffness and torque"
-            raise SimulationDivergedError(float(self.time[max(k - 1, 0)]), self.step, remedy)
+            raise SimulationDivergedError(time, self.drive.step, remedy)
 
     def finish(self, q: Array, v: Array, a: Array) -> Steps:
-        self.put(len(self.time) - 1, q, v, a)
-        return Steps(self.time, self.q, self.v, self.a)
-
-
-def sample(steps: Steps, time: Array) -> tuple[Array, Array]:
-    """Angles and rates at any instants between the first and last step, by quintic Hermite interpolation.
-
-    Args:
-        steps: the trajectory.
-        time: (T,) [s].
-
-    Returns:
-        q, v (T, C, nv) [rad, rad/s].
-    """
-    h = float(steps.time[1] - steps.time[0])
-    k = np.clip(((time - steps.time[0]) / h).astype(int), 0, len(steps.time) - 2)
-    s = ((time - steps.time[k]) / h)[:, None, None]
-    q0, v0, a0 = steps.q[k], steps.v[k] * h, steps.a[k] * h * h / 2
-    jump = steps.q[k + 1] - q0 - v0 - a0
-    slope = steps.v[k + 1] * h - v0 - 2 * a0
-    bend = (steps.a[k + 1] * h * h - 2 * a0) / 2
-    c3, c4, c5 = 10 * jump - 4 * slope + bend, -15 * jump + 7 * slope - 2 * bend, 6 * jump - 3 * slope + bend
-    q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
-    v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-    return q, v
+        self.put(len(self.q) - 1, q, v, a)
+        return Steps(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a)

@@ -8,23 +8,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vjm.chain.curve import marker_positions
 from vjm.chain.records import Chain
-from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
+from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.records import Recording, Rig
 from vjm.modes import linearise, modes_of
-from vjm.simulate.integrators import INTEGRATORS, System, sample
+from vjm.simulate.drive import Drive
+from vjm.simulate.integrators import INTEGRATORS, System
+from vjm.simulate.observation import Arcs
+from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
 
-# The remainder that the exponential integrator's steps resolve follows the slowest and the fastest mode of the locked
-# arm; measured on 1 m chains of 4 to 10 joints bent by an eighth of their length: the tip stays within 1e-6 m for 10 s.
-# The error grows with the arm's length and the fourth power of the step.
-_STEPS_A_PERIOD = 140.0
-_TOP_MODE_STEP = 0.8  # periods of the fastest mode
-_ELBOW_STEP = 0.015  # the same where an active joint further out bends the arm and so changes its mass matrix
+# Steps a period of the locked arm's slowest mode; measured on 1 m chains of 4 to 40 joints bent by an eighth of their
+# length, or driven: the tip stays within 1e-6 m for 10 s. The error grows with the arm's length and the fourth power of
+# the step; the top modes of larger chains, however fast, are in the part that is advanced exactly.
+_STEPS_A_PERIOD = 80.0
+_MORE_A_JOINT = 16.0
+_MOST_STEPS_A_PERIOD = 220.0
+_ELBOW_STEP = 0.015  # periods of the fastest mode, where an active joint further out changes the mass matrix itself
 REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20
+_HALF_INTERVAL = 1 / 140  # periods of the slowest mode
+_HALF_INTERVAL_ELBOW = 1 / 300  # where the arm changes its shape altogether
+_ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
+_MOST_TOGETHER = 64
 
 
 @dataclass(frozen=True)
@@ -47,47 +54,108 @@ class Simulation:
 
 def default_step(chain: Chain, payload: float = 0.0) -> float:
     """Step of the exponential integrator [s] that keeps the tip within 1e-6 m of the reference over 10 s."""
+    slowest, fastest = locked_frequencies(chain, payload)
+    longer = sum(link.length for link in chain.links) ** -0.25
+    most = max(link.virtual_joints for link in chain.links)
+    step = 1 / (min(_STEPS_A_PERIOD + _MORE_A_JOINT * most, _MOST_STEPS_A_PERIOD) * slowest)
+    if (chain.active > 0).any():
+        step = min(step, _ELBOW_STEP / fastest)
+    return float(longer * step)
+
+
+def locked_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
+    """Natural frequencies of the slowest and the fastest mode with the active joints locked [Hz]."""
     M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
     p = chain.passive
     locked = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)], rest[p]).frequencies
-    longer = sum(link.length for link in chain.links) ** -0.25
-    top = _TOP_MODE_STEP if (chain.active == 0).all() else _ELBOW_STEP
-    return float(longer * min(1 / (_STEPS_A_PERIOD * locked[0]), top / locked[-1]))
+    return float(locked[0]), float(locked[-1])
 
 
-def measured_torque(chain: Chain, recording: Recording) -> tuple[Array, Array]:
-    """Instants (T',) [s] and torques (T', n_a) [N m] at which all the active joints' torques were measured.
+def rollouts(
+    chains: Sequence[Chain],
+    recordings: Sequence[Recording],
+    q: ArrayLike,
+    v: ArrayLike,
+    integrator: str = "exponential",
+    step: float | None = None,
+    coarse: float = 1.0,
+) -> list[Steps]:
+    """Simulate several recordings, or several copies over one, all advanced together where they are alike.
+
+    Args:
+        chains: C chains with the same coordinates, one a run.
+        recordings: C recordings: each gives instants, torque, gravity and payload.
+        q, v: (C, nv) initial angles [rad] and rates [rad/s].
+        integrator: `exponential` or `rk4`.
+        step: [s]; None: `default_step` or, for `rk4`, 100 us.
+        coarse: multiple of the default step to take.
+
+    Returns:
+        C trajectories of one copy each, from the recording's first instant to its last or a little beyond: their
+        numbers of steps are multiples of two `half_interval`s.
 
     Raises:
-        InsufficientDataError: an active joint without measured torque: what drives it is unknown.
+        ChoiceError: unknown integrator.
+        InsufficientDataError: no torque measured at an active joint.
+        SimulationDivergedError: a trajectory left the finite numbers.
     """
-    if chain.active.size == 0:
-        return recording.time[:1], np.zeros((1, 0))
-    known = np.isfinite(recording.tau).all(axis=1)
-    if known.sum() < 2:
-        raise InsufficientDataError(
-            f"simulation of {recording.file}",
-            "no torque was measured at its active joints",
-            "record the column LINK.tau",
-        )
-    return recording.time[known], recording.tau[known]
+    if integrator not in INTEGRATORS:
+        raise ChoiceError("integrator", integrator, INTEGRATORS)
+    angles, rates = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
+    found: list[Steps | None] = [None] * len(chains)
+    for group in _alike(recordings):
+        first = recordings[group[0]]
+        h = _step_of(chains[group[0]], first, integrator, step, coarse)
+        counts = [_count(chains[k], recordings[k], h) for k in group]
+        drive = Drive.of([recordings[k] for k in group], h, max(counts))
+        system = System.of([chains[k] for k in group], [recordings[k].payload for k in group], first.gravity)
+        steps = INTEGRATORS[integrator](system, angles[group], rates[group], drive)
+        for c, (k, count) in enumerate(zip(group, counts, strict=True)):
+            rows = slice(count + 1)
+            time = recordings[k].time[0] + steps.time[rows]
+            found[k] = Steps(time, *(values[rows, c : c + 1] for values in (steps.q, steps.v, steps.a)))
+    return [each for each in found if each is not None]
 
 
-def _grid(chain: Chain, recording: Recording, wanted: float) -> tuple[Array, float]:
-    """Joint torques (2 S + 1, nv) at the ends and middles of the steps, and the step [s]."""
-    knots, torque = measured_torque(chain, recording)
-    duration = float(recording.time[-1] - recording.time[0])
-    step = min(wanted, duration / _LEAST_STEPS) if duration > 0 else wanted
-    if knots.size > 1:
-        # A torque that is linear between knots has kinks there: whole steps begin at them, and none passes over one.
-        spacing = float(np.median(np.diff(knots)))
-        step = spacing / np.ceil(spacing / step)
-    count = max(1, int(np.ceil(duration / step - 1e-9)))
-    instants = recording.time[0] + step / 2 * np.arange(2 * count + 1)
-    spread = np.zeros((instants.size, chain.size))
-    for column, at in enumerate(chain.active):
-        spread[:, at] = np.interp(instants, knots, torque[:, column])
-    return spread, step
+def _alike(recordings: Sequence[Recording]) -> list[list[int]]:
+    """Indices of recordings that can be advanced together: under the same gravity, and about equally long."""
+    groups: list[list[int]] = []
+    for k in np.argsort([_duration(recording) for recording in recordings], kind="stable").tolist():
+        for group in groups:
+            first = recordings[group[0]]
+            short = _duration(recordings[k]) <= _ABOUT_EQUAL * _duration(first)
+            if short and recordings[k].gravity == first.gravity and len(group) < _MOST_TOGETHER:
+                group.append(k)
+                break
+        else:
+            groups.append([k])
+    return groups
+
+
+def _duration(recording: Recording) -> float:
+    return float(recording.time[-1] - recording.time[0])
+
+
+def _step_of(chain: Chain, recording: Recording, integrator: str, step: float | None, coarse: float) -> float:
+    if step is None:
+        step = coarse * default_step(chain, recording.payload) if integrator == "exponential" else REFERENCE_STEP
+    if not 0 < step < np.inf:
+        raise ShapeError("step", step, "a positive number of seconds")
+    duration = _duration(recording)
+    return min(step, duration / _LEAST_STEPS) if duration > 0 else step
+
+
+def half_interval(chain: Chain, recording: Recording, step: float) -> int:
+    """Number of steps [s] in half an interval over which derivatives of the motion are advanced at once."""
+    slowest, _ = locked_frequencies(chain, recording.payload)
+    periods = _HALF_INTERVAL_ELBOW if (chain.active > 0).any() else _HALF_INTERVAL
+    return max(1, int(periods / (slowest * step) + 1e-9))
+
+
+def _count(chain: Chain, recording: Recording, step: float) -> int:
+    multiple = 2 * half_interval(chain, recording, step)
+    count = max(1, int(np.ceil(_duration(recording) / step - 1e-9)))
+    return multiple * -(-count // multiple)
 
 
 def rollout(
@@ -98,42 +166,24 @@ def rollout(
     integrator: str = "exponential",
     step: float | None = None,
 ) -> tuple[Array, Array]:
-    """Angles of several copies of a chain over a recording, all driven by its torque.
+    """Angles of several copies of a chain over one recording, all driven by its torque.
 
     Args:
         chains: C chains with the same coordinates.
         recording: gives the instants, torque, gravity and payload.
         q, v: (C, nv) initial angles [rad] and rates [rad/s].
         integrator: `exponential` or `rk4`.
-        step: [s]; None: `default_step` or, for `rk4`, 100 us.
+        step: [s]; None: the integrator's default.
 
     Returns:
         q, v (T, C, nv) at the recording's instants [rad, rad/s].
 
     Raises:
-        ChoiceError: unknown integrator.
-        InsufficientDataError: no torque measured at an active joint.
-        SimulationDivergedError: the trajectory left the finite numbers.
+        ChoiceError, InsufficientDataError, SimulationDivergedError: as `rollouts`.
     """
-    if integrator not in INTEGRATORS:
-        raise ChoiceError("integrator", integrator, INTEGRATORS)
-    if step is None:
-        step = default_step(chains[0], recording.payload) if integrator == "exponential" else REFERENCE_STEP
-    if not 0 < step < np.inf:
-        raise ShapeError("step", step, "a positive number of seconds")
-    angles, rates = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
-    torque, step = _grid(chains[0], recording, step)
-    system = System.of(chains, recording.payload, recording.gravity)
-    steps = INTEGRATORS[integrator](system, angles, rates, torque, float(recording.time[0]), step)
-    return sample(steps, recording.time)
-
-
-def marker_arcs(rig: Rig) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
-    """For each link, its markers' arc lengths [m] and whether they are given in the link frame."""
-    return (
-        tuple(np.array(link.markers) for link in rig.links),
-        tuple(link.markers_frame == "link" for link in rig.links),
-    )
+    runs = rollouts(chains, [recording] * len(chains), q, v, integrator, step)
+    angles, rates = zip(*(sample(run, recording.time) for run in runs), strict=True)
+    return np.concatenate(angles, axis=1), np.concatenate(rates, axis=1)
 
 
 def simulate(
@@ -160,6 +210,4 @@ def simulate(
     """
     angles, rates = rollout([chain], recording, np.atleast_2d(q), np.atleast_2d(v), integrator, step)
     path = angles[:, 0]
-    return Simulation(
-        recording.time, path, rates[:, 0], path[:, chain.active], marker_positions(chain, path, *marker_arcs(rig))
-    )
+    return Simulation(recording.time, path, rates[:, 0], path[:, chain.active], Arcs.of(rig).markers(chain, path))

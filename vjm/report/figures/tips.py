@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from vjm.chain.curve import marker_positions
 from vjm.errors import InsufficientDataError
 from vjm.experiment.records import Rig
 from vjm.identification.records import RecordingFit
@@ -32,7 +31,7 @@ from vjm.report.figures.style import (
 )
 from vjm.report.wording import millimetres, short
 from vjm.simulate.initial_state import Replay
-from vjm.simulate.rollout import marker_arcs
+from vjm.simulate.observation import Arcs
 
 Array = NDArray[np.float64]
 
@@ -90,7 +89,7 @@ def _drawn(replay: Replay, model: Model, signal: Signal, window: tuple[float, fl
     simulation = replay.simulation
     time = np.linspace(*window, _DRAWN_POINTS)
     q = CubicHermiteSpline(simulation.time, simulation.q, simulation.v)(time)
-    markers = marker_positions(model.chain, q, *marker_arcs(model.rig))
+    markers = Arcs.of(model.rig).markers(model.chain, q)
     return time, markers[:, signal.marker, signal.axis]
 
 

@@ -1,0 +1,263 @@
+"""The maximum-likelihood fit in the space of what was measured: every recording simulated open loop, all at once.
+
+Unknowns are the parametrisation's coordinates and every recording's initial state. The initial states are eliminated
+recording by recording, so the search itself is one over the coordinates (Levenberg-Marquardt). It starts with the
+recordings' first few periods, where no frequency error can have cost a whole cycle, and lengthens them step by step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from vjm.chain.records import Chain
+from vjm.errors import SimulationDivergedError
+from vjm.identification.parametrisation import Parametrisation
+from vjm.simulate.initial_state import Run, Start, most_likely, run_all
+from vjm.simulate.observation import Observed
+from vjm.simulate.rollout import locked_frequencies
+from vjm.simulate.sensitivity import Moved
+from vjm.simulate.triangle import Triangle
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+_MOST_ITERATIONS = 40
+_NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths of a standard error
+_COARSE = 1e-2  # the same relative to chi^2, before the whole recordings are looked at
+_FIRST_DAMPING = 1e-3
+_MOST_DAMPING = 1e6
+_FIRST_PERIODS = 3.0  # of the slowest mode
+_LONGER = 3.0  # from one horizon to the next
+_DERIVATIVE_STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class TrajectoryProblem:
+    """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
+
+    Attributes:
+        parametrisation: the coordinates.
+        observed: the recordings.
+        coarse: multiple of the integrator's default step, whose error stays far below the noise.
+        preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
+        spread: size of the weighted residuals that counts as one standard deviation beside the preference.
+    """
+
+    parametrisation: Parametrisation
+    observed: tuple[Observed, ...]
+    coarse: float = 1.0
+    preference: tuple[Array, Array] | None = None
+    spread: float = 1.0
+
+    def until(self, duration: float) -> TrajectoryProblem:
+        """The same with the recordings' first seconds only."""
+        parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]
+        return replace(self, observed=tuple(parts))
+
+    def moved(self, x: Array) -> tuple[Moved, ...]:
+        """The chain with each coordinate moved a little."""
+        found = []
+        upper = self.parametrisation.bounds[1]
+        for k, value in enumerate(x):
+            by = _DERIVATIVE_STEP * max(abs(value), 1e-2)
+            by = by if value + by <= upper[k] else -by
+            point = x.copy()
+            point[k] += by
+            found.append(Moved(self.parametrisation.chain(point), by))
+        return tuple(found)
+
+    def preferred(self, x: Array) -> tuple[Array, Array]:
+        """Rows (p, p) and what they want (p,) of the preference for a change of x; none without a preference."""
+        if self.preference is None:
+            return np.zeros((0, x.size)), np.zeros(0)
+        centre, width = self.preference
+        return np.diag(self.spread / width), self.spread * (centre - x) / width
+
+
+@dataclass(frozen=True)
+class Point:
+    """Coordinates and initial states, with every recording simulated from there.
+
+    Attributes:
+        problem: what is minimised.
+        x: (p,) coordinates.
+        runs: one a recording.
+    """
+
+    problem: TrajectoryProblem
+    x: Array
+    runs: tuple[Run, ...]
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The chain at x."""
+        return self.problem.parametrisation.chain(self.x)
+
+    @cached_property
+    def cost(self) -> float:
+        """What the search minimises."""
+        wanted = self.problem.preferred(self.x)[1]
+        return sum(run.cost for run in self.runs) + float(wanted @ wanted)
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared weighted residuals."""
+        return sum(run.chi2 for run in self.runs)
+
+    @property
+    def count(self) -> int:
+        """Number of measured values."""
+        return sum(run.observed.count for run in self.runs)
+
+    @cached_property
+    def triangles(self) -> tuple[Triangle, ...]:
+        """Each recording's linearised problem: its initial state first, then the coordinates."""
+        moved = self.problem.moved(self.x)
+        return tuple(run.triangle(moved) for run in self.runs)
+
+    def gathered(self, damping: float = 0.0) -> tuple[Triangle, tuple[Triangle, ...]]:
+        """What all recordings (and the preference) together say of the coordinates, and the recordings' own problems."""
+        parts = tuple(triangle.damped(damping) for triangle in self.triangles)
+        rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
+        rows.append(np.column_stack(self.problem.preferred(self.x)))
+        stacked = np.vstack(rows)
+        return Triangle.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
+
+
+@dataclass(frozen=True)
+class TrajectoryFit:
+    """A minimum.
+
+    Attributes:
+        point: where.
+        converged: whether nothing more was to be gained there.
+        iterations: simulations of all recordings it took.
+    """
+
+    point: Point
+    converged: bool
+    iterations: int
+
+
+def fit_trajectory(
+    problem: TrajectoryProblem, start: Array, progress: Progress | None = None, whole: bool = False
+) -> TrajectoryFit:
+    """Find the coordinates and initial states that explain the measurements best.
+
+    Args:
+        problem: the measurements and the coordinates.
+        start: (p,) coordinates to start from.
+        progress: told (text, done, total) now and then.
+        whole: begin with whole recordings: the start is known to be near.
+    """
+    lower, upper = problem.parametrisation.bounds
+    x = np.clip(start, lower + 1e-6, upper)
+    horizons = [np.inf] if whole else _horizons(problem, x)
+    count, states = 0, None
+    for k, horizon in enumerate(horizons):
+        last = k == len(horizons) - 1
+        part = problem if last else problem.until(horizon)
+        fit = _search(part, x, states, _Progress(progress, k, len(horizons)), final=last)
+        count += fit.iterations
+        x, states = fit.point.x, [run.state for run in fit.point.runs]
+    return replace(fit, iterations=count)
+
+
+def _horizons(problem: TrajectoryProblem, x: Array) -> list[float]:
+    """Lengths of the recordings' beginnings to fit, each a few times the one before [s]."""
+    chain = problem.parametrisation.chain(x)
+    longest = max(float(o.recording.time[-1] - o.recording.time[0]) for o in problem.observed)
+    slowest = min(locked_frequencies(chain, o.recording.payload)[0] for o in problem.observed)
+    horizon, found = _FIRST_PERIODS / slowest, []
+    while horizon < longest / 1.5:
+        found.append(horizon)
+        horizon *= _LONGER
+    return [*found, np.inf]
+
+
+@dataclass
+class _Progress:
+    """Says how far the search has come."""
+
+    tell: Progress | None
+    stage: int
+    stages: int
+
+    def __call__(self, iteration: int) -> None:
+        if self.tell is not None:
+            inside = 1 - 0.7**iteration  # how many more there will be is not known
+            self.tell("fitting trajectories", int(100 * (self.stage + inside) / self.stages), 100)
+
+
+def _search(
+    problem: TrajectoryProblem, x: Array, states: Sequence[Array] | None, tell: _Progress, final: bool
+) -> TrajectoryFit:
+    chain = problem.parametrisation.chain(x)
+    if states is None or final:
+        found = most_likely(chain, problem.observed, states, problem.coarse)
+        point = Point(problem, x, tuple(run for run, _ in found))
+    else:
+        point = _point(problem, x, states)
+    damping, done = 0.0, False
+    iteration = 0
+    for iteration in range(_MOST_ITERATIONS):
+        tell(iteration)
+        change, state_changes, predicted = _step(point, damping)
+        least = _NEGLIGIBLE * max(point.chi2 / point.count, 1.0)
+        if predicted < (least if final else max(least, _COARSE * point.chi2)):
+            done = True
+            break
+        trial = _attempt(point, change, state_changes)
+        if trial is not None and trial.cost < point.cost:
+            decrease = point.cost - trial.cost
+            point = trial
+            if decrease > predicted / 4:
+                damping = damping / 10 if damping > _FIRST_DAMPING else 0.0
+        else:
+            damping = max(10 * damping, _FIRST_DAMPING)
+            if damping > _MOST_DAMPING:
+                break
+    return TrajectoryFit(point, done, iteration + 1)
+
+
+def _point(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> Point:
+    chain = problem.parametrisation.chain(x)
+    starts = [Start.of(chain, each.recording) for each in problem.observed]
+    runs = run_all([chain] * len(starts), problem.observed, starts, states, problem.coarse)
+    return Point(problem, x, tuple(runs))
+
+
+def _step(point: Point, damping: float) -> tuple[Array, list[Array], float]:
+    """Change of the coordinates and of the initial states, and the decrease of the cost that they promise."""
+    together, parts = point.gathered(damping)
+    lower, upper = point.problem.parametrisation.bounds
+    change = together.best()
+    if ((point.x + change < lower) | (point.x + change > upper)).any():
+        R = together.R[:, :-1]
+        scale = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
+        bounds = ((lower - point.x) * scale, (upper - point.x) * scale)
+        bounds = (np.minimum(bounds[0], 0.0) - 1e-12, np.maximum(bounds[1], 0.0) + 1e-12)
+        change = np.clip(lsq_linear(R / scale, together.R[:, -1], bounds).x / scale, lower - point.x, upper - point.x)
+    states, predicted = [], 0.0
+    for run, part, plain in zip(point.runs, parts, point.triangles, strict=True):
+        modal = part.solve(part.columns - change.size, change)
+        states.append(run.basis.states @ modal)
+        predicted += plain.decrease(np.concatenate([modal, change]))
+    rows, wanted = point.problem.preferred(point.x)
+    predicted += float(wanted @ wanted - np.sum((wanted - rows @ change) ** 2))
+    return change, states, predicted
+
+
+def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | None:
+    """The point a step further; None where a simulation diverges or the chain is none."""
+    moved = [run.state + by for run, by in zip(point.runs, states, strict=True)]
+    try:
+        return _point(point.problem, point.x + change, moved)
+    except SimulationDivergedError:
+        return None

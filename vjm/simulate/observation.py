@@ -1,0 +1,150 @@
+"""What cameras and encoders measured of a motion, and what a chain would have shown them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.curve import marker_positions
+from vjm.chain.records import Chain
+from vjm.experiment.records import Recording, Rig
+from vjm.simulate.loss import LINEAR, Loss
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_PERTURBATION = 1e-6  # of a direction's length
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """Where the markers are.
+
+    Attributes:
+        lengths: for each link, (k_i,) arc lengths [m].
+        in_link_frame: for each link, whether its markers are given in the link frame.
+    """
+
+    lengths: tuple[Array, ...]
+    in_link_frame: tuple[bool, ...]
+
+    @classmethod
+    def of(cls, rig: Rig) -> Arcs:
+        """Those of a rig."""
+        return cls(
+            tuple(np.array(link.markers) for link in rig.links),
+            tuple(link.markers_frame == "link" for link in rig.links),
+        )
+
+    def markers(self, chain: Chain, q: Array) -> Array:
+        """(..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
+        return marker_positions(chain, q, self.lengths, self.in_link_frame)
+
+    def slope(self, chain: Chain, q: Array, directions: Array) -> Array:
+        """(F, 2 k, m) derivatives of the marker coordinates along directions (nv, m) of the angles, at q (F, nv)."""
+        base = self.markers(chain, q).reshape(len(q), -1)
+        moved = [self.markers(chain, q + _PERTURBATION * each).reshape(len(q), -1) for each in directions.T]
+        return np.stack([(each - base) / _PERTURBATION for each in moved], axis=-1)
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What was measured in one recording: marker coordinates first, then active joints' angles, each in order of time.
+
+    Attributes:
+        recording: its source.
+        arcs: where the markers are.
+        frames: (F,) rows of the recording at which the camera measured anything.
+        markers: (N_m,) measured coordinates, as indices into (F, 2 k) flattened.
+        angles: (N_t,) measured angles, as indices into (T, n_a) flattened.
+        values: (N_m + N_t,) what was measured [m, rad].
+        weights: (N_m + N_t,) one over its 1-sigma noise; zero for what is left out [1/m, 1/rad].
+        loss: of the weighted residuals.
+    """
+
+    recording: Recording
+    arcs: Arcs
+    frames: Indices
+    markers: Indices
+    angles: Indices
+    values: Array
+    weights: Array
+    loss: Loss = LINEAR
+
+    @classmethod
+    def of(cls, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Observed:
+        """Everything measured in a recording, with the sensors' 1-sigma noise [m, rad]."""
+        frames = recording.frames
+        seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
+        markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
+        weights = np.concatenate([np.full(markers.size, 1 / marker_noise), np.full(angles.size, 1 / encoder_noise)])
+        values = np.concatenate([seen[markers], theta[angles]])
+        return cls(recording, Arcs.of(rig), frames, markers, angles, values, weights)
+
+    @property
+    def count(self) -> int:
+        """Number of measured values that count."""
+        return int(np.count_nonzero(self.weights))
+
+    def predicted(self, chain: Chain, q: Array) -> Array:
+        """(N_m + N_t,) what a motion q (T, nv) at the recording's instants would have shown [m, rad]."""
+        markers = self.arcs.markers(chain, q[self.frames])
+        return np.concatenate([markers.ravel()[self.markers], q[:, chain.active].ravel()[self.angles]])
+
+    def residual(self, chain: Chain, q: Array) -> Array:
+        """(N_m + N_t,) measured less predicted, weighted."""
+        return self.weights * (self.values - self.predicted(chain, q))
+
+    @property
+    def instants(self) -> Indices:
+        """(N_m + N_t,) row of the recording at which each value was measured."""
+        joints = max(self.recording.theta.shape[1], 1)
+        return np.concatenate([self.frames[self.markers // self._width], self.angles // joints])
+
+    def until(self, end: float) -> Observed:
+        """The beginning of the recording: all that was measured up to an instant [s]."""
+        recording = self.recording
+        rows = int(np.searchsorted(recording.time, end, side="right"))
+        if rows >= recording.time.size:
+            return self
+        part = replace(
+            recording,
+            time=recording.time[:rows],
+            theta=recording.theta[:rows],
+            tau=recording.tau[:rows],
+            markers=recording.markers[:rows],
+        )
+        frames = self.frames[self.frames < rows]
+        kept_markers = self.markers < frames.size * self._width
+        kept_angles = self.angles < rows * recording.theta.shape[1]
+        kept = np.concatenate([kept_markers, kept_angles])
+        markers, angles = self.markers[kept_markers], self.angles[kept_angles]
+        return replace(
+            self,
+            recording=part,
+            frames=frames,
+            markers=markers,
+            angles=angles,
+            values=self.values[kept],
+            weights=self.weights[kept],
+        )
+
+    def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:
+        """Of the rows from `first` up to `last`: their frames, their marker coordinates and their angles."""
+        begin, end = np.searchsorted(self.frames, (first, last))
+        markers = np.searchsorted(self.markers, (begin * self._width, end * self._width))
+        joints = self.recording.theta.shape[1]
+        angles = np.searchsorted(self.angles, (first * joints, last * joints))
+        offset = self.markers.size
+        return (
+            self.frames[begin:end],
+            slice(int(markers[0]), int(markers[1])),
+            slice(offset + int(angles[0]), offset + int(angles[1])),
+        )
+
+    @property
+    def _width(self) -> int:
+        """Marker coordinates of a frame."""
+        return 2 * int(self.recording.markers.shape[1])
