@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from vjm.errors import InsufficientDataError
 from vjm.experiment.records import Experiment
+from vjm.identification.data import Data, Options, read_data
+from vjm.identification.information import of_torque
 from vjm.identification.parametrisation import PARAMETRISATIONS
-from vjm.identification.run import Data, fit_uniform, read_data, refined
 from vjm.identification.select import cuts_of, nominal_chain
 from vjm.identification.torque_fit import evaluate
+from vjm.identification.torque_method import fit_uniform, refined
 from vjm.identification.uncertainty import covariance, estimates, to_physical
 from vjm.identification.warn import data_warnings, marker_warnings
 from vjm.modes import modes
@@ -56,7 +58,7 @@ def check(experiment: Experiment) -> Check:
     nominal = nominal_chain(rig, cuts_of(rig, [link.virtual_joints or _NOMINAL_JOINTS for link in rig.links]))
     expected = modes(nominal).frequencies
     try:
-        data = {kind: read_data(experiment, kind) for kind in PARAMETRISATIONS}
+        data = {kind: read_data(experiment, Options(kind)) for kind in PARAMETRISATIONS}
         identifiable = {kind: _identifiable(experiment, one, kind) for kind, one in data.items()}
     except InsufficientDataError as error:
         problem = str(error)
@@ -75,5 +77,6 @@ def _identifiable(experiment: Experiment, data: Data, kind: str) -> tuple[Estima
     if kind != "uniform":
         problem = refined(problem, fit, kind)
         fit = evaluate(problem, problem.parametrisation.start)
-    physical = to_physical(problem.parametrisation, fit.x, covariance(fit))
-    return estimates(problem.parametrisation, fit, physical)
+    information = of_torque(fit)
+    physical = to_physical(problem.parametrisation, fit.x, covariance(information))
+    return estimates(problem.parametrisation, fit.x, information, physical)

@@ -25,6 +25,7 @@ SCHEMA = 1
 
 def identification_result(fit: Identification) -> Result:
     """The result object of `vjm identify`."""
+    summary = fit.trajectory
     return {
         **_common("identify", fit.experiment.rig.name, fit.warnings),
         "notes": list(fit.notes),
@@ -35,7 +36,11 @@ def identification_result(fit: Identification) -> Result:
         "damping_ratios": [
             {"model": finite(mode.damping_model), "measured": finite(mode.damping_measured)} for mode in fit.modes
         ],
-        "objective": {"torque": finite(fit.objective)},
+        "mode_shape_mac": [finite(mode.mac) for mode in fit.modes],
+        "objective": {
+            "torque": finite(fit.objective),
+            "trajectory_chi2_per_sample": finite(None if summary is None else summary.chi2 / summary.count),
+        },
         "recordings": [recording_result(each) for each in fit.recordings],
         "status": fit.status,
         "remedy": fit.remedy,
@@ -98,6 +103,8 @@ def recording_result(fit: RecordingFit) -> Result:
         "theta_rms_rad": finite(replay.theta_rms if replay else None),
         "noise_m": finite(fit.marker_noise),
         "nominal_marker_rms_m": finite(nominal.marker_rms if nominal else None),
+        "torque_marker_rms_m": finite(fit.torque.marker_rms if fit.torque else None),
+        "left_out": fit.left_out,
         "problem": fit.problem,
     }
 

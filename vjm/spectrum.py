@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 from scipy.optimize import least_squares
-from scipy.signal import get_window, lfilter
+from scipy.signal import get_window
+
+from vjm.oscillators import Oscillators
 
 Array = NDArray[np.float64]
 
@@ -62,7 +64,7 @@ def measure_modes(
         torque: instants (U,) [s] and joint torques (U, n_a) [N m] that drove the motion; None for free motion.
     """
     t, y = _complete(np.asarray(time, dtype=float), np.asarray(signals, dtype=float))
-    oscillators = _Oscillators(t, torque)
+    oscillators = Oscillators(t, torque)
     values = np.zeros((0, 2))
     residual, _ = _project(oscillators.columns(values), y)
     for _ in range(2 * most):
@@ -132,61 +134,36 @@ def match(
     )
 
 
+def mode_shapes(
+    time: ArrayLike, signals: ArrayLike, modes: MeasuredModes, torque: tuple[ArrayLike, ArrayLike] | None = None
+) -> NDArray[np.complex128]:
+    """What each mode of a recording moves, and how much.
+
+    Args:
+        time: (T,) [s].
+        signals: (T, c) lateral deflections [m]; frames with NaN are left out.
+        modes: m modes found in the recording.
+        torque: as in `measure_modes`.
+
+    Returns:
+        (m, c, r) deflections of the modes' free motion and of their response to each of r - 1 torques, as RMS values
+        over the recording [m].
+    """
+    t, y = _complete(np.asarray(time, dtype=float), np.asarray(signals, dtype=float))
+    values = np.column_stack([modes.frequencies, modes.damping_ratios])
+    columns = Oscillators(t, torque).columns(values)
+    _, amplitudes = _project(columns, y)
+    sizes = np.sqrt(np.mean(columns**2, axis=0))
+    pairs = (amplitudes[1:] * sizes[1:, None]).reshape(len(values), -1, 2, y.shape[1])
+    return np.moveaxis(pairs[:, :, 0] - 1j * pairs[:, :, 1], 1, 2)
+
+
 def _complete(t: Array, y: Array) -> tuple[Array, Array]:
     kept = np.isfinite(y).all(axis=1)
     t, y = t[kept], y[kept]
     if len(t) > _MOST_FRAMES:
         t, y = t[:_MOST_FRAMES], y[:_MOST_FRAMES]
     return t, y
-
-
-class _Oscillators:
-    """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants."""
-
-    def __init__(self, time: Array, torque: tuple[ArrayLike, ArrayLike] | None) -> None:
-        self.time = time - time[0] if time.size else time
-        self.inputs: list[Array] = []
-        if torque is None or time.size == 0:
-            return
-        knots, values = np.asarray(torque[0], dtype=float), np.asarray(torque[1], dtype=float)
-        step = float(np.median(np.diff(knots)))
-        self.step = min(step, float(np.median(np.diff(time))))
-        grid = np.arange(int(np.ceil(self.time[-1] / self.step)) + 2) * self.step
-        for column in values.T:
-            sampled = np.interp(time[0] + grid, knots, column)
-            if np.ptp(sampled) > 0:
-                self.inputs.append(sampled)
-
-    def columns(self, values: Array) -> Array:
-        """(T, 1 + 2 m (1 + inputs)) offset, free and forced motion of m oscillators (Hz, ratio) (m, 2)."""
-        parts = [np.ones_like(self.time)]
-        for frequency, ratio in values:
-            pole = 2 * np.pi * frequency * (-ratio + 1j * np.sqrt(max(1 - ratio**2, 1e-12)))
-            free = np.exp(pole * self.time)
-            parts += [free.real, free.imag]
-            for signal in self.inputs:
-                forced = self._forced(pole, signal)
-                size = max(float(np.abs(forced).max()), 1e-300)
-                parts += [forced.real / size, forced.imag / size]
-        return np.stack(parts, axis=1)
-
-    def _forced(self, pole: complex, signal: Array) -> NDArray[np.complex128]:
-        """Response of z' = pole z + u at the camera's instants, u linear between its samples (exact)."""
-        h = self.step
-        flow = np.exp(pole * h)
-        first = (flow - 1) / pole
-        second = (flow - 1 - pole * h) / (pole**2 * h)
-        response = np.concatenate(
-            [[0.0], lfilter([1.0], [1.0, -flow], (first - second) * signal[:-1] + second * signal[1:])]
-        )
-        # Between grid instants: exact propagation from the one before, with the torque frozen in its linear piece.
-        k = np.minimum((self.time / h + 1e-9).astype(int), signal.size - 2)
-        rest = self.time - k * h
-        part = np.exp(pole * rest)
-        slope = (signal[k + 1] - signal[k]) / h
-        zeroth = (part - 1) / pole
-        moved: NDArray[np.complex128] = part * response[k] + zeroth * signal[k] + (zeroth - rest) / pole * slope
-        return moved
 
 
 def _project(columns: Array, y: Array) -> tuple[Array, Array]:
@@ -214,7 +191,7 @@ def _peak(time: Array, residual: Array, known: Array) -> float | None:
     return float(frequency[best]) if power[best] > threshold else None
 
 
-def _fit(oscillators: _Oscillators, y: Array, noise: float, known: Array, start: float) -> Array:
+def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: float) -> Array:
     """Add a mode near `start` [Hz] and refine all of them; the best of a few first damping ratios."""
     top = 0.5 / float(np.median(np.diff(oscillators.time)))
 
@@ -242,7 +219,7 @@ def _fit(oscillators: _Oscillators, y: Array, noise: float, known: Array, start:
     return refined
 
 
-def _pruned(oscillators: _Oscillators, y: Array, noise: float, values: Array) -> Array:
+def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> Array:
     """Without the modes that later ones have made superfluous: what they explain is no more than noise would be."""
     kept = values
     for row in values:
@@ -258,7 +235,7 @@ def _pruned(oscillators: _Oscillators, y: Array, noise: float, values: Array) ->
     return kept
 
 
-def _standard_errors(oscillators: _Oscillators, y: Array, values: Array) -> Array:
+def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array:
     """(m, 2) standard errors of frequencies [Hz] and damping ratios, with the residual's own size as noise."""
     if len(values) == 0:
         return np.empty((0, 2))

@@ -7,13 +7,14 @@ of arc length.
 from tests.fine_beam.beam import Beam, Numerics, State, Trajectory, simulate
 from tests.fine_beam.sensors import Camera, Encoder, Frames, observe, read_encoder
 from tests.fine_beam.states import Modes, linear_modes, modal_state, rest_state, static_state
-from tests.fine_beam.write import RecordingEntry, write_experiment, write_recording
+from tests.fine_beam.write import LinkRecord, RecordingEntry, write_arm_recording, write_experiment, write_recording
 
 __all__ = [
     "Beam",
     "Camera",
     "Encoder",
     "Frames",
+    "LinkRecord",
     "Modes",
     "Numerics",
     "RecordingEntry",
@@ -26,6 +27,7 @@ __all__ = [
     "rest_state",
     "simulate",
     "static_state",
+    "write_arm_recording",
     "write_experiment",
     "write_recording",
 ]

@@ -32,6 +32,23 @@ class RecordingEntry:
     gravity: tuple[float, float] | None = None
 
 
+@dataclass(frozen=True)
+class LinkRecord:
+    """What one recording holds of one link.
+
+    Attributes:
+        link: the link's name, the columns' prefix.
+        frames: time (f,) in s and markers (f, k, 2) in m.
+        encoder: time (e,) in s and joint angle (e,) in rad; column left out when None.
+        torque: time (e,) in s and hub torque (e,) in N m; column left out when None.
+    """
+
+    link: str
+    frames: Frames
+    encoder: tuple[Array, Array] | None = None
+    torque: tuple[Array, Array] | None = None
+
+
 def write_recording(
     path: Path,
     link: str,
@@ -40,28 +57,36 @@ def write_recording(
     torque: tuple[Array, Array] | None = None,
     decimals: int = 6,
 ) -> None:
+    """Write one CSV of an arm of one link; see `LinkRecord` and `write_arm_recording`."""
+    write_arm_recording(path, [LinkRecord(link, frames, encoder, torque)], decimals)
+
+
+def write_arm_recording(path: Path, records: Sequence[LinkRecord], decimals: int = 6) -> None:
     """Write one CSV.
 
     Args:
         path: the file.
-        link: the link's name, the columns' prefix.
-        frames: time (f,) in s and markers (f, k, 2) in m; `decimals` of a metre are written.
-        encoder: time (e,) in s and joint angle (e,) in rad; column left out when None.
-        torque: time (e,) in s and hub torque (e,) in N m; column left out when None.
-        decimals: digits after the point of a marker coordinate.
+        records: of the links from the base outwards.
+        decimals: digits after the point of a marker coordinate, in m.
     """
-    axes = [f"{link}.m{marker + 1}.{axis}" for marker in range(frames.markers.shape[1]) for axis in "xy"]
-    columns = [(f"{link}.theta", encoder, ".7f"), (f"{link}.tau", torque, ".12g")]
-    sampled = [(name, series, form) for name, series, form in columns if series is not None]
-    clocks = [frames.time, *(series[0] for _, series, _ in sampled)]
-    ticks = np.unique(np.round(np.concatenate(clocks) / _TICK).astype(np.int64))
+    columns = [column for record in records for column in _link_columns(record, decimals)]
+    ticks = np.unique(np.round(np.concatenate([time for _, (time, _), _ in columns]) / _TICK).astype(np.int64))
     cells = [[_number(tick * _TICK, ".9g") for tick in ticks]]
-    cells += [_column(ticks, *series, form) for _, series, form in sampled]
-    coordinates = frames.markers.reshape(len(frames.time), -1)
-    cells += [_column(ticks, frames.time, column, f".{decimals}f") for column in coordinates.T]
-    header = ",".join(["t", *(name for name, _, _ in sampled), *axes])
+    cells += [_column(ticks, *series, form) for _, series, form in columns]
+    header = ",".join(["t", *(name for name, _, _ in columns)])
     rows = [header, *(",".join(row) for row in zip(*cells, strict=True))]
     _write_text(path, "\n".join(rows) + "\n")
+
+
+def _link_columns(record: LinkRecord, decimals: int) -> list[tuple[str, tuple[Array, Array], str]]:
+    """Name, time (n,) and values (n,), and number format of a link's columns."""
+    link, frames = record.link, record.frames
+    sensors = [(f"{link}.theta", record.encoder, ".7f"), (f"{link}.tau", record.torque, ".12g")]
+    columns = [(name, series, form) for name, series, form in sensors if series is not None]
+    axes = [f"{link}.m{marker + 1}.{axis}" for marker in range(frames.markers.shape[1]) for axis in "xy"]
+    coordinates = frames.markers.reshape(len(frames.time), -1).T
+    markers = zip(axes, coordinates, strict=True)
+    return columns + [(name, (frames.time, values), f".{decimals}f") for name, values in markers]
 
 
 def _column(ticks: NDArray[np.int64], time: Array, values: Array, form: str) -> list[str]:
@@ -81,13 +106,18 @@ def _number(value: float, form: str) -> str:
 def write_experiment(
     path: Path,
     name: str,
-    link: Mapping[str, Value],
+    link: Mapping[str, Value] | Sequence[Mapping[str, Value]],
     sensors: Mapping[str, Value],
     recordings: Sequence[RecordingEntry],
     gravity: tuple[float, float] = (0.0, 0.0),
 ) -> None:
-    """Write experiment.toml: `link` and `sensors` hold the keys of their tables, in the order they are to appear."""
-    tables: list[tuple[str, Mapping[str, Value]]] = [("[base]", {"gravity": list(gravity)}), ("[[link]]", link)]
+    """Write experiment.toml: `link` and `sensors` hold the keys of their tables, in the order they are to appear.
+
+    Several links come as a list, from the base outwards.
+    """
+    links = [link] if isinstance(link, Mapping) else link
+    tables: list[tuple[str, Mapping[str, Value]]] = [("[base]", {"gravity": list(gravity)})]
+    tables += [("[[link]]", table) for table in links]
     if sensors:
         tables.append(("[sensors]", sensors))
     for entry in recordings:

@@ -16,8 +16,9 @@ from vjm.experiment import load_experiment
 from vjm.experiment.records import Experiment, Link, Recording, Rig
 from vjm.identification import Identification, identify
 from vjm.identification.parametrisation import Parametrisation
-from vjm.identification.run import fit_refined, fit_uniform, read_data, refined
+from vjm.identification.data import Options, read_data
 from vjm.identification.torque_fit import evaluate
+from vjm.identification.torque_method import fit_refined, fit_uniform, refined
 from vjm.simulate import rollout
 
 ROOT = Path(__file__).parents[2]
@@ -75,7 +76,7 @@ def chain_recordings(joint: str, n: int, seed: int) -> tuple[Experiment, Chain]:
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_free_chain_gives_its_stiffness_and_damping_from_a_far_start(joint: str, n: int, seed: int) -> None:
     experiment, truth = chain_recordings(joint, n, seed)
-    data = read_data(experiment, "joints")
+    data = read_data(experiment, Options("joints"))
     problem, start = fit_uniform(experiment, data)
     problem, fit = fit_refined(refined(problem, start, "joints"))
     found, true = problem.parametrisation.chain(fit.x).links[0], truth.links[0]
@@ -133,7 +134,7 @@ def test_standard_errors_hold_for_fresh_noise(seed: int) -> None:
         if recording.kind == "decay" and recording.role == "train":
             kept.append(replace(recording, markers=recording.markers + 3e-4 * rng.normal(size=recording.markers.shape)))
     noisier = Experiment(replace(experiment.rig, marker_noise=3e-4 * np.sqrt(2)), tuple(kept))
-    data = read_data(noisier, "uniform")
+    data = read_data(noisier, Options())
     problem, fit = fit_uniform(noisier, data)
     found = problem.parametrisation.physical(fit.x)[0]
     assert found == pytest.approx(TRUTH["bending_stiffness"], rel=0.006)
@@ -141,7 +142,7 @@ def test_standard_errors_hold_for_fresh_noise(seed: int) -> None:
 
 def test_evaluate_agrees_with_the_search() -> None:
     experiment = demo()
-    problem, fit = fit_uniform(experiment, read_data(experiment, "uniform"))
+    problem, fit = fit_uniform(experiment, read_data(experiment, Options()))
     again = evaluate(replace(problem, spread=fit.spread), fit.x)
     for one, other in zip(fit.jacobians, again.jacobians, strict=True):
         assert one == pytest.approx(other, rel=1e-3, abs=1e-3 * np.abs(other).max())

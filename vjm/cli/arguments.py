@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 # Written out here so that --help need not import the identification; a test holds them equal.
-METHODS = ("torque", "torque+frequency")
+METHODS = ("torque", "torque+frequency", "trajectory")
 PARAMETERS = ("uniform", "joints", "lengths", "full")
-DEFAULT_METHOD = "torque"
+DEFAULT_METHOD = "trajectory"
 DEFAULT_DIRECTORY = Path("vjm-out")
 
 _FILES = "DIR gets result.json, model.json, model.urdf, report.html and figures/*.png."
@@ -84,7 +84,10 @@ def _add_identify(commands: _Commands[argparse.ArgumentParser]) -> None:
     command = _command(commands, "identify", "identify the virtual-joint model of an arm", _FILES)
     _add_experiment(command)
     _add_directory(command)
-    text = f"torque errors alone, or with the natural frequencies (default: {DEFAULT_METHOD})"
+    text = (
+        "trajectory: whole simulated trajectories against everything measured; torque: torque errors alone, as in the "
+        f"paper; torque+frequency: with the natural frequencies (default: {DEFAULT_METHOD})"
+    )
     command.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help=text)
     text = "number of virtual joints of each link (default: the experiment file's, else chosen from the data)"
     command.add_argument("--virtual-joints", metavar="N", type=_positive, default=None, help=text)

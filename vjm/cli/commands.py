@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vjm.chain.records import Chain
+from vjm.cli.arguments import DEFAULT_METHOD
 from vjm.cli.printing import Summary, print_json
 from vjm.cli.progress import Report, progress
 from vjm.errors import InputError, ModelFileError
@@ -40,7 +41,7 @@ _MOST_NAMED = 6
 def demo(arguments: argparse.Namespace) -> None:
     """`vjm demo`."""
     with resources.as_file(resources.files("vjm") / "demo") as folder:
-        _identify(arguments, folder / "experiment.toml", "torque", None, "uniform")
+        _identify(arguments, folder / "experiment.toml", DEFAULT_METHOD, None, "uniform")
 
 
 def identification(arguments: argparse.Namespace) -> None:

@@ -9,11 +9,14 @@ import numpy as np
 from vjm.chain.records import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Experiment, Recording
+from vjm.experiment.records import Experiment, Recording, Rig
+from vjm.identification.data import Data
+from vjm.identification.mode_shapes import assurance, measured_shape, model_shapes
 from vjm.identification.outliers import without_outliers
-from vjm.identification.prepare import Prepared
+from vjm.identification.parametrisation import layouts_of
+from vjm.identification.prepare import Prepared, prepare
 from vjm.identification.records import ModeComparison, RecordingFit, TorqueData
-from vjm.identification.torque_fit import Progress, TorqueFit, noise_factor, seen_errors, whiten
+from vjm.identification.torque_fit import Progress, noise_factor, seen_errors, whiten
 from vjm.model import Model
 from vjm.modes import modes
 from vjm.simulate.initial_state import Replay
@@ -23,14 +26,23 @@ from vjm.torque import torque_errors
 MATCH_TOLERANCE = 0.15  # a measured frequency this close to the model's is the same mode
 
 
-def objective(fit: TorqueFit) -> float:
-    """J at the minimum: mean weighted square of a row's torque error."""
-    return float(np.sum([np.sum(r**2) for r in fit.residuals]) / np.sum([r.size for r in fit.residuals]))
+def prepared_for(chain: Chain, rig: Rig, data: Data) -> tuple[Prepared, ...]:
+    """The recordings' angles and derivatives at a chain's own cuts."""
+    cuts = layouts_of(chain)
+    same = all(
+        np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells)
+        for one, two in zip(cuts, data.plan.cuts, strict=True)
+    )
+    if same:
+        return data.prepared
+    return tuple(prepare(rig, cuts, one.recording, data.settings, one) for one in data.prepared)
 
 
-def objective_of(chain: Chain, fit: TorqueFit, found: Chain) -> float:
-    """J of another chain under the same weights, those of the found parameters."""
-    residuals = [whiten(seen_errors(chain, one), noise_factor(found, one)) for one in fit.prepared]
+def objective_of(chain: Chain, prepared: Sequence[Prepared], found: Chain) -> float | None:
+    """J of a chain: mean square of its torque errors under the weights of the chain found; None without recordings."""
+    if not prepared:
+        return None
+    residuals = [whiten(seen_errors(chain, one), noise_factor(found, one)) for one in prepared]
     return float(np.sum([np.sum(r**2) for r in residuals]) / np.sum([r.size for r in residuals]))
 
 
@@ -45,20 +57,32 @@ def torque_data(prepared: Prepared, nominal: Chain, found: Chain) -> TorqueData:
 
 
 def compare_modes(
-    chain: Chain, payload: float, seen: Sequence[MeasuredModes], least: int
+    model: Model, payload: float, prepared: Sequence[Prepared], seen: Sequence[MeasuredModes], least: int
 ) -> tuple[ModeComparison, ...]:
-    """The model's modes beside the measured ones: all up to the last measured one, and at least `least`."""
-    found = modes(chain, payload)
+    """The model's modes beside the measured ones: all up to the last measured one, and at least `least`.
+
+    Args:
+        model: the identified one.
+        payload: that of the recordings compared with [kg].
+        prepared: the recordings; those with another payload are left out.
+        seen: modes of those with the payload, in order.
+        least: number of modes.
+    """
+    found = modes(model.chain, payload)
+    shapes = model_shapes(model.chain, model.rig, payload)
+    alike = [one for one in prepared if one.recording.payload == payload]
     rows = []
-    for frequency, ratio in zip(found.frequencies, found.damping_ratios, strict=True):
+    for frequency, ratio, shape in zip(found.frequencies, found.damping_ratios, shapes, strict=True):
         mode = match(float(frequency), seen, MATCH_TOLERANCE)
+        measured = measured_shape(model.rig, float(frequency), MATCH_TOLERANCE, alike, seen)
         rows.append(
             ModeComparison(
-                float(frequency),
-                None if mode is None else mode.frequency,
-                None if mode is None else mode.frequency_std,
-                float(ratio),
-                None if mode is None else mode.damping_ratio,
+                frequency_model=float(frequency),
+                frequency_measured=None if mode is None else mode.frequency,
+                frequency_std=None if mode is None else mode.frequency_std,
+                damping_model=float(ratio),
+                damping_measured=None if mode is None else mode.damping_ratio,
+                mac=None if measured is None else assurance(shape, measured),
             )
         )
     last = max([k + 1 for k, row in enumerate(rows) if row.frequency_measured is not None], default=0)
@@ -92,8 +116,8 @@ def fit_recordings(
         if found is not None:
             kept[k], left_out[k] = without_outliers(recording, found.simulation.markers, model.marker_noise)
             again += [k] if left_out[k] else []
-    for k, found in zip(again, _replayed(model, [kept[k] for k in again]), strict=True):
-        replayed[k] = found
+    for k, repeated in zip(again, _replayed(model, [kept[k] for k in again]), strict=True):
+        replayed[k] = repeated
     others = []
     for done, other in enumerate((nominal, torque), start=1):
         tell("replaying recordings", done, 4)

@@ -16,6 +16,7 @@ Mask = NDArray[np.bool_]
 _AROUND = 15  # frames that say what a residual should be like
 _SPREAD_OVER = 31  # frames that say how far residuals scatter about it
 _FAR = 8.0  # standard deviations
+_BEYOND = 5.0  # times the root mean square of the residuals but the largest
 _TO_SIGMA = 1.4826  # from a median absolute deviation
 _MOST = 0.02  # of a recording's values; more are no outliers but something the model lacks
 
@@ -49,5 +50,6 @@ def without_outliers(recording: Recording, markers: Array, noise: float) -> tupl
 def _outlying(values: Array) -> Mask:
     away = np.abs(values - median_filter(values, _AROUND, mode="nearest"))
     scatter = _TO_SIGMA * median_filter(away, _SPREAD_OVER, mode="nearest")
-    found: Mask = away > _FAR * np.maximum(scatter, 1.0)
+    usual = np.sort(np.abs(values))[: max(1, int((1 - _MOST) * values.size))]
+    found: Mask = away > np.maximum(_FAR * np.maximum(scatter, 1.0), _BEYOND * np.sqrt(np.mean(usual**2)))
     return found

@@ -203,8 +203,12 @@ def _rows(rig: Rig, cuts: Sequence[Layout], angles: Angles, measured: NDArray[np
 def modes_in(prepared: Prepared, marker_noise: float, most: int) -> MeasuredModes:
     """Modes seen in one recording's shape coefficients, whitened; `marker_noise` in [m]."""
     signals = [fit.coefficients @ np.linalg.cholesky(np.linalg.inv(fit.covariance)) for fit in prepared.angles.shapes]
-    recording = prepared.recording
+    torque = driving_torque(prepared.recording)
+    return measure_modes(prepared.angles.time, np.hstack(signals), marker_noise, most, torque)
+
+
+def driving_torque(recording: Recording) -> tuple[Array, Array] | None:
+    """Instants [s] and torques [N m] of the active joints where all were measured; None for a motion without any."""
     known = np.isfinite(recording.tau).all(axis=1)
     driven = recording.tau.shape[1] > 0 and known.sum() > 2
-    torque = (recording.time[known], recording.tau[known]) if driven else None
-    return measure_modes(prepared.angles.time, np.hstack(signals), marker_noise, most, torque)
+    return (recording.time[known], recording.tau[known]) if driven else None

@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from vjm.angles.estimate import Angles
 from vjm.derivatives import Derivatives
 from vjm.experiment.records import Experiment, Recording
+from vjm.identification.information import Whiteness
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.model import Model
 from vjm.parameters import Estimate
 from vjm.simulate.initial_state import Replay
 
 Array = NDArray[np.float64]
-Method = Literal["torque", "torque+frequency"]
+Method = Literal["torque", "torque+frequency", "trajectory"]
 METHODS: tuple[str, ...] = get_args(Method)
 
 
@@ -30,6 +32,7 @@ class ModeComparison:
         frequency_std: standard error of the measured frequency [Hz].
         damping_model: fraction of critical.
         damping_measured: fraction of critical; None where not measured.
+        mac: modal assurance criterion of the two shapes at the markers, one where they agree; None where not measured.
     """
 
     frequency_model: float
@@ -37,6 +40,7 @@ class ModeComparison:
     frequency_std: float | None
     damping_model: float
     damping_measured: float | None
+    mac: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,25 @@ class RecordingFit:
 
 
 @dataclass(frozen=True)
+class TrajectorySummary:
+    """How well whole trajectories fit.
+
+    Attributes:
+        chi2: sum of the squared weighted residuals of all training recordings.
+        count: number of measured values.
+        iterations: simulations of all recordings that the last search took.
+        whiteness: of each recording's residuals.
+        fit: the minimum itself.
+    """
+
+    chi2: float
+    count: int
+    iterations: int
+    whiteness: tuple[Whiteness, ...]
+    fit: TrajectoryFit
+
+
+@dataclass(frozen=True)
 class Identification:
     """An identified model and what is known about it.
 
@@ -93,13 +116,16 @@ class Identification:
         experiment: what it was identified from.
         model: the identified chain, ready to simulate and to write as URDF.
         nominal: the chain that the experiment file's nominal values give.
-        method: `torque` or `torque+frequency`.
+        torque_model: what the torque method found, where the trajectory method started from it; else None.
+        method: `torque`, `torque+frequency` or `trajectory`.
         parametrisation: `uniform`, `joints`, `lengths` or `full`.
         parameters: every parameter of the parametrisation, estimated or fixed.
         covariance: (p, p) of the estimated parameters, in the order of those in `parameters` with a standard error.
         modes: model and measurement side by side, slowest first.
-        objective: J of eq. (15): the noise-weighted mean square of the torque errors at the found parameters.
+        objective: J of eq. (15): the noise-weighted mean square of the torque errors at the found parameters; None
+            where no recording has what torque errors need.
         objective_nominal: J of the nominal model.
+        trajectory: how well whole trajectories fit; None for the torque methods.
         torque_data: the training recordings as the method saw them.
         recordings: fit of every recording, in the experiment's order.
         status: `converged` or `not converged`.
@@ -111,13 +137,15 @@ class Identification:
     experiment: Experiment
     model: Model
     nominal: Model
+    torque_model: Model | None
     method: str
     parametrisation: str
     parameters: tuple[Estimate, ...]
     covariance: Array
     modes: tuple[ModeComparison, ...]
-    objective: float
-    objective_nominal: float
+    objective: float | None
+    objective_nominal: float | None
+    trajectory: TrajectorySummary | None
     torque_data: tuple[TorqueData, ...]
     recordings: tuple[RecordingFit, ...]
     status: Literal["converged", "not converged"]

@@ -18,9 +18,10 @@ from scipy.optimize import lsq_linear
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.identification.parametrisation import Parametrisation
-from vjm.simulate.initial_state import Run, Start, most_likely, run_all
+from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import locked_frequencies
+from vjm.simulate.run import Run, Start, run_all
 from vjm.simulate.sensitivity import Moved
 from vjm.simulate.triangle import Triangle
 
@@ -122,7 +123,7 @@ class Point:
         return tuple(run.triangle(moved) for run in self.runs)
 
     def gathered(self, damping: float = 0.0) -> tuple[Triangle, tuple[Triangle, ...]]:
-        """What all recordings (and the preference) together say of the coordinates, and the recordings' own problems."""
+        """What recordings and preference together say of the coordinates, and each recording's own problem."""
         parts = tuple(triangle.damped(damping) for triangle in self.triangles)
         rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
         rows.append(np.column_stack(self.problem.preferred(self.x)))
@@ -146,7 +147,10 @@ class TrajectoryFit:
 
 
 def fit_trajectory(
-    problem: TrajectoryProblem, start: Array, progress: Progress | None = None, whole: bool = False
+    problem: TrajectoryProblem,
+    start: Array,
+    progress: Progress | None = None,
+    states: Sequence[Array] | None = None,
 ) -> TrajectoryFit:
     """Find the coordinates and initial states that explain the measurements best.
 
@@ -154,12 +158,13 @@ def fit_trajectory(
         problem: the measurements and the coordinates.
         start: (p,) coordinates to start from.
         progress: told (text, done, total) now and then.
-        whole: begin with whole recordings: the start is known to be near.
+        states: (2 nv,) initial states where these and `start` are near the minimum already; None: they may be far, and
+            the search begins with the recordings' first periods.
     """
     lower, upper = problem.parametrisation.bounds
     x = np.clip(start, lower + 1e-6, upper)
-    horizons = [np.inf] if whole else _horizons(problem, x)
-    count, states = 0, None
+    horizons = _horizons(problem, x) if states is None else [np.inf]
+    count = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
         part = problem if last else problem.until(horizon)
@@ -171,14 +176,18 @@ def fit_trajectory(
 
 def _horizons(problem: TrajectoryProblem, x: Array) -> list[float]:
     """Lengths of the recordings' beginnings to fit, each a few times the one before [s]."""
-    chain = problem.parametrisation.chain(x)
     longest = max(float(o.recording.time[-1] - o.recording.time[0]) for o in problem.observed)
-    slowest = min(locked_frequencies(chain, o.recording.payload)[0] for o in problem.observed)
-    horizon, found = _FIRST_PERIODS / slowest, []
+    horizon, found = first_horizon(problem, x), []
     while horizon < longest / 1.5:
         found.append(horizon)
         horizon *= _LONGER
     return [*found, np.inf]
+
+
+def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
+    """A few periods of the slowest mode [s]: so short that a wrong frequency has not yet cost a cycle."""
+    chain = problem.parametrisation.chain(x)
+    return _FIRST_PERIODS / min(locked_frequencies(chain, o.recording.payload)[0] for o in problem.observed)
 
 
 @dataclass
@@ -198,12 +207,12 @@ class _Progress:
 def _search(
     problem: TrajectoryProblem, x: Array, states: Sequence[Array] | None, tell: _Progress, final: bool
 ) -> TrajectoryFit:
-    chain = problem.parametrisation.chain(x)
-    if states is None or final:
-        found = most_likely(chain, problem.observed, states, problem.coarse)
+    if states is None:
+        found = most_likely(problem.parametrisation.chain(x), problem.observed, coarse=problem.coarse)
         point = Point(problem, x, tuple(run for run, _ in found))
     else:
         point = _point(problem, x, states)
+        point = replace(point, runs=tuple(run.weighed() for run in point.runs))
     damping, done = 0.0, False
     iteration = 0
     for iteration in range(_MOST_ITERATIONS):
@@ -216,7 +225,7 @@ def _search(
         trial = _attempt(point, change, state_changes)
         if trial is not None and trial.cost < point.cost:
             decrease = point.cost - trial.cost
-            point = trial
+            point = replace(trial, runs=tuple(run.weighed() for run in trial.runs))
             if decrease > predicted / 4:
                 damping = damping / 10 if damping > _FIRST_DAMPING else 0.0
         else:
@@ -226,10 +235,14 @@ def _search(
     return TrajectoryFit(point, done, iteration + 1)
 
 
-def _point(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> Point:
+def _point(
+    problem: TrajectoryProblem, x: Array, states: Sequence[Array], spreads: Sequence[float] | None = None
+) -> Point:
     chain = problem.parametrisation.chain(x)
     starts = [Start.of(chain, each.recording) for each in problem.observed]
-    runs = run_all([chain] * len(starts), problem.observed, starts, states, problem.coarse)
+    if spreads is not None:
+        starts = [replace(start, spread=spread) for start, spread in zip(starts, spreads, strict=True)]
+    runs = run_all(chain, problem.observed, starts, states, problem.coarse)
     return Point(problem, x, tuple(runs))
 
 
@@ -258,6 +271,7 @@ def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | No
     """The point a step further; None where a simulation diverges or the chain is none."""
     moved = [run.state + by for run, by in zip(point.runs, states, strict=True)]
     try:
-        return _point(point.problem, point.x + change, moved)
+        spreads = [run.start.spread for run in point.runs]
+        return _point(point.problem, point.x + change, moved, spreads)
     except SimulationDivergedError:
         return None

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.identification.information import Information
 from vjm.identification.parametrisation import Coordinate, Parametrisation
-from vjm.identification.torque_fit import TorqueFit
 from vjm.parameters import Estimate
 
 Array = NDArray[np.float64]
@@ -18,42 +18,17 @@ _STRONG = 0.9  # correlation worth naming
 _AT_BOUND = 1e-6
 
 
-def covariance(fit: TorqueFit) -> Array:
-    """(p, p) covariance of the coordinates, valid for coloured residuals.
-
-    The passive rows' noise is correlated in time, by the smoothing filter among others, so the plain inverse of the
-    normal matrix is too small: scores are summed over lags up to the filter's reach (Newey and West 1987).
-    """
-    count = fit.x.size
-    normal, spread = np.zeros((count, count)), np.zeros((count, count))
-    for residual, jacobian, prepared in zip(fit.residuals, fit.jacobians, fit.prepared, strict=True):
-        normal += np.einsum("srp,srq->pq", jacobian, jacobian)
-        scores = np.einsum("srp,sr->sp", jacobian, residual)
-        time = prepared.derivatives.time
-        inside = prepared.derivatives.interior
-        reach = float(time[inside][0] - time[0]) if inside.any() else 0.0
-        lags = int(np.ceil(2 * reach / float(np.median(np.diff(time))))) + 1
-        spread += _long_run(scores, min(lags, len(scores) - 1))
-    normal, spread = normal / fit.spread**2, spread / fit.spread**4
-    normal += fit.frequency_jacobian.T @ fit.frequency_jacobian
-    spread += fit.frequency_jacobian.T @ fit.frequency_jacobian
+def covariance(information: Information) -> Array:
+    """(p, p) covariance of the coordinates."""
+    normal = information.normal
     scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
     silent = values <= _SINGULAR * values[-1]
     inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
     # What the recordings do not respond to at all is not known at all, rather than known exactly.
     unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
-    result: Array = inverse @ spread @ inverse + unknown / _SINGULAR
+    result: Array = inverse @ information.spread @ inverse + unknown / _SINGULAR
     return result
-
-
-def _long_run(scores: Array, lags: int) -> Array:
-    total = scores.T @ scores
-    for lag in range(1, lags + 1):
-        weight = 1 - lag / (lags + 1)
-        cross = scores[lag:].T @ scores[:-lag]
-        total = total + weight * (cross + cross.T)
-    return np.asarray(total)
 
 
 def to_physical(parametrisation: Parametrisation, x: Array, coordinates: Array) -> Array:
@@ -70,21 +45,24 @@ def to_physical(parametrisation: Parametrisation, x: Array, coordinates: Array) 
     return result
 
 
-def estimates(parametrisation: Parametrisation, fit: TorqueFit, physical: Array) -> tuple[Estimate, ...]:
+def estimates(
+    parametrisation: Parametrisation, x: Array, information: Information, physical: Array
+) -> tuple[Estimate, ...]:
     """Every coordinate's parameter with its standard error and whether the data determine it.
 
     Args:
         parametrisation: what was identified.
-        fit: the minimum found.
+        x: (p,) coordinates found.
+        information: what the residuals say of them.
         physical: (p, p) covariance of the physical parameters.
     """
-    values = parametrisation.physical(fit.x)
+    values = parametrisation.physical(x)
     std = np.sqrt(np.maximum(np.diag(physical), 0))
     correlation = physical / np.maximum(np.outer(std, std), 1e-300)
-    visible = _seen(fit)
+    visible = _seen(information)
     result = []
     for k, coordinate in enumerate(parametrisation.coordinates):
-        reason = _reason(k, parametrisation, fit, values, std, correlation, visible)
+        reason = _reason(k, parametrisation, x, values, std, correlation, visible)
         known = bool(np.isfinite(std[k])) and visible[k]
         result.append(
             Estimate(
@@ -94,18 +72,16 @@ def estimates(parametrisation: Parametrisation, fit: TorqueFit, physical: Array)
     return tuple(result)
 
 
-def _seen(fit: TorqueFit) -> NDArray[np.bool_]:
+def _seen(information: Information) -> NDArray[np.bool_]:
     """(p,) whether a coordinate has any part in the directions the residuals respond to."""
-    normal = sum(np.einsum("srp,srq->pq", jacobian, jacobian) for jacobian in fit.jacobians)
-    normal = np.asarray(normal) + fit.frequency_jacobian.T @ fit.frequency_jacobian
-    size = np.sqrt(np.maximum(np.diag(normal), 0))
+    size = np.sqrt(np.maximum(np.diag(information.normal), 0))
     return size > _SINGULAR * max(float(size.max()), 1e-300)
 
 
 def _reason(
     k: int,
     parametrisation: Parametrisation,
-    fit: TorqueFit,
+    x: Array,
     values: Array,
     std: Array,
     correlation: Array,
@@ -116,7 +92,7 @@ def _reason(
     if not visible[k]:
         return "the recordings do not respond to it"
     lower, upper = parametrisation.bounds
-    if fit.x[k] - lower[k] < _AT_BOUND or upper[k] - fit.x[k] < _AT_BOUND:
+    if x[k] - lower[k] < _AT_BOUND or upper[k] - x[k] < _AT_BOUND:
         return "at its bound: the data do not hold it away from there"
     relative = std[k] / max(abs(values[k]), 1e-300)
     if relative <= _LARGEST_RELATIVE:

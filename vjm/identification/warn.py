@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from vjm.experiment.checks import camera_rate
-from vjm.experiment.records import Experiment, Link
+from vjm.experiment.records import Experiment, Link, Recording, Rig
+from vjm.identification.information import Whiteness
 from vjm.identification.prepare import Prepared
 from vjm.identification.records import ModeComparison, RecordingFit
 from vjm.identification.select import FREQUENCY_TOLERANCE, JointChoice
@@ -19,6 +20,8 @@ _LEAST_SAMPLES_A_PERIOD = 2.5
 _MANY_NOISES = 1.5  # a training replay this many times the noise is not followed
 _LEAST_MOTION = 10.0  # times the noise
 _LARGEST_MISMATCH = 0.02
+_CORRELATED = 0.2  # of neighbouring residuals: worth a warning
+_MUCH = 1.5  # mean square of the weighted residuals: worth a warning
 
 
 def marker_warnings(link: Link, modes: int | None) -> list[str]:
@@ -104,9 +107,40 @@ def mode_warnings(comparison: Sequence[ModeComparison]) -> list[str]:
     return found
 
 
+def residual_warnings(whiteness: Sequence[Whiteness]) -> list[str]:
+    """Where what the model leaves is no noise."""
+    return [
+        f"{one.file}: what the model leaves is {one.chi2**0.5:.3g} times the noise, and no noise (neighbouring "
+        f"residuals correlate by up to {one.correlation:.2g}): it lacks something; the standard errors allow for "
+        "that, the values may be off by more"
+        for one in whiteness
+        if one.coloured and (one.correlation > _CORRELATED or one.chi2 > _MUCH)
+    ]
+
+
+def scale_notes(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
+    """What nothing but the experiment file's masses holds."""
+    torque = any(np.isfinite(recording.tau).any() for recording in recordings)
+    weight = any(any(recording.gravity) for recording in recordings)
+    payload = any(recording.payload for recording in recordings) or any(link.payload for link in rig.links)
+    if torque or weight or payload:
+        return []
+    names = " and ".join(link.name for link in rig.links)
+    return [
+        "without torque, gravity or a known payload only stiffness relative to mass is seen: the bending stiffness of "
+        f"{names} is as right as the mass in the experiment file; a recording with a known payload would tell both"
+    ]
+
+
 def result_warnings(recordings: Sequence[RecordingFit], parameters: Sequence[Estimate]) -> list[str]:
     """About the fit."""
     found = [f"{fit.recording.file}: {fit.problem}" for fit in recordings if fit.problem]
+    for fit in recordings:
+        if fit.left_out:
+            plural = "s" if fit.left_out > 1 else ""
+            found.append(
+                f"{fit.recording.file}: {fit.left_out} marker coordinate{plural} far from the frames around left out"
+            )
     for fit in recordings:
         if fit.replay is not None and fit.replay.marker_rms > _MANY_NOISES * fit.marker_noise:
             found.append(

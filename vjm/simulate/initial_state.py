@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -13,21 +12,17 @@ from numpy.typing import NDArray
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
-from vjm.modes import equilibrium, linearise
 from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import Simulation, half_interval, rollouts
-from vjm.simulate.sensitivity import Basis, Moved, first_angles, jacobian
-from vjm.simulate.steps import Steps, sample
+from vjm.simulate.rollout import Simulation, coarse_step
+from vjm.simulate.run import Run, Start, run_all
 from vjm.simulate.triangle import Triangle
 
 Array = NDArray[np.float64]
 
 _MOST_ITERATIONS = 15
-_TOLERANCE = 1e-5  # relative decrease of chi^2 that is not worth another step
+_TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
 _NEGLIGIBLE = 1e-2  # decrease of chi^2: what is left is a tenth of a standard deviation of the state
 _FIRST_DAMPING = 1e-3
-_USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
-_USUAL_TURN = 1.0  # rad of an active joint
 
 
 @dataclass(frozen=True)
@@ -51,130 +46,6 @@ class Replay:
     status: Literal["converged", "not converged"]
 
 
-@dataclass(frozen=True)
-class Start:
-    """What is known of a recording's initial state before it is looked at.
-
-    A weak preference for rest, by the energy that bending the arm by a tenth of its length takes: it matters only for
-    motion that the recording cannot show.
-
-    Attributes:
-        rest: (2 nv,) angles of rest at the first measured active angles, and zero rates [rad, rad/s].
-        root: (2 nv, 2 nv) |root (state - rest)|^2 is added to chi^2.
-    """
-
-    rest: Array
-    root: Array
-
-    @classmethod
-    def of(cls, chain: Chain, recording: Recording) -> Start:
-        """Of a chain at a recording's beginning."""
-        theta = first_angles(recording)
-        q = equilibrium(chain, recording.payload, recording.gravity, theta)
-        M, _, _, _ = linearise(chain, recording.payload, recording.gravity, theta)
-        stiffness = min(float(np.mean(link.stiffness * link.cells)) for link in chain.links)
-        energy = 1.5 * stiffness * _USUAL_BEND**2 / sum(link.length for link in chain.links)
-        n = chain.size
-        root = np.zeros((2 * n, 2 * n))
-        root[range(n), range(n)] = np.sqrt(chain.stiffness / (2 * energy))
-        root[chain.active, chain.active] = 1 / _USUAL_TURN
-        root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
-        return cls(np.concatenate([q, np.zeros(n)]), root)
-
-
-@dataclass(frozen=True)
-class Run:
-    """A simulation of one recording from an initial state, beside what was measured.
-
-    Attributes:
-        observed: the measurements.
-        start: what was known of the initial state.
-        chain: what was simulated.
-        state: (2 nv,) initial angles and rates.
-        steps: the trajectory at the integrator's instants; one copy.
-    """
-
-    observed: Observed
-    start: Start
-    chain: Chain
-    state: Array
-    steps: Steps
-
-    @cached_property
-    def path(self) -> tuple[Array, Array]:
-        """q, v (T, nv) at the recording's instants [rad, rad/s]."""
-        q, v = sample(self.steps, self.observed.recording.time)
-        return q[:, 0], v[:, 0]
-
-    @cached_property
-    def residual(self) -> Array:
-        """(N,) measured less simulated, weighted."""
-        return self.observed.residual(self.chain, self.path[0])
-
-    @cached_property
-    def chi2(self) -> float:
-        """Sum of the squared weighted residuals."""
-        return float(self.residual @ self.residual)
-
-    @cached_property
-    def cost(self) -> float:
-        """The residuals' loss and what the initial state adds to it."""
-        away = self.start.root @ (self.state - self.start.rest)
-        return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away)
-
-    @cached_property
-    def stride(self) -> int:
-        """Steps in half an interval over which derivatives are advanced."""
-        return half_interval(self.chain, self.observed.recording, self.steps.step)
-
-    @cached_property
-    def basis(self) -> Basis:
-        """The m modes that its derivatives are told in."""
-        return Basis.of(self.chain, self.observed.recording, 2 * self.stride * self.steps.step)
-
-    def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
-        """Derivatives (r, 2 m + p) of the weighted predictions, and the residuals (r,), as the loss lets them count."""
-        parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
-        kept = np.sqrt(self.observed.loss.slope(self.residual**2))
-        for markers, angles, part in parts:
-            share = np.concatenate([kept[markers], kept[angles]])
-            yield share[:, None] * part, share * np.concatenate([self.residual[markers], self.residual[angles]])
-
-    def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
-        """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters."""
-        states = self.basis.states
-        columns = states.shape[1] + len(moved)
-        root = np.zeros((self.state.size, columns))
-        root[:, : states.shape[1]] = self.start.root @ states
-        gathered = Triangle.of(self.rows(moved), columns)
-        return gathered.with_rows(root, self.start.root @ (self.start.rest - self.state))
-
-
-def run_all(
-    chains: Sequence[Chain],
-    observed: Sequence[Observed],
-    starts: Sequence[Start],
-    states: Sequence[Array],
-    coarse: float,
-) -> list[Run]:
-    """Simulate several recordings together.
-
-    Args:
-        chains: one a recording.
-        observed, starts: the recordings.
-        states: (2 nv,) initial states.
-        coarse: multiple of the default step.
-
-    Raises:
-        SimulationDivergedError: one of them diverged.
-    """
-    recordings = [each.recording for each in observed]
-    n = chains[0].size
-    first = np.stack(states)
-    steps = rollouts(chains, recordings, first[:, :n], first[:, n:], coarse=coarse)
-    return [Run(*each) for each in zip(observed, starts, chains, states, steps, strict=True)]
-
-
 def replays(
     chain: Chain,
     rig: Rig,
@@ -195,8 +66,9 @@ def replays(
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
-    observed = [Observed.of(rig, recording, marker_noise, encoder_noise) for recording in recordings]
-    return [report(run, converged) for run, converged in most_likely(chain, observed)]
+    observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
+    coarse = coarse_step(marker_noise)
+    return [report(run, converged) for run, converged in most_likely(chain, observed, coarse=coarse)]
 
 
 def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
@@ -226,7 +98,7 @@ class _Search:
     def judge(self, trial: Run | None) -> None:
         """Go there if it is better."""
         if trial is not None and trial.cost < self.run.cost:
-            self.run, self.triangle = trial, None
+            self.run, self.triangle = trial.weighed(), None
             self.damping = self.damping / 10 if self.damping > _FIRST_DAMPING else 0.0
         else:
             self.damping = max(10 * self.damping, _FIRST_DAMPING)
@@ -245,8 +117,8 @@ def most_likely(
     """
     starts = [Start.of(chain, each.recording) for each in observed]
     first = [start.rest for start in starts] if states is None else states
-    runs = run_all([chain] * len(observed), observed, starts, first, coarse)
-    searches = [_Search(run) for run in runs]
+    runs = run_all(chain, observed, starts, first, coarse)
+    searches = [_Search(run.weighed()) for run in runs]
     for _ in range(_MOST_ITERATIONS):
         proposals = [(search, search.proposal()) for search in searches if not search.converged]
         pending = [(search, state) for search, state in proposals if state is not None]
@@ -259,11 +131,12 @@ def most_likely(
 
 def _attempts(chain: Chain, pending: Sequence[tuple[_Search, Array]], coarse: float) -> list[Run | None]:
     """Runs from the proposed states; None where one diverges."""
-    parts = [(search.run.observed, search.run.start, state) for search, state in pending]
+    observed = [search.run.observed for search, _ in pending]
+    starts = [search.run.start for search, _ in pending]
     try:
-        return list(run_all([chain] * len(parts), *map(list, zip(*parts, strict=True)), coarse))  # type: ignore[arg-type]
+        return [*run_all(chain, observed, starts, [state for _, state in pending], coarse)]
     except SimulationDivergedError:
-        if len(parts) == 1:
+        if len(pending) == 1:
             return [None]
         return [_attempts(chain, [each], coarse)[0] for each in pending]
 
@@ -275,8 +148,7 @@ def report(run: Run, converged: bool) -> Replay:
     simulation = Simulation(recording.time, q, v, q[:, chain.active], run.observed.arcs.markers(chain, q))
     split = run.observed.markers.size
     off = run.observed.values - run.observed.predicted(chain, q)
-    counted = run.observed.weights > 0
-    markers, angles = off[:split][counted[:split]], off[split:][counted[split:]]
+    markers, angles = off[:split], off[split:]
     return Replay(
         simulation=simulation,
         chi2=run.chi2,

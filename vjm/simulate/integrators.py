@@ -148,7 +148,7 @@ def _multiply_each(states: Array, matrices: Array) -> Array:
 
 
 def _linear_part(system: System) -> tuple[Array, Array]:
-    """Constant part (C, 2 nv, 2 nv) of d/dt (q, v) at zero angles, a single one where all share it; M^-1 (C, nv, nv)."""
+    """Constant part of d/dt (q, v) at zero angles (C, 2 nv, 2 nv), one where all share it; M^-1 (C, nv, nv)."""
     copies, n = system.stiffness.shape
     full = dynamics.mass_matrix(system.mechanism, np.zeros((1, copies * n)))[0]
     inertia = np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])

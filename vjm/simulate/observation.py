@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ class Observed:
         markers: (N_m,) measured coordinates, as indices into (F, 2 k) flattened.
         angles: (N_t,) measured angles, as indices into (T, n_a) flattened.
         values: (N_m + N_t,) what was measured [m, rad].
-        weights: (N_m + N_t,) one over its 1-sigma noise; zero for what is left out [1/m, 1/rad].
+        noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
     """
 
@@ -70,23 +71,27 @@ class Observed:
     markers: Indices
     angles: Indices
     values: Array
-    weights: Array
+    noise: tuple[float, float]
     loss: Loss = LINEAR
 
     @classmethod
-    def of(cls, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Observed:
+    def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:
         """Everything measured in a recording, with the sensors' 1-sigma noise [m, rad]."""
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
-        weights = np.concatenate([np.full(markers.size, 1 / marker_noise), np.full(angles.size, 1 / encoder_noise)])
         values = np.concatenate([seen[markers], theta[angles]])
-        return cls(recording, Arcs.of(rig), frames, markers, angles, values, weights)
+        return cls(recording, Arcs.of(rig), frames, markers, angles, values, noise, loss)
+
+    @cached_property
+    def weights(self) -> Array:
+        """(N_m + N_t,) one over the noise of each value [1/m, 1/rad]."""
+        return np.repeat(1 / np.array(self.noise), (self.markers.size, self.angles.size))
 
     @property
     def count(self) -> int:
-        """Number of measured values that count."""
-        return int(np.count_nonzero(self.weights))
+        """Number of measured values."""
+        return int(self.values.size)
 
     def predicted(self, chain: Chain, q: Array) -> Array:
         """(N_m + N_t,) what a motion q (T, nv) at the recording's instants would have shown [m, rad]."""
@@ -128,7 +133,6 @@ class Observed:
             markers=markers,
             angles=angles,
             values=self.values[kept],
-            weights=self.weights[kept],
         )
 
     def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:

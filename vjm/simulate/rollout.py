@@ -28,6 +28,9 @@ _MOST_STEPS_A_PERIOD = 220.0
 _ELBOW_STEP = 0.015  # periods of the fastest mode, where an active joint further out changes the mass matrix itself
 REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20
+_DEFAULT_ERROR = 1e-6  # m
+_NEGLIGIBLE = 0.02  # of the marker noise
+_MOST_COARSE = 2.0
 _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
 _HALF_INTERVAL_ELBOW = 1 / 300  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
@@ -61,6 +64,11 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
     if (chain.active > 0).any():
         step = min(step, _ELBOW_STEP / fastest)
     return float(longer * step)
+
+
+def coarse_step(marker_noise: float) -> float:
+    """Multiple of the default step whose error is a fiftieth of the marker noise [m], and twice the step at most."""
+    return float(np.clip((_NEGLIGIBLE * marker_noise / _DEFAULT_ERROR) ** 0.25, 1.0, _MOST_COARSE))
 
 
 def locked_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:

@@ -24,6 +24,7 @@ from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
 
+_RIGID = ("lengths", "masses", "mass_centers", "inertias")
 _ANGLE = 1e-6  # rad, perturbation
 _RATE = 1e-5  # rad/s
 _NUMBERS_A_CHUNK = 400_000  # of coefficients held at once
@@ -123,9 +124,7 @@ def _same_bodies(chain: Chain, other: Chain) -> bool:
     """Whether two chains differ in springs and dampers only."""
     return all(
         one.hub_inertia == two.hub_inertia
-        and all(
-            np.array_equal(getattr(one, f), getattr(two, f)) for f in ("lengths", "masses", "mass_centers", "inertias")
-        )
+        and all(np.array_equal(getattr(one, field), getattr(two, field)) for field in _RIGID)
         for one, two in zip(chain.links, other.links, strict=True)
     )
 
@@ -209,7 +208,8 @@ def _exponentials(W: Array) -> tuple[Array, Array, Array, Array]:
 def _series(one: Array, X: Array, X2: Array, X3: Array) -> Array:
     """phi_3 by its power series."""
     c = _COEFFICIENTS
-    return c[0] * one + c[1] * X + c[2] * X2 + X3 @ (c[3] * one + c[4] * X + c[5] * X2)
+    found: Array = c[0] * one + c[1] * X + c[2] * X2 + X3 @ (c[3] * one + c[4] * X + c[5] * X2)
+    return found
 
 
 def jacobian(

@@ -24,9 +24,9 @@ class Triangle:
     @classmethod
     def of(cls, parts: Iterable[tuple[Array, Array]], columns: int) -> Triangle:
         """Gather rows: pairs of J (m, C) and r (m,)."""
-        R = np.zeros((0, columns + 1))
+        R: Array = np.zeros((0, columns + 1))
         for jacobian, residual in parts:
-            R = np.linalg.qr(np.vstack([R, np.column_stack([jacobian, residual])]), mode="r")
+            R = np.asarray(np.linalg.qr(np.vstack([R, np.column_stack([jacobian, residual])]), mode="r"))
         missing = columns + 1 - len(R)
         return cls(np.vstack([R, np.zeros((missing, columns + 1))]) if missing > 0 else R)
 
@@ -60,6 +60,10 @@ class Triangle:
         top = self.R[:count]
         return _solved(top[:, :count], top[:, -1] - top[:, count:-1] @ others)
 
+    def followed(self, count: int) -> Array:
+        """(count, C - count) how the best first unknowns follow the others."""
+        return _solved(self.R[:count, :count], self.R[:count, count:-1])
+
     def best(self) -> Array:
         """(C,) all unknowns."""
         return self.solve(self.columns, np.zeros(0))
@@ -74,5 +78,6 @@ def _solved(R: Array, z: Array) -> Array:
     """Least-squares solution that leaves what the rows do not speak of at zero."""
     scale = np.linalg.norm(R, axis=0)
     scale[scale == 0] = 1.0
-    solution: Array = np.linalg.lstsq(R / scale, z, rcond=1e-13)[0] / scale
+    scaled = np.linalg.lstsq(R / scale, z, rcond=1e-13)[0]
+    solution: Array = (scaled.T / scale).T
     return solution

@@ -1,0 +1,244 @@
+"""The trajectory method: where it starts, what it leaves out, and how many virtual joints explain the recordings."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.records import Chain
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.experiment.records import Experiment, Recording, Rig
+from vjm.identification.data import Data
+from vjm.identification.outliers import without_outliers
+from vjm.identification.parametrisation import Parametrisation
+from vjm.identification.select import JointChoice, choose_virtual_joints, cuts_of, nominal_chain
+from vjm.identification.torque_fit import Progress, TorqueFit, TorqueProblem
+from vjm.identification.torque_method import START_DAMPING, driven_hubs, fit_uniform, with_frequencies
+from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
+from vjm.simulate.drive import measured_torque
+from vjm.simulate.loss import LOSSES
+from vjm.simulate.observation import Observed
+from vjm.simulate.rollout import coarse_step
+from vjm.simulate.run import Start, transferred
+
+Array = NDArray[np.float64]
+
+_WORTH_A_JOINT = 0.002  # relative fall of the RMS residual
+_LOST = 10.0  # RMS residual over noise of the first periods beyond which other starts are tried
+_EXPLAINED = 0.5  # unless it is less than this share of the motion
+_OTHER_STIFFNESS = tuple(float(factor) for factor in np.geomspace(0.25, 4.0, 9))
+_BEYOND = 3  # joints more than the modes' frequencies ask for, at most
+
+
+@dataclass(frozen=True)
+class ByTrajectory:
+    """What the trajectory method found.
+
+    Attributes:
+        fit: the minimum.
+        joints: numbers of virtual joints, and what they cost.
+        torque: the torque method's fit that it started from; None where there was none.
+        observed: the recordings it was fitted to.
+        problems: why others were not used, a sentence each.
+        notes: what was decided on the way.
+    """
+
+    fit: TrajectoryFit
+    joints: tuple[JointChoice, ...]
+    torque: tuple[TorqueProblem, TorqueFit] | None
+    observed: tuple[Observed, ...]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def by_trajectory(
+    experiment: Experiment, data: Data, loss: str = "linear", progress: Progress | None = None
+) -> ByTrajectory:
+    """Identify by whole trajectories.
+
+    Args:
+        experiment: the rig.
+        data: its recordings.
+        loss: of the weighted residuals, one of `LOSSES`.
+        progress: told (text, done, total) now and then.
+
+    Raises:
+        InsufficientDataError: no recording can be simulated.
+        SimulationDivergedError: no start can be simulated.
+    """
+    recordings, problems = _simulated(data.recordings)
+    noise = (data.settings.marker_noise, data.settings.encoder_noise)
+    observed = tuple(Observed.of(experiment.rig, each, noise, LOSSES[loss]) for each in recordings)
+    torque = fit_uniform(experiment, data, progress) if data.prepared else None
+    search = _Search(experiment, data, observed, driven_hubs(experiment, recordings), progress)
+    x = search.start(torque)
+    counts = search.candidates()
+    fit = search.uniform(counts[0], x)
+    observed = _without_outliers(experiment.rig, fit)
+    if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
+        search = replace(search, observed=observed)
+        fit = search.uniform_near(counts[0], fit)
+    fit, joints, notes = search.enough_joints(counts, fit)
+    choices = tuple(
+        replace(choose_virtual_joints(link, order, n), asked=len(counts) == 1 and search.asked)
+        for link, order, n in zip(experiment.rig.links, data.plan.shape.orders, joints, strict=True)
+    )
+    return ByTrajectory(fit, choices, torque, search.observed, problems, notes)
+
+
+def _simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
+    """Recordings whose torques are known, and what is wrong with the others.
+
+    Raises:
+        InsufficientDataError: there is none.
+    """
+    kept, problems = [], []
+    for recording in recordings:
+        try:
+            measured_torque(recording)
+            kept.append(recording)
+        except InsufficientDataError as error:
+            problems.append(str(error))
+    if not kept:
+        raise InsufficientDataError(
+            "method trajectory",
+            "no torque was measured at the active joints of any training recording, so none can be simulated",
+            "record the column LINK.tau, or use method 'torque'",
+        )
+    return tuple(kept), tuple(problems)
+
+
+def _without_outliers(rig: Rig, fit: TrajectoryFit) -> tuple[Observed, ...]:
+    found = []
+    for run in fit.point.runs:
+        seen = run.observed
+        markers = seen.arcs.markers(run.chain, run.path[0])
+        recording, count = without_outliers(seen.recording, markers, seen.noise[0])
+        found.append(Observed.of(rig, recording, seen.noise, seen.loss) if count else seen)
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Fits of one experiment with different numbers of joints."""
+
+    experiment: Experiment
+    data: Data
+    observed: tuple[Observed, ...]
+    hubs: tuple[int, ...]
+    progress: Progress | None
+
+    @property
+    def asked(self) -> bool:
+        """Whether the numbers of joints were asked for."""
+        return all(choice.asked for choice in self.data.plan.joints)
+
+    def candidates(self) -> list[tuple[int, ...]]:
+        """Numbers of joints to try, the smallest first: from as many as there are modes seen to the plan's."""
+        planned = tuple(choice.joints for choice in self.data.plan.joints)
+        if self.asked:
+            return [planned]
+        orders = self.data.plan.shape.orders
+        first = tuple(min(max(order, 2), n) for order, n in zip(orders, planned, strict=True))
+        most = max(n - m for n, m in zip(planned, first, strict=True))
+        if self.data.options.parameters == "uniform":
+            most += _BEYOND
+        return [
+            tuple(link.virtual_joints or m + k for m, link in zip(first, self.experiment.rig.links, strict=True))
+            for k in range(most + 1)
+        ]
+
+    def template(self, joints: Sequence[int]) -> Chain:
+        """The nominal chain with so many joints."""
+        rig = self.experiment.rig
+        return nominal_chain(rig, cuts_of(rig, joints, self.data.options.layout), START_DAMPING)
+
+    def problem(self, joints: Sequence[int]) -> TrajectoryProblem:
+        """Of uniform links with so many joints."""
+        parametrisation = Parametrisation(self.template(joints), "uniform", self.hubs)
+        return TrajectoryProblem(parametrisation, self.observed, coarse_step(self.data.settings.marker_noise))
+
+    def start(self, torque: tuple[TorqueProblem, TorqueFit] | None) -> Array:
+        """Coordinates to start from: the torque method's, held to the measured frequencies, if they hold water."""
+        problem = self.problem([choice.joints for choice in self.data.plan.joints])
+        x = problem.parametrisation.start
+        if torque is not None:
+            x = torque[1].x
+            with contextlib.suppress(InsufficientDataError):
+                x = with_frequencies(*torque, self.data)[1].x
+        short = problem.until(first_horizon(problem, x))
+        misfit, motion = _misfit(short, x), _motion(short, x)
+        if misfit < max(_LOST, _EXPLAINED * motion):
+            return x
+        stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
+        tried = [np.where(stiffness, factor * x, x) for factor in _OTHER_STIFFNESS]
+        return min([x, *tried], key=lambda each: _misfit(short, each))
+
+    def uniform(self, joints: Sequence[int], x: Array) -> TrajectoryFit:
+        """Uniform links with so many joints, from far away."""
+        return fit_trajectory(self.problem(joints), x, self.progress)
+
+    def uniform_near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
+        """Uniform links with so many joints, from a fit with about as many."""
+        chain = self.template(joints)
+        states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
+        return fit_trajectory(self.problem(joints), fit.point.x, self.progress, states)
+
+    def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """The same with the parameters asked for, the uniform links being where they start and what they prefer."""
+        kind = self.data.options.parameters
+        if kind == "uniform":
+            return fit
+        parametrisation = Parametrisation(fit.point.chain, kind, self.hubs)
+        spread = float(np.sqrt(max(fit.point.chi2 / fit.point.count, 1.0)))
+        problem = replace(
+            fit.point.problem, parametrisation=parametrisation, preference=parametrisation.preference, spread=spread
+        )
+        states = [run.state for run in fit.point.runs]
+        return fit_trajectory(problem, parametrisation.start, self.progress, states)
+
+    def enough_joints(
+        self, counts: Sequence[tuple[int, ...]], uniform: TrajectoryFit
+    ) -> tuple[TrajectoryFit, tuple[int, ...], tuple[str, ...]]:
+        """The fit with the fewest joints that one joint more does not improve, those joints, and a sentence on it."""
+        best, joints = self.refined(uniform), counts[0]
+        for more in counts[1:]:
+            uniform = self.uniform_near(more, uniform)
+            trial = self.refined(uniform)
+            gain = 1 - float(np.sqrt(trial.point.chi2 / best.point.chi2))
+            if not self._worth(best, trial):
+                note = f"one virtual joint more would make the residual {100 * max(gain, 0.0):.2g} % smaller"
+                return best, joints, (note,)
+            best, joints = trial, more
+        return best, joints, ()
+
+    def _worth(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
+        """Whether the larger chain explains the recordings better: by a Bayesian information criterion, and visibly."""
+        count = fewer.point.count
+        gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
+        added = more.point.x.size - fewer.point.x.size
+        return bool(gain > max(added * np.log(count), 2 * _WORTH_A_JOINT * count))
+
+
+def _motion(problem: TrajectoryProblem, x: Array) -> float:
+    """RMS of what was measured about the arm's rest, in units of the noise."""
+    chain = problem.parametrisation.chain(x)
+    squares = 0.0
+    for seen in problem.observed:
+        rest = Start.of(chain, seen.recording).rest[: chain.size]
+        residual = seen.residual(chain, np.broadcast_to(rest, (seen.recording.time.size, chain.size)))
+        squares += float(residual @ residual)
+    return float(np.sqrt(squares / sum(seen.count for seen in problem.observed)))
+
+
+def _misfit(problem: TrajectoryProblem, x: Array) -> float:
+    """RMS weighted residual of the best fit near x to the recordings' beginnings."""
+    try:
+        point = fit_trajectory(problem, x).point
+    except SimulationDivergedError:
+        return np.inf
+    return float(np.sqrt(point.chi2 / point.count))

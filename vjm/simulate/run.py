@@ -1,0 +1,205 @@
+"""A simulation of one recording from an initial state, beside what was measured, and how it depends on that state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.curve import curvature_spline
+from vjm.chain.records import Chain
+from vjm.experiment.records import Recording
+from vjm.modes import equilibrium, linearise
+from vjm.simulate.observation import Observed
+from vjm.simulate.rollout import half_interval, rollouts
+from vjm.simulate.sensitivity import Basis, Moved, first_angles, jacobian
+from vjm.simulate.steps import Steps, sample
+from vjm.simulate.triangle import Triangle
+
+Array = NDArray[np.float64]
+
+_USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
+_USUAL_TURN = 1.0  # rad of an active joint
+_KEPT = ("path", "residual", "chi2", "stride", "basis")  # what does not depend on the preference
+
+
+@dataclass(frozen=True)
+class Start:
+    """What is known of a recording's initial state before it is looked at.
+
+    A weak preference for rest, by the energy that bending the arm by a tenth of its length takes: it counts as much as
+    one or two of the recording's values do, and matters only for motion that these cannot show.
+
+    Attributes:
+        rest: (2 nv,) angles of rest at the first measured active angles, and zero rates [rad, rad/s].
+        root: (2 nv, 2 nv) |root (state - rest)|^2 is added to chi^2.
+        spread: size of a weighted residual that counts as one standard deviation beside it.
+    """
+
+    rest: Array
+    root: Array
+    spread: float = 1.0
+
+    @classmethod
+    def of(cls, chain: Chain, recording: Recording) -> Start:
+        """Of a chain at a recording's beginning."""
+        theta = first_angles(recording)
+        q = equilibrium(chain, recording.payload, recording.gravity, theta)
+        M, _, _, _ = linearise(chain, recording.payload, recording.gravity, theta)
+        stiffness = min(float(np.mean(link.stiffness * link.cells)) for link in chain.links)
+        energy = 1.5 * stiffness * _USUAL_BEND**2 / sum(link.length for link in chain.links)
+        n = chain.size
+        root = np.zeros((2 * n, 2 * n))
+        root[range(n), range(n)] = np.sqrt(chain.stiffness / (2 * energy))
+        root[chain.active, chain.active] = 1 / _USUAL_TURN
+        root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
+        return cls(np.concatenate([q, np.zeros(n)]), root)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A simulation of one recording from an initial state, beside what was measured.
+
+    Attributes:
+        observed: the measurements.
+        start: what was known of the initial state.
+        chain: what was simulated.
+        state: (2 nv,) initial angles and rates.
+        steps: the trajectory at the integrator's instants; one copy.
+    """
+
+    observed: Observed
+    start: Start
+    chain: Chain
+    state: Array
+    steps: Steps
+
+    @cached_property
+    def path(self) -> tuple[Array, Array]:
+        """q, v (T, nv) at the recording's instants [rad, rad/s]."""
+        q, v = sample(self.steps, self.observed.recording.time)
+        return q[:, 0], v[:, 0]
+
+    @cached_property
+    def residual(self) -> Array:
+        """(N,) measured less simulated, weighted."""
+        return self.observed.residual(self.chain, self.path[0])
+
+    @cached_property
+    def chi2(self) -> float:
+        """Sum of the squared weighted residuals."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def cost(self) -> float:
+        """The residuals' loss and what the initial state adds to it."""
+        away = self.start.spread * (self.start.root @ (self.state - self.start.rest))
+        return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away)
+
+    def weighed(self) -> Run:
+        """The same run with the preference for rest as strong as the residuals are large."""
+        spread = float(np.sqrt(max(self.chi2 / max(self.observed.count, 1), 1.0)))
+        run = replace(self, start=replace(self.start, spread=spread))
+        run.__dict__.update({name: self.__dict__[name] for name in _KEPT if name in self.__dict__})
+        return run
+
+    @cached_property
+    def stride(self) -> int:
+        """Steps in half an interval over which derivatives are advanced."""
+        return half_interval(self.chain, self.observed.recording, self.steps.step)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """The m modes that its derivatives are told in."""
+        return Basis.of(self.chain, self.observed.recording, 2 * self.stride * self.steps.step)
+
+    def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
+        """Derivatives (r, 2 m + p) of the weighted predictions, and the residuals (r,), as the loss lets them count."""
+        parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
+        kept = np.sqrt(self.observed.loss.slope(self.residual**2))
+        for markers, angles, part in parts:
+            share = np.concatenate([kept[markers], kept[angles]])
+            yield share[:, None] * part, share * np.concatenate([self.residual[markers], self.residual[angles]])
+
+    def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
+        """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters."""
+        states = self.basis.states
+        columns = states.shape[1] + len(moved)
+        root = np.zeros((self.state.size, columns))
+        preference = self.start.spread * self.start.root
+        root[:, : states.shape[1]] = preference @ states
+        gathered = Triangle.of(self.rows(moved), columns)
+        return gathered.with_rows(root, preference @ (self.start.rest - self.state))
+
+    def scores(self, moved: Sequence[Moved], triangle: Triangle) -> Array:
+        """(T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated.
+
+        Args:
+            moved: as in `triangle`.
+            triangle: this run's.
+        """
+        states = triangle.columns - len(moved)
+        followed = triangle.followed(states)
+        instants = self.observed.instants
+        found = np.zeros((self.observed.recording.time.size, len(moved)))
+        parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
+        for markers, angles, part in parts:
+            own = part[:, states:] - part[:, :states] @ followed
+            residual = np.concatenate([self.residual[markers], self.residual[angles]])
+            np.add.at(found, np.concatenate([instants[markers], instants[angles]]), own * residual[:, None])
+        return found
+
+    def series(self) -> Iterator[Array]:
+        """Weighted residuals over each kind of sensor's instants, (F, 2 k) and (T, n_a); NaN where nothing was seen."""
+        split, frames = self.observed.markers.size, self.observed.frames.size
+        for size, index, part in (
+            (frames * 2 * self.observed.recording.markers.shape[1], self.observed.markers, self.residual[:split]),
+            (self.observed.recording.theta.size, self.observed.angles, self.residual[split:]),
+        ):
+            if index.size:
+                flat = np.full(size, np.nan)
+                flat[index] = part
+                rows = frames if index is self.observed.markers else self.observed.recording.time.size
+                yield flat.reshape(rows, -1)
+
+
+def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
+    """An initial state (2 nv,) told in the joints of another chain of the same arm: with the same curvatures."""
+    links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
+    turn = np.zeros((wanted.size, given.size))
+    turn[wanted.active, given.active] = 1.0
+    for one, two, here, there in links:
+        curvature = curvature_spline(one.joint_arcs, one.cells, one.length, one.distal)(two.joint_arcs)
+        turn[there, here] = two.cells[:, None] * curvature
+    q, v = np.split(state, 2)
+    return np.concatenate([turn @ q, turn @ v])
+
+
+def run_all(
+    chain: Chain,
+    observed: Sequence[Observed],
+    starts: Sequence[Start],
+    states: Sequence[Array],
+    coarse: float,
+) -> list[Run]:
+    """Simulate several recordings together.
+
+    Args:
+        chain: the arm.
+        observed, starts: the recordings.
+        states: (2 nv,) initial states.
+        coarse: multiple of the default step.
+
+    Raises:
+        SimulationDivergedError: one of them diverged.
+    """
+    recordings = [each.recording for each in observed]
+    q, v = np.hsplit(np.stack(states), 2)
+    steps = rollouts([chain] * len(q), recordings, q, v, coarse=coarse)
+    return [
+        Run(seen, start, chain, state, path)
+        for seen, start, state, path in zip(observed, starts, states, steps, strict=True)
+    ]
