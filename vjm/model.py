@@ -81,9 +81,14 @@ class Model:
         """The same as `simulate`, with the residuals' statistics."""
         return self.replays([recording])[0]
 
-    def replays(self, recordings: Sequence[Recording]) -> list[Replay]:
-        """Replays of several recordings, advanced together."""
-        return replays(self.chain, self.rig, recordings, self.marker_noise, self.encoder_noise)
+    def replays(self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None) -> list[Replay]:
+        """Replays of several recordings, advanced together.
+
+        Args:
+            recordings: T instants each.
+            states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
+        """
+        return replays(self.chain, self.rig, recordings, self.marker_noise, self.encoder_noise, states)
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 _FALSE_ALARM = 1e-6  # probability that noise alone shows a mode
 _SEPARATION = 0.2  # relative; a peak closer to a known mode is its own skirt
 _FIRST_RATIOS = (0.002, 0.01, 0.05)
+_FIRST_SHIFTS = (-0.25, 0.0, 0.25)  # bins of the spectrum
 _LARGEST_RATIO = 0.7
 _MOST_FRAMES = 20_000  # of a longer recording, the part used
 _LARGEST_STD = 0.1  # relative; a frequency less sure than this is no measurement
@@ -192,30 +193,28 @@ def _peak(time: Array, residual: Array, known: Array) -> float | None:
 
 
 def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: float) -> Array:
-    """Add a mode near `start` [Hz] and refine all of them; the best of a few first damping ratios."""
+    """Add a mode near `start` [Hz] and refine all of them, from the likeliest of a few first guesses."""
     top = 0.5 / float(np.median(np.diff(oscillators.time)))
+    bin_width = 1 / max(float(oscillators.time[-1]), 1e-300)
 
     def residual(x: Array) -> Array:
         return _project(oscillators.columns(x.reshape(-1, 2)), y)[0].ravel() / noise
 
-    results = []
-    for ratio in _FIRST_RATIOS:
-        first = np.vstack([known, [start, ratio]])
-        lower = np.column_stack([0.5 * first[:, 0], np.zeros(len(first))]).ravel()
-        upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), _LARGEST_RATIO)]).ravel()
-        guess = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
-        scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
-        results.append(
-            least_squares(
-                residual,
-                guess,
-                bounds=(lower, upper),
-                x_scale=1e-2 * scale,
-                max_nfev=30,
-            )
-        )
-    best = min(results, key=lambda result: result.cost)
-    refined: Array = np.asarray(best.x).reshape(-1, 2)
+    guesses = [
+        np.vstack([known, [start + shift * bin_width, ratio]]) for ratio in _FIRST_RATIOS for shift in _FIRST_SHIFTS
+    ]
+    first = min(guesses, key=lambda each: float(np.sum(residual(each) ** 2)))
+    lower = np.column_stack([0.5 * first[:, 0], np.zeros(len(first))]).ravel()
+    upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), _LARGEST_RATIO)]).ravel()
+    scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
+    found = least_squares(
+        residual,
+        np.clip(first.ravel(), lower + 1e-9, upper - 1e-9),
+        bounds=(lower, upper),
+        x_scale=1e-2 * scale,
+        max_nfev=30,
+    )
+    refined: Array = np.asarray(found.x).reshape(-1, 2)
     return refined
 
 

@@ -145,7 +145,7 @@ def _fit(model: Model, nominal: Model, recording: Recording, replayer: Replayer)
             recording, None, None, None, model.marker_noise, model.encoder_noise, "no torque was measured"
         )
     replays = [replayer(each, recording) for each in (model, nominal)]
-    return RecordingFit(recording, replays[0], replays[1], None, model.marker_noise, model.encoder_noise)
+    return RecordingFit(recording, replays[0], lambda: (replays[1], None), model.marker_noise, model.encoder_noise)
 
 
 def two_link_experiment() -> Experiment:

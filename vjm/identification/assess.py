@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -22,6 +24,8 @@ from vjm.modes import modes
 from vjm.simulate.initial_state import Replay
 from vjm.spectrum import MeasuredModes, match
 from vjm.torque import torque_errors
+
+Array = NDArray[np.float64]
 
 MATCH_TOLERANCE = 0.15  # a measured frequency this close to the model's is the same mode
 
@@ -92,51 +96,80 @@ def compare_modes(
 def fit_recordings(
     experiment: Experiment,
     model: Model,
-    nominal: Model | None,
+    others: Sequence[Model | None],
     progress: Progress | None = None,
-    torque: Model | None = None,
+    states: Mapping[str, Array] | None = None,
 ) -> tuple[RecordingFit, ...]:
-    """Open-loop replay of every recording by the model and, for comparison, by others.
+    """Open-loop replay of every recording by the model and, when they are asked for, by others to compare it with.
 
     Coordinates that cannot be right, and outliers, are left out of the recordings and counted.
 
     Args:
         experiment: the recordings.
         model: the identified one.
-        nominal: of the experiment file's values.
+        others: the nominal one, and the torque method's; None where there is none.
         progress: told (text, done, total) while it runs.
-        torque: what the torque method found; None where that is the model itself.
+        states: (2 nv,) most likely initial states, as far as they are known, by recording file.
     """
     tell = progress or (lambda *_: None)
-    tell("replaying recordings", 0, 4)
+    tell("replaying recordings", 0, 2)
     recordings = [cleaned(experiment.rig, recording) for recording in experiment.recordings]
-    replayed = _replayed(model, recordings)
+    replayed = _replayed(model, recordings, states or {})
     kept, left_out, again = list(recordings), [0] * len(recordings), []
+    tell("replaying recordings", 1, 2)
     for k, (recording, (found, _)) in enumerate(zip(recordings, replayed, strict=True)):
         if found is not None:
             kept[k], left_out[k] = without_outliers(recording, found.simulation.markers, model.marker_noise)
             again += [k] if left_out[k] else []
-    for k, repeated in zip(again, _replayed(model, [kept[k] for k in again]), strict=True):
+    for k, repeated in zip(again, _replayed(model, [kept[k] for k in again], states or {}), strict=True):
         replayed[k] = repeated
-    others = []
-    for done, other in enumerate((nominal, torque), start=1):
-        tell("replaying recordings", done, 4)
-        others.append([(None, "")] * len(kept) if other is None else _replayed(other, kept))
-    tell("replaying recordings", 4, 4)
+    tell("replaying recordings", 2, 2)
+    compared = _Compared(kept, others)
     return tuple(
-        RecordingFit(kept[k], replayed[k][0], others[0][k][0], others[1][k][0], *noise, replayed[k][1], left_out[k])
-        for noise in [(model.marker_noise, model.encoder_noise)]
+        RecordingFit(
+            kept[k],
+            replayed[k][0],
+            partial(compared.of, k),
+            model.marker_noise,
+            model.encoder_noise,
+            replayed[k][1],
+            left_out[k],
+        )
         for k in range(len(kept))
     )
 
 
-def _replayed(model: Model, recordings: Sequence[Recording]) -> list[tuple[Replay | None, str]]:
+class _Compared:
+    """Replays of the same recordings by other models, all made when the first is asked for."""
+
+    def __init__(self, recordings: Sequence[Recording], models: Sequence[Model | None]) -> None:
+        self.recordings = recordings
+        self.models = models
+
+    def of(self, k: int) -> tuple[Replay | None, Replay | None]:
+        """The nominal and the torque method's replay of recording k."""
+        nominal, torque = self._all
+        return nominal[k], torque[k]
+
+    @cached_property
+    def _all(self) -> list[list[Replay | None]]:
+        return [
+            [None] * len(self.recordings)
+            if model is None
+            else [found for found, _ in _replayed(model, self.recordings, {})]
+            for model in self.models
+        ]
+
+
+def _replayed(
+    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array]
+) -> list[tuple[Replay | None, str]]:
     """Each recording's replay, or why there is none."""
     if not recordings:
         return []
     try:
-        return [(each, "") for each in model.replays(recordings)]
+        return [(each, "") for each in model.replays(recordings, [states.get(r.file) for r in recordings])]
     except (InsufficientDataError, SimulationDivergedError) as error:
         if len(recordings) == 1:
             return [(None, str(error))]
-    return [_replayed(model, [each])[0] for each in recordings]
+    return [_replayed(model, [each], states)[0] for each in recordings]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -71,8 +72,7 @@ class RecordingFit:
     Attributes:
         recording: which, without coordinates that cannot be right.
         replay: the simulation from its most likely initial state; None where it cannot be simulated.
-        nominal: the same of the nominal model of the experiment file; None where it cannot be simulated.
-        torque: the same of what the torque method found; None where that is the model itself.
+        others: replays by the nominal model and by what the torque method found, made when first asked for.
         marker_noise: 1-sigma of a marker coordinate [m].
         encoder_noise: 1-sigma [rad].
         problem: why there is no replay; empty otherwise.
@@ -81,12 +81,21 @@ class RecordingFit:
 
     recording: Recording
     replay: Replay | None
-    nominal: Replay | None
-    torque: Replay | None
+    others: Callable[[], tuple[Replay | None, Replay | None]]
     marker_noise: float
     encoder_noise: float
     problem: str = ""
     left_out: int = 0
+
+    @property
+    def nominal(self) -> Replay | None:
+        """The replay of the nominal model of the experiment file; None where it cannot be simulated."""
+        return self.others()[0]
+
+    @property
+    def torque(self) -> Replay | None:
+        """The replay of what the torque method found; None where that is the model itself."""
+        return self.others()[1]
 
 
 @dataclass(frozen=True)

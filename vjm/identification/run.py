@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import cast
 
@@ -109,6 +110,7 @@ class _Found:
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     before: Chain | None = None
+    states: Mapping[str, Array] | None = None
     trajectory: TrajectorySummary | None = None
 
 
@@ -132,6 +134,7 @@ def _trajectory(experiment: Experiment, data: Data, loss: str, progress: Progres
         warnings=(*found.problems, *residual_warnings(whiteness)),
         notes=found.notes,
         before=None if found.torque is None else found.torque[0].parametrisation.chain(found.torque[1].x),
+        states={run.observed.recording.file: run.state for run in point.runs},
         trajectory=TrajectorySummary(point.chi2, point.count, found.fit.iterations, whiteness, found.fit),
     )
 
@@ -147,7 +150,7 @@ def _result(
     model = Model(chain, experiment.rig, *noise, parameters)
     nominal = Model(nominal_chain(experiment.rig, layouts_of(chain)), experiment.rig, *noise)
     before = None if found.before is None else Model(found.before, experiment.rig, *noise)
-    recordings = fit_recordings(experiment, model, nominal, progress, before)
+    recordings = fit_recordings(experiment, model, (nominal, before), progress, found.states)
     comparison = compare_modes(model, data.payload, data.prepared, data.seen, max(orders))
     prepared = prepared_for(chain, experiment.rig, data)
     kind = parametrisation.kind

@@ -45,7 +45,7 @@ class TrajectoryProblem:
     Attributes:
         parametrisation: the coordinates.
         observed: the recordings.
-        coarse: multiple of the integrator's default step, whose error stays far below the noise.
+        coarse: multiple of the integrator's default step to take before the last horizon.
         preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
         spread: size of the weighted residuals that counts as one standard deviation beside the preference.
     """
@@ -151,6 +151,7 @@ def fit_trajectory(
     start: Array,
     progress: Progress | None = None,
     states: Sequence[Array] | None = None,
+    known: float = np.inf,
 ) -> TrajectoryFit:
     """Find the coordinates and initial states that explain the measurements best.
 
@@ -158,28 +159,29 @@ def fit_trajectory(
         problem: the measurements and the coordinates.
         start: (p,) coordinates to start from.
         progress: told (text, done, total) now and then.
-        states: (2 nv,) initial states where these and `start` are near the minimum already; None: they may be far, and
-            the search begins with the recordings' first periods.
+        states: (2 nv,) initial states near the minimum; None: the search begins with the recordings' first periods.
+        known: how long `start` and `states` are known to follow the recordings [s].
     """
     lower, upper = problem.parametrisation.bounds
     x = np.clip(start, lower + 1e-6, upper)
-    horizons = _horizons(problem, x) if states is None else [np.inf]
+    horizons = _horizons(problem, x, 0.0 if states is None else known)
     count = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
-        part = problem if last else problem.until(horizon)
+        part = replace(problem, coarse=1.0) if last else problem.until(horizon)
         fit = _search(part, x, states, _Progress(progress, k, len(horizons)), final=last)
         count += fit.iterations
         x, states = fit.point.x, [run.state for run in fit.point.runs]
     return replace(fit, iterations=count)
 
 
-def _horizons(problem: TrajectoryProblem, x: Array) -> list[float]:
-    """Lengths of the recordings' beginnings to fit, each a few times the one before [s]."""
+def _horizons(problem: TrajectoryProblem, x: Array, known: float) -> list[float]:
+    """Lengths of the recordings' beginnings to fit, beyond what is known, each a few times the one before [s]."""
     longest = max(float(o.recording.time[-1] - o.recording.time[0]) for o in problem.observed)
     horizon, found = first_horizon(problem, x), []
     while horizon < longest / 1.5:
-        found.append(horizon)
+        if horizon > _LONGER / 2 * known:
+            found.append(horizon)
         horizon *= _LONGER
     return [*found, np.inf]
 

@@ -75,13 +75,12 @@ def by_trajectory(
     observed = tuple(Observed.of(experiment.rig, each, noise, LOSSES[loss]) for each in recordings)
     torque = fit_uniform(experiment, data, progress) if data.prepared else None
     search = _Search(experiment, data, observed, driven_hubs(experiment, recordings), progress)
-    x = search.start(torque)
     counts = search.candidates()
-    fit = search.uniform(counts[0], x)
+    fit = search.far(counts[0], torque)
     observed = _without_outliers(experiment.rig, fit)
     if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
-        fit = search.uniform_near(counts[0], fit)
+        fit = search.near(counts[0], fit)
     fit, joints, notes = search.enough_joints(counts, fit)
     choices = tuple(
         replace(choose_virtual_joints(link, order, n), asked=len(counts) == 1 and search.asked)
@@ -162,27 +161,29 @@ class _Search:
         parametrisation = Parametrisation(self.template(joints), "uniform", self.hubs)
         return TrajectoryProblem(parametrisation, self.observed, coarse_step(self.data.settings.marker_noise))
 
-    def start(self, torque: tuple[TorqueProblem, TorqueFit] | None) -> Array:
-        """Coordinates to start from: the torque method's, held to the measured frequencies, if they hold water."""
-        problem = self.problem([choice.joints for choice in self.data.plan.joints])
+    def far(self, joints: Sequence[int], torque: tuple[TorqueProblem, TorqueFit] | None) -> TrajectoryFit:
+        """Uniform links with so many joints, from far away.
+
+        The search begins with the recordings' first periods, at what the torque method found, held to the measured
+        frequencies; where that does not follow them, other stiffnesses are tried.
+        """
+        problem = self.problem(joints)
         x = problem.parametrisation.start
         if torque is not None:
             x = torque[1].x
             with contextlib.suppress(InsufficientDataError):
                 x = with_frequencies(*torque, self.data)[1].x
-        short = problem.until(first_horizon(problem, x))
-        misfit, motion = _misfit(short, x), _motion(short, x)
-        if misfit < max(_LOST, _EXPLAINED * motion):
-            return x
-        stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
-        tried = [np.where(stiffness, factor * x, x) for factor in _OTHER_STIFFNESS]
-        return min([x, *tried], key=lambda each: _misfit(short, each))
+        horizon = first_horizon(problem, x)
+        short = problem.until(horizon)
+        fit = fit_trajectory(short, x, self.progress)
+        if _misfit(fit) > max(_LOST, _EXPLAINED * _motion(short, x)):
+            stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
+            tried = [_attempted(short, np.where(stiffness, factor * x, x)) for factor in _OTHER_STIFFNESS]
+            fit = min([fit, *(each for each in tried if each is not None)], key=_misfit)
+        states = [run.state for run in fit.point.runs]
+        return fit_trajectory(problem, fit.point.x, self.progress, states, horizon)
 
-    def uniform(self, joints: Sequence[int], x: Array) -> TrajectoryFit:
-        """Uniform links with so many joints, from far away."""
-        return fit_trajectory(self.problem(joints), x, self.progress)
-
-    def uniform_near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
+    def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
         """Uniform links with so many joints, from a fit with about as many."""
         chain = self.template(joints)
         states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
@@ -207,7 +208,7 @@ class _Search:
         """The fit with the fewest joints that one joint more does not improve, those joints, and a sentence on it."""
         best, joints = self.refined(uniform), counts[0]
         for more in counts[1:]:
-            uniform = self.uniform_near(more, uniform)
+            uniform = self.near(more, uniform)
             trial = self.refined(uniform)
             gain = 1 - float(np.sqrt(trial.point.chi2 / best.point.chi2))
             if not self._worth(best, trial):
@@ -235,10 +236,14 @@ def _motion(problem: TrajectoryProblem, x: Array) -> float:
     return float(np.sqrt(squares / sum(seen.count for seen in problem.observed)))
 
 
-def _misfit(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS weighted residual of the best fit near x to the recordings' beginnings."""
+def _misfit(fit: TrajectoryFit) -> float:
+    """RMS weighted residual."""
+    return float(np.sqrt(fit.point.chi2 / fit.point.count))
+
+
+def _attempted(problem: TrajectoryProblem, x: Array) -> TrajectoryFit | None:
+    """The fit from there; None where the arm cannot be simulated so."""
     try:
-        point = fit_trajectory(problem, x).point
+        return fit_trajectory(problem, x)
     except SimulationDivergedError:
-        return np.inf
-    return float(np.sqrt(point.chi2 / point.count))
+        return None

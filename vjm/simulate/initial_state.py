@@ -52,6 +52,7 @@ def replays(
     recordings: Sequence[Recording],
     marker_noise: float,
     encoder_noise: float,
+    states: Sequence[Array | None] | None = None,
 ) -> list[Replay]:
     """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
 
@@ -61,6 +62,7 @@ def replays(
         recordings: what was measured, and the torques.
         marker_noise: 1-sigma [m].
         encoder_noise: 1-sigma [rad].
+        states: (2 nv,) where to start the search for the initial states; None: at rest.
 
     Raises:
         InsufficientDataError: no torque measured at an active joint.
@@ -68,7 +70,7 @@ def replays(
     """
     observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
     coarse = coarse_step(marker_noise)
-    return [report(run, converged) for run, converged in most_likely(chain, observed, coarse=coarse)]
+    return [report(run, converged) for run, converged in most_likely(chain, observed, states, coarse)]
 
 
 def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
@@ -105,7 +107,7 @@ class _Search:
 
 
 def most_likely(
-    chain: Chain, observed: Sequence[Observed], states: Sequence[Array] | None = None, coarse: float = 1.0
+    chain: Chain, observed: Sequence[Observed], states: Sequence[Array | None] | None = None, coarse: float = 1.0
 ) -> list[tuple[Run, bool]]:
     """Each recording's run from its most likely initial state, and whether the search for it converged.
 
@@ -116,7 +118,8 @@ def most_likely(
         coarse: multiple of the default step.
     """
     starts = [Start.of(chain, each.recording) for each in observed]
-    first = [start.rest for start in starts] if states is None else states
+    given = [None] * len(starts) if states is None else states
+    first = [start.rest if state is None else state for start, state in zip(starts, given, strict=True)]
     runs = run_all(chain, observed, starts, first, coarse)
     searches = [_Search(run.weighed()) for run in runs]
     for _ in range(_MOST_ITERATIONS):

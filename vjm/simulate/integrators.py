@@ -61,6 +61,12 @@ class System:
         flat = dynamics.forward_dynamics(self.mechanism, q.ravel(), v.ravel(), total.ravel())
         return flat.reshape(q.shape)
 
+    def free_acceleration(self, x: Array, torque: Array) -> Array:
+        """(C, nv) accelerations at x = (q, v) (C, 2 nv) under torques (C, nv) of all joints, springs included."""
+        n = torque.shape[1]
+        flat = dynamics.forward_dynamics(self.mechanism, x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
+        return flat.reshape(torque.shape)
+
 
 def runge_kutta(system: System, q: Array, v: Array, drive: Drive) -> Steps:
     """Classical fourth-order Runge-Kutta with fixed steps: the reference (section 6.4 takes 100 us).
@@ -102,33 +108,31 @@ def exponential(system: System, q: Array, v: Array, drive: Drive) -> Steps:
     """
     linear, inverse = _linear_part(system)
     n, count = q.shape[1], len(drive.start)
-    propagators = _Propagators.of(linear, drive.step)
+    weights = _Weights.of(linear, _springs(system, len(linear)), drive.step)
     multiply = _multiply_shared if len(linear) == 1 else _multiply_each
-    from_state, from_first, from_second, from_middle, rate, end = propagators.stacked()
     record = _Recorder(drive, q)
     # From the quadratic's acceleration at the start of each step to the torque's own, for what lies between steps.
     missing = np.einsum("cij,scj->sci", inverse[:, :, system.active], drive.ends[:-1] - drive.start)
+    spread = [_spread(system, torques) for torques in (drive.start, drive.middle, drive.end)]
+    advance, size = system.free_acceleration, 2 * n
     x = np.concatenate([q, v], axis=1)
     for k in range(count):
-        now, middle, last = drive.start[k], drive.middle[k], drive.end[k]
-        a = system.acceleration(x[:, :n], x[:, n:], now)
+        p = multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
+        a = advance(x, p[:, :n] + spread[0][k])
         record.put(k, x[:, :n], x[:, n:], a + missing[k])
-        products = multiply(x, from_state)  # exp(L h / 2) x, exp(L h) x, L x
-        drift, result = products[:, : 2 * n], products[:, 2 * n : 4 * n]
-        n1 = a - products[:, 4 * n :]
-        products = multiply(n1, from_first)
-        first, result = products[:, : 2 * n], result + products[:, 2 * n :]
+        drift, result = p[:, size : 2 * size], p[:, 2 * size :]
+        p = multiply(a - p[:, n:size], weights.first)
+        first, result = p[:, :size], result + p[:, size:]
         x2 = drift + first
-        products = multiply(x2, from_second)
-        later = products[:, : 2 * n] - first
-        n2 = system.acceleration(x2[:, :n], x2[:, n:], middle) - products[:, 2 * n :]
-        products = multiply(n2, from_middle)
-        x3, result = drift + products[:, : 2 * n], result + products[:, 2 * n :]
-        n3 = system.acceleration(x3[:, :n], x3[:, n:], middle) - multiply(x3, rate)
-        products = multiply(n3, from_middle)
-        x4, result = later + 2 * products[:, : 2 * n], result + products[:, 2 * n :]
-        n4 = system.acceleration(x4[:, :n], x4[:, n:], last) - multiply(x4, rate)
-        x = result + multiply(n4, end)
+        p = multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
+        later = p[:, size:] - first
+        p = multiply(advance(x2, p[:, :n] + spread[1][k]) - p[:, n:size], weights.middle)
+        x3, result = drift + p[:, :size], result + p[:, size:]
+        p = multiply(x3, weights.rate)
+        p = multiply(advance(x3, p[:, :n] + spread[1][k]) - p[:, n:], weights.middle)
+        x4, result = later + 2 * p[:, :size], result + p[:, size:]
+        p = multiply(x4, weights.rate)
+        x = result + multiply(advance(x4, p[:, :n] + spread[2][k]) - p[:, n:], weights.end)
     return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], drive.ends[-1]))
 
 
@@ -160,36 +164,53 @@ def _linear_part(system: System) -> tuple[Array, Array]:
     return (linear[:1] if (linear == linear[0]).all() else linear), inverse
 
 
-@dataclass(frozen=True)
-class _Propagators:
-    """L, exp(L h), exp(L h / 2) and ETDRK4's weights, (C, 2 nv, nv) as the remainder enters the rates only."""
+def _springs(system: System, copies: int) -> Array:
+    """(copies, nv, 2 nv) torques of the springs and dampers by angles and rates."""
+    n = system.stiffness.shape[1]
+    found = np.zeros((copies, n, 2 * n))
+    found[:, range(n), range(n)] = -system.stiffness[:copies]
+    found[:, range(n), range(n, 2 * n)] = -system.damping[:copies]
+    return found
 
-    rate: Array
-    half_flow: Array
-    half_first: Array
-    flow: Array
-    start: Array
+
+def _spread(system: System, torques: Array) -> Array:
+    """Active joints' torques (S, C, n_a) among those of all joints (S, C, nv)."""
+    found = np.zeros((len(torques), *system.stiffness.shape))
+    found[:, :, system.active] = torques
+    return found
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """ETDRK4's matrices, transposed, and side by side where they multiply the same vector.
+
+    The remainder enters the rates only, so its weights are (2 nv, nv).
+    """
+
+    state: Array
+    first: Array
+    second: Array
     middle: Array
+    rate: Array
     end: Array
 
     @classmethod
-    def of(cls, linear: Array, step: float) -> _Propagators:
+    def of(cls, linear: Array, springs: Array, step: float) -> _Weights:
         n = linear.shape[-1] // 2
-        half_flow, half_first, _, _ = _phi_functions(linear, step / 2)
+        half_flow, half_phi, _, _ = _phi_functions(linear, step / 2)
         flow, phi1, phi2, phi3 = _phi_functions(linear, step)
-        weights = (phi1 - 3 * phi2 + 4 * phi3, 2 * phi2 - 4 * phi3, 4 * phi3 - phi2)
-        start, middle, end = (step * weight[:, :, n:] for weight in weights)
-        return cls(linear[:, n:, :], half_flow, step / 2 * half_first[:, :, n:], flow, start, middle, end)
-
-    def stacked(self) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Transposed, and side by side where they multiply the same vector."""
-        return (
-            _side_by_side(self.half_flow, self.flow, self.rate),
-            _side_by_side(self.half_first, self.start),
-            _side_by_side(self.half_flow, self.rate),
-            _side_by_side(self.half_first, self.middle),
-            _side_by_side(self.rate),
-            _side_by_side(self.end),
+        half = step / 2 * half_phi[:, :, n:]
+        start, middle, end = (
+            step * weight[:, :, n:] for weight in (phi1 - 3 * phi2 + 4 * phi3, 2 * phi2 - 4 * phi3, 4 * phi3 - phi2)
+        )
+        rate = linear[:, n:, :]
+        return cls(
+            state=_side_by_side(springs, rate, half_flow, flow),
+            first=_side_by_side(half, start),
+            second=_side_by_side(springs, rate, half_flow),
+            middle=_side_by_side(half, middle),
+            rate=_side_by_side(springs, rate),
+            end=_side_by_side(end),
         )
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 # Steps a period of the locked arm's slowest mode; measured on 1 m chains of 4 to 40 joints bent by an eighth of their
 # length, or driven: the tip stays within 1e-6 m for 10 s. The error grows with the arm's length and the fourth power of
 # the step; the top modes of larger chains, however fast, are in the part that is advanced exactly.
-_STEPS_A_PERIOD = 80.0
+_STEPS_A_PERIOD = 60.0
 _MORE_A_JOINT = 16.0
 _MOST_STEPS_A_PERIOD = 220.0
 _ELBOW_STEP = 0.015  # periods of the fastest mode, where an active joint further out changes the mass matrix itself

@@ -117,7 +117,7 @@ class Run:
         return Basis.of(self.chain, self.observed.recording, 2 * self.stride * self.steps.step)
 
     def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
-        """Derivatives (r, 2 m + p) of the weighted predictions, and the residuals (r,), as the loss lets them count."""
+        """Derivatives (r, 2 slow + p) of the weighted predictions, and the residuals (r,), as far as they count."""
         parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
         kept = np.sqrt(self.observed.loss.slope(self.residual**2))
         for markers, angles, part in parts:

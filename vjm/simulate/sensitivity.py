@@ -48,30 +48,32 @@ class Moved(NamedTuple):
 
 @dataclass(frozen=True)
 class Basis:
-    """Natural modes of the arm at rest that derivatives are told in: those slow enough for their interval.
+    """Natural modes of the arm at rest, in which derivatives are told.
 
-    Faster modes follow the slower ones without delay worth deriving, and no camera shows them.
+    A camera does not show how the fastest of them start, so initial states are told in the slow ones.
 
     Attributes:
-        shapes: (nv, m) joint angles of each mode, with modal mass one.
+        shapes: (nv, m) joint angles of each mode, with modal mass one; slowest first.
+        slow: number of slow modes.
     """
 
     shapes: Array
+    slow: int
 
     @classmethod
     def of(cls, chain: Chain, recording: Recording, interval: float) -> Basis:
-        """The modes of an arm (active joints free) with at most so many radians an interval [s]."""
+        """The modes of an arm, active joints free; slow are those that turn little in an interval [s]."""
         M, _, K, _ = linearise(chain, recording.payload, recording.gravity, first_angles(recording))
         squares, shapes = linalg.eigh(K, M)
-        slow = np.sqrt(np.maximum(squares, 0.0)) * interval < _MOST_TURN
-        slow[: chain.active.size + 1] = True
-        return cls(shapes[:, slow][:, :_MOST_MODES])
+        slow = int(np.count_nonzero(np.sqrt(np.maximum(squares, 0.0)) * interval < _MOST_TURN))
+        return cls(shapes[:, :_MOST_MODES], min(max(slow, chain.active.size + 1), chain.size, _MOST_MODES))
 
     @property
     def states(self) -> Array:
-        """(2 nv, 2 m) initial angles and rates of a unit of each mode's coordinate and rate."""
-        nothing = np.zeros_like(self.shapes)
-        return np.block([[self.shapes, nothing], [nothing, self.shapes]])
+        """(2 nv, 2 slow) initial angles and rates of a unit of each slow mode's coordinate and rate."""
+        shapes = self.shapes[:, : self.slow]
+        nothing = np.zeros_like(shapes)
+        return np.block([[shapes, nothing], [nothing, shapes]])
 
 
 def first_angles(recording: Recording) -> Array:
@@ -143,13 +145,14 @@ def sensitivities(
         stride: steps in half an interval; their number is a multiple of two strides.
 
     Yields:
-        For each stretch, trajectories of 2 m + p copies with m coordinates: the derivatives by the modes' initial
-        coordinates, initial rates, and by the parameters.
+        For each stretch, trajectories of 2 slow + p copies with m coordinates: the derivatives by the slow modes'
+        initial coordinates, initial rates, and by the parameters.
     """
-    size = basis.shapes.shape[1]
-    count = 2 * size + len(moved)
+    size, slow = basis.shapes.shape[1], 2 * basis.slow
+    count = slow + len(moved)
     rows = np.arange(0, len(steps.time), stride)
-    state = np.eye(2 * size, count)
+    state = np.zeros((2 * size, count))
+    state[: basis.slow, : basis.slow] = state[size : size + basis.slow, basis.slow : slow] = np.eye(basis.slow)
     interval = 2 * stride * steps.step
     most = 2 * max(20, _NUMBERS_A_CHUNK // (2 * size) ** 2)
     for first in range(0, rows.size - 1, most):
@@ -160,10 +163,10 @@ def sensitivities(
         states[0] = state
         for k in range(len(flow)):
             state = flow[k] @ state
-            state[:, 2 * size :] += pushed[k]
+            state[:, slow:] += pushed[k]
             states[k + 1] = state
         a = found.state[::2] @ states
-        a[:, :, 2 * size :] += found.forcing[::2]
+        a[:, :, slow:] += found.forcing[::2]
         q, v = states[:, :size], states[:, size:]
         yield Steps(steps.time[part[::2]], *(np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in (q, v, a)))
 
@@ -222,7 +225,7 @@ def jacobian(
         chain, basis, moved, steps, stride: as in `sensitivities`.
 
     Yields:
-        The stretch's marker coordinates and angles, as slices of `observed.values`, and the derivatives (r, 2 m + p)
+        The stretch's marker coordinates and angles, as slices of `observed.values`, and the derivatives (r, 2 slow + p)
         of their predictions, times their weights: markers first.
     """
     recording, active = observed.recording, chain.active
