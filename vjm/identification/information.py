@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 _LAGS = 10  # samples, of the test for coloured residuals
 _FALSE_ALARM = 1e-3
-_BLOCK = 2.0  # periods of the slowest mode: residuals farther apart are taken as independent
+BLOCK_PERIODS = 2.0  # periods of the slowest mode: residuals farther apart are taken as independent
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _block_scores(run: Run, scores: Array) -> Array:
     recording = run.observed.recording
     slowest, _ = locked_frequencies(run.chain, recording.payload)
     duration = float(recording.time[-1] - recording.time[0])
-    blocks = max(1, int(duration * slowest / _BLOCK))
+    blocks = max(1, int(duration * slowest / BLOCK_PERIODS))
     owner = np.minimum(((recording.time - recording.time[0]) / max(duration, 1e-300) * blocks).astype(int), blocks - 1)
     found = np.zeros((blocks, scores.shape[1]))
     np.add.at(found, owner, scores)
