@@ -192,7 +192,7 @@ def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
     return _FIRST_PERIODS / min(locked_frequencies(chain, o.recording.payload)[0] for o in problem.observed)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Progress:
     """Says how far the search has come."""
 

@@ -13,7 +13,7 @@ from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
 from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import Simulation, coarse_step
+from vjm.simulate.rollout import Simulation
 from vjm.simulate.run import Run, Start, run_all
 from vjm.simulate.triangle import Triangle
 
@@ -69,8 +69,7 @@ def replays(
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
     observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
-    coarse = coarse_step(marker_noise)
-    return [report(run, converged) for run, converged in most_likely(chain, observed, states, coarse)]
+    return [report(run, converged) for run, converged in most_likely(chain, observed, states)]
 
 
 def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
@@ -78,14 +77,14 @@ def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, en
     return replays(chain, rig, [recording], marker_noise, encoder_noise)[0]
 
 
-@dataclass
 class _Search:
     """One recording's way to its most likely initial state."""
 
-    run: Run
-    damping: float = 0.0
-    triangle: Triangle | None = None
-    converged: bool = False
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self.damping = 0.0
+        self.triangle: Triangle | None = None
+        self.converged = False
 
     def proposal(self) -> Array | None:
         """The next state to try; None once nothing is to be gained."""

@@ -87,6 +87,7 @@ def rollouts(
     integrator: str = "exponential",
     step: float | None = None,
     coarse: float = 1.0,
+    longest: float = np.inf,
 ) -> list[Steps]:
     """Simulate several recordings, or several copies over one, all advanced together where they are alike.
 
@@ -97,6 +98,7 @@ def rollouts(
         integrator: `exponential` or `rk4`.
         step: [s]; None: `default_step` or, for `rk4`, 100 us.
         coarse: multiple of the default step to take.
+        longest: step allowed [s].
 
     Returns:
         C trajectories of one copy each, from the recording's first instant to its last or a little beyond: their
@@ -113,7 +115,7 @@ def rollouts(
     found: list[Steps | None] = [None] * len(chains)
     for group in _alike(recordings):
         first = recordings[group[0]]
-        h = _step_of(chains[group[0]], first, integrator, step, coarse)
+        h = min(_step_of(chains[group[0]], first, integrator, step, coarse), longest)
         counts = [_count(chains[k], recordings[k], h) for k in group]
         drive = Drive.of([recordings[k] for k in group], h, max(counts))
         system = System.of([chains[k] for k in group], [recordings[k].payload for k in group], first.gravity)

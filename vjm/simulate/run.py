@@ -14,7 +14,7 @@ from vjm.chain.records import Chain
 from vjm.experiment.records import Recording
 from vjm.modes import equilibrium, linearise
 from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import half_interval, rollouts
+from vjm.simulate.rollout import half_interval, locked_frequencies, rollouts
 from vjm.simulate.sensitivity import Basis, Moved, first_angles, jacobian
 from vjm.simulate.steps import Steps, sample
 from vjm.simulate.triangle import Triangle
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 
 _USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
 _USUAL_TURN = 1.0  # rad of an active joint
+_LONGEST_STEP = 0.25  # periods of the fastest mode that derivatives must resolve, two steps at a time
 _KEPT = ("path", "residual", "chi2", "stride", "basis")  # what does not depend on the preference
 
 
@@ -166,6 +167,14 @@ class Run:
                 yield flat.reshape(rows, -1)
 
 
+def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
+    """Step [s] that resolves, in the derivatives, the fastest mode that the chain has or a camera shows."""
+    _, fastest = locked_frequencies(chain)
+    frames = [recording.time[recording.frames] for recording in recordings]
+    shown = 0.5 / min((float(np.median(np.diff(time))) for time in frames if time.size > 1), default=np.inf)
+    return _LONGEST_STEP / max(min(fastest, shown), 1e-300)
+
+
 def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
     """An initial state (2 nv,) told in the joints of another chain of the same arm: with the same curvatures."""
     links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
@@ -198,7 +207,7 @@ def run_all(
     """
     recordings = [each.recording for each in observed]
     q, v = np.hsplit(np.stack(states), 2)
-    steps = rollouts([chain] * len(q), recordings, q, v, coarse=coarse)
+    steps = rollouts([chain] * len(q), recordings, q, v, coarse=coarse, longest=_longest_step(chain, recordings))
     return [
         Run(seen, start, chain, state, path)
         for seen, start, state, path in zip(observed, starts, states, steps, strict=True)

@@ -29,7 +29,7 @@ _ANGLE = 1e-6  # rad, perturbation
 _RATE = 1e-5  # rad/s
 _NUMBERS_A_CHUNK = 400_000  # of coefficients held at once
 _NORM = 0.5  # to which matrices are halved before their power series
-_MOST_TURN = 3.0  # rad an interval; what lies inside it is interpolated, to a hundredth at this limit
+_MOST_TURN = 3.2  # rad an interval; what lies inside it is interpolated, to a hundredth at this limit
 _MOST_MODES = 16
 _COEFFICIENTS = 1 / np.cumprod(np.arange(1.0, 9.0))[2:]  # 1 / (k + 3)!
 
