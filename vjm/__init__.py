@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from vjm.checking import Check, check
     from vjm.errors import InputError, VjmError
     from vjm.experiment import Experiment, load_experiment
-    from vjm.identification import Identification, identify
+    from vjm.identification import Identification, bootstrap, identify, profile_interval
     from vjm.model import Model
     from vjm.report.comparison import Comparison, compare
     from vjm.report.save import save
@@ -22,10 +22,12 @@ __all__ = [
     "InputError",
     "Model",
     "VjmError",
+    "bootstrap",
     "check",
     "compare",
     "identify",
     "load_experiment",
+    "profile_interval",
     "save",
 ]
 
@@ -38,10 +40,12 @@ _HOMES = {
     "InputError": "vjm.errors",
     "Model": "vjm.model",
     "VjmError": "vjm.errors",
+    "bootstrap": "vjm.identification",
     "check": "vjm.checking",
     "compare": "vjm.report.comparison",
     "identify": "vjm.identification",
     "load_experiment": "vjm.experiment",
+    "profile_interval": "vjm.identification",
     "save": "vjm.report.save",
 }
 

@@ -16,6 +16,7 @@ class Estimate:
         unit: SI.
         identifiable: whether the data determine it.
         reason: in words, why not; empty where they do.
+        remedy: in words, which recording would; empty where they do.
     """
 
     name: str
@@ -24,3 +25,4 @@ class Estimate:
     unit: str
     identifiable: bool = True
     reason: str = ""
+    remedy: str = ""

@@ -41,7 +41,7 @@ def identification_result(fit: Identification) -> Result:
             "torque": finite(fit.objective),
             "trajectory_chi2_per_sample": finite(None if summary is None else summary.chi2 / summary.count),
         },
-        "recordings": [recording_result(each) for each in fit.recordings],
+        "recordings": [{**recording_result(each), "whiteness": _whiteness(fit, each)} for each in fit.recordings],
         "status": fit.status,
         "remedy": fit.remedy,
         "identifiable": [_identifiable(estimate) for estimate in fit.parameters],
@@ -202,8 +202,26 @@ def _frequency(mode: ModeComparison) -> Result:
     }
 
 
+def _whiteness(fit: Identification, recording: RecordingFit) -> Result | None:
+    """Whether what is left of a recording is noise; None for one that whole trajectories were not fitted to."""
+    known = () if fit.trajectory is None else fit.trajectory.whiteness
+    found = next((each for each in known if each.file == recording.recording.file), None)
+    if found is None:
+        return None
+    return {
+        "chi2_per_sample": finite(found.chi2),
+        "largest_correlation": finite(found.correlation),
+        "coloured": bool(found.coloured),
+    }
+
+
 def _identifiable(estimate: Estimate) -> Result:
-    return {"parameter": estimate.name, "identifiable": bool(estimate.identifiable), "reason": estimate.reason}
+    return {
+        "parameter": estimate.name,
+        "identifiable": bool(estimate.identifiable),
+        "reason": estimate.reason,
+        "remedy": estimate.remedy,
+    }
 
 
 def _estimate(estimate: Estimate) -> Result:

@@ -64,7 +64,10 @@ def test_identify_prints_a_short_summary(tmp_path: Path, capsys: pytest.CaptureF
     assert out.splitlines()[0] == "stainless steel beam, clamped"
     for words in ("held-out", "beam.bending_stiffness", "mode 1", "both_modes.csv", f"Report: {tmp_path / 'out'}"):
         assert words in out
-    assert len(out.splitlines()) < 45
+    for note in demo_fit().notes:
+        assert f"  - {note}" in out
+    assert "(torque method: " in " ".join(out.split())
+    assert len(out.splitlines()) < 50
     assert max(map(len, out.splitlines())) <= 110 or "Report" in max(out.splitlines(), key=len)
     assert (tmp_path / "out" / "report.html").is_file()
 

@@ -15,8 +15,8 @@ from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
 from vjm.experiment import load_experiment
 from vjm.experiment.records import Experiment, Link, Recording, Rig
 from vjm.identification import Identification, identify
-from vjm.identification.parametrisation import Parametrisation
 from vjm.identification.data import Options, read_data
+from vjm.identification.parametrisation import Parametrisation
 from vjm.identification.torque_fit import evaluate
 from vjm.identification.torque_method import fit_refined, fit_uniform, refined
 from vjm.simulate import rollout

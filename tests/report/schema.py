@@ -53,6 +53,13 @@ class Damping(Entry):
 
 class Objective(Entry):
     torque: float | None
+    trajectory_chi2_per_sample: float | None
+
+
+class Whiteness(Entry):
+    chi2_per_sample: float | None
+    largest_correlation: float | None
+    coloured: bool
 
 
 class RecordingResult(Entry):
@@ -62,13 +69,20 @@ class RecordingResult(Entry):
     theta_rms_rad: float | None
     noise_m: float
     nominal_marker_rms_m: float | None
+    torque_marker_rms_m: float | None
+    left_out: int = Field(ge=0)
     problem: str
+
+
+class FittedRecording(RecordingResult):
+    whiteness: Whiteness | None
 
 
 class Identifiable(Entry):
     parameter: str
     identifiable: bool
     reason: str
+    remedy: str
 
 
 class EstimateResult(Entry):
@@ -89,13 +103,14 @@ class Common(Entry):
 class IdentifyResult(Common):
     command: Literal["identify"]
     notes: list[str]
-    method: Literal["torque", "torque+frequency"]
+    method: Literal["torque", "torque+frequency", "trajectory"]
     parameters: Literal["uniform", "joints", "lengths", "full"]
     model: ModelResult
     frequencies_hz: list[Frequency]
     damping_ratios: list[Damping]
+    mode_shape_mac: list[float | None]
     objective: Objective
-    recordings: list[RecordingResult]
+    recordings: list[FittedRecording]
     status: Literal["converged", "not converged"]
     remedy: str
     identifiable: list[Identifiable]

@@ -13,20 +13,28 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from tests.report.fits import demo_fit, elbow_fit, hub_fit, pictures_of
+from tests.report.fits import demo_fit, elbow_fit, hub_fit, not_simulated, pictures_of, torque_fit
 from vjm.errors import InsufficientDataError
 from vjm.identification.records import Identification
 from vjm.report.choose import liveliest, spread_over, tips, windows
 from vjm.report.figures.angles import joint_angles
+from vjm.report.figures.correlations import correlation_map
 from vjm.report.figures.fits import fit_of_recordings
 from vjm.report.figures.markers import most_recordings, raw_markers
 from vjm.report.figures.pictures import NAMES, identification_pictures, replay_pictures
+from vjm.report.figures.residuals import residual_map, residual_spectra
 from vjm.report.figures.shapes import link_shapes
 from vjm.report.figures.style import png
 from vjm.report.figures.tips import tip_motion
 from vjm.report.figures.torques import torque_error_figure
+from vjm.simulate import Replay
 
-_COUNTS = ("recording", "joint, from the base outwards")  # axes that hold names, not quantities
+_COUNTS = (
+    "recording",
+    "joint, from the base outwards",
+    "marker coordinate",
+    "parameter",
+)  # axes that hold names, not quantities
 
 
 def figures(fit: Identification) -> Iterator[Figure]:
@@ -34,11 +42,19 @@ def figures(fit: Identification) -> Iterator[Figure]:
     yield fit_of_recordings(fit.recordings)
     for each in tips(rig, fit.recordings, 4):
         yield tip_motion(each, fit.model, fit.nominal)
+    yield residual_map(fit.model, fit.recordings)
+    yield drawn(residual_spectra(fit.model, fit.recordings))
+    yield drawn(correlation_map(fit.parameters, fit.covariance))
     lively = liveliest(rig, fit.torque_data, 2)
     yield link_shapes(rig, chain, lively)
     yield joint_angles(chain, lively[0])
     yield torque_error_figure(chain, fit.torque_data)
     yield raw_markers(rig, spread_over(fit.experiment.recordings, most_recordings(rig)))
+
+
+def drawn(figure: Figure | None) -> Figure:
+    assert figure is not None
+    return figure
 
 
 def test_every_figure_is_readable(fit: Identification) -> None:
@@ -77,7 +93,54 @@ def assert_nothing_overlaps(figure: Figure) -> None:
 def test_names_and_number_of_pictures(fit: Identification) -> None:
     names = [picture.name for picture in pictures_of(fit)]
     assert set(names) <= set(NAMES)
-    assert len(names) == len(set(names)) <= 9
+    assert len(names) == len(set(names)) <= 12
+
+
+def test_residuals_are_shown_for_whole_trajectories_only() -> None:
+    shown = {name for name in NAMES if name.startswith("residual")}
+    assert shown <= {picture.name for picture in pictures_of(demo_fit())}
+    assert not shown & {picture.name for picture in pictures_of(torque_fit())}
+
+
+def test_all_three_models_stand_beside_each_other_in_units_of_the_noise() -> None:
+    figure = fit_of_recordings(demo_fit().recordings)
+    assert [text.get_text() for text in figure.legends[0].texts] == [
+        "nominal model",
+        "torque method",
+        "identified model (trajectory method)",
+        "noise",
+    ]
+    axes = figure.axes[0]
+    assert axes.get_xlabel().endswith("[times the noise]")
+    marks = [line for line in axes.lines if line.get_marker() == "D"]
+    expected = [each.torque.marker_rms / each.marker_noise for each in demo_fit().recordings if each.torque]
+    assert np.ravel([line.get_xdata() for line in marks]).tolist() == pytest.approx(expected)
+    title = figure.texts[0].get_text().replace("\n", " ")
+    for words in ("in held-out recordings: identified model 2.3", "torque method", "nominal model 53"):
+        assert words in title
+
+
+def test_without_torque_method_beside_it_residuals_are_in_millimetres() -> None:
+    figure = fit_of_recordings(torque_fit().recordings)
+    assert figure.axes[0].get_xlabel().endswith("[mm]")
+    assert [text.get_text() for text in figure.legends[0].texts] == ["nominal model", "identified model", "noise"]
+
+
+def test_tip_shows_the_torque_methods_residual_where_it_is_worse_but_legible() -> None:
+    fit = demo_fit()
+    shown = fit.recordings[3]
+    assert shown.replay is not None
+    assert shown.torque is not None
+
+    def residuals(torque: Replay | None) -> tuple[str, str]:
+        figure = tip_motion(replace(shown, others=lambda: (shown.nominal, torque)), fit.model, fit.nominal)
+        return figure.axes[-1].get_title("left"), figure.texts[0].get_text().replace("\n", " ")
+
+    panel, title = residuals(shown.torque)
+    assert "torque method's" in panel
+    assert "torque method" in title
+    assert "torque" not in residuals(shown.replay)[0]  # as good: its line would hide the other
+    assert "torque" not in residuals(None)[1]
 
 
 def test_holdout_recordings_are_shown_first() -> None:
@@ -115,9 +178,9 @@ def test_many_periods_are_cut_to_a_window() -> None:
 
 def test_without_training_data_or_replays_the_rest_is_drawn() -> None:
     fit = demo_fit()
-    bare = tuple(replace(each, replay=None, nominal=None, problem="it diverged") for each in fit.recordings)
+    bare = tuple(replace(each, replay=None, others=not_simulated, problem="it diverged") for each in fit.recordings)
     names = [picture.name for picture in identification_pictures(replace(fit, torque_data=(), recordings=bare))]
-    assert names == ["fit", "markers"]
+    assert names == ["fit", "correlations", "markers"]
 
 
 def test_comparison_pictures_name_the_given_model() -> None:

@@ -9,12 +9,22 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tests.report.fits import demo_fit, elbow_fit, pictures_of
+from tests.report.fits import demo_fit, elbow_fit, not_simulated, pictures_of, torque_fit
+from vjm.identification.information import Whiteness
 from vjm.identification.records import Identification, RecordingFit
+from vjm.parameters import Estimate
 from vjm.report.comparison import Comparison
 from vjm.report.page import comparison_page, identification_page
-from vjm.report.tables import nominal_value, parameter_table, recording_table
+from vjm.report.tables import (
+    mode_table,
+    nominal_value,
+    parameter_table,
+    recording_table,
+    remedy_table,
+    whiteness_table,
+)
 from vjm.report.verdict import comparison_verdict, identification_verdict
+from vjm.report.wording import millimetres
 
 HOSTILE = "<script>alert('1')</script><img src=http://evil.example/x onerror=alert(2)>&amp; \"quoted\" {{ 7 * 7 }}"
 
@@ -56,8 +66,19 @@ def test_page_is_one_light_file(fit: Identification) -> None:
     assert_self_contained(page)
     assert len(page) < 3e6
     assert page.index("headline") < page.index("Table 1") < page.index("Table 2") < page.index("<figure>")
-    for recording in fit.experiment.recordings:
-        assert recording.file in page
+    for text in (*(recording.file for recording in fit.experiment.recordings), *fit.notes):
+        assert text in page
+
+
+def test_page_says_which_method_it_was() -> None:
+    assert "simulated open loop over its whole length" in identification_page(demo_fit(), [])
+    assert "simulated open loop over its whole length" not in identification_page(torque_fit(), [])
+
+
+def test_page_tells_what_is_not_determined_and_what_would_be_needed() -> None:
+    page = identification_page(elbow_fit(), [])
+    assert page.count("a driven recording whose torque changes faster</td>") == 2
+    assert "What these recordings do not determine" not in identification_page(demo_fit(), [])
 
 
 def test_hostile_names_stay_text() -> None:
@@ -69,7 +90,8 @@ def test_hostile_names_stay_text() -> None:
         experiment=replace(fit.experiment, rig=rig),
         recordings=(replace(fit.recordings[0], recording=recording, problem=HOSTILE),),
         warnings=(HOSTILE,),
-        parameters=tuple(replace(each, reason=HOSTILE, identifiable=False) for each in fit.parameters),
+        notes=(HOSTILE,),
+        parameters=tuple(replace(each, reason=HOSTILE, remedy=HOSTILE, identifiable=False) for each in fit.parameters),
     )
     page = identification_page(hostile, pictures_of(fit)[:1])
     assert_self_contained(page)
@@ -103,6 +125,20 @@ def test_verdict_rests_on_held_out_recordings(ratio: float, grade: str, words: s
     assert "held-out" in verdict.headline
 
 
+def test_held_out_recordings_are_told_beside_the_torque_method() -> None:
+    fit = demo_fit()
+    held_out = fit.recordings[3]
+    assert held_out.replay is not None
+    at = {name: replace(held_out.replay, marker_rms=1e-3 * rms) for name, rms in (("found", 0.31), ("torque", 0.4))}
+    nominal = replace(held_out.replay, marker_rms=7.6e-3)
+    shown = replace(held_out, replay=at["found"], others=lambda: (nominal, at["torque"]))
+    point = identification_verdict(replace(fit, recordings=(shown,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
+    assert "0.31 mm RMS over its whole 10 s, open loop (torque method: 0.40 mm, nominal values: 7.6 mm)" in point
+    alone = replace(shown, others=lambda: (nominal, None))
+    point = identification_verdict(replace(fit, recordings=(alone,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
+    assert "open loop; 7.6 mm with nominal values; the camera" in point
+
+
 def test_verdict_without_held_out_recordings_says_so() -> None:
     fit = demo_fit()
     train = tuple(each for each in with_ratio(fit, 1.0) if each.recording.role == "train")
@@ -121,12 +157,46 @@ def test_a_search_that_failed_comes_first() -> None:
 def test_points_name_what_is_not_determined_and_not_simulated() -> None:
     text = " ".join(identification_verdict(elbow_fit()).points)
     assert "upper.hub_inertia" in text
+    assert "; it takes a driven recording whose torque changes faster." in text
     assert "no_torque.csv (no torque was measured)" in text
+
+
+def test_torque_method_and_mac_have_columns_where_there_is_something_to_show() -> None:
+    fit, plain = demo_fit(), torque_fit()
+    table = recording_table(fit.recordings)
+    column = table.headers.index("torque method")
+    assert [row[column] for row in table.rows] == [
+        millimetres(each.torque.marker_rms) for each in fit.recordings if each.torque
+    ]
+    assert "torque method" not in recording_table(plain.recordings).headers
+    modes = mode_table(fit.modes)
+    assert [row[modes.headers.index("shape, MAC")] for row in modes.rows] == ["0.9987", "0.9987", "–"]
+    assert len({len(row) for row in (modes.headers, *modes.rows)}) == 1
+    assert "shape, MAC" not in mode_table([replace(each, mac=None) for each in fit.modes]).headers
+
+
+def test_left_out_coordinates_are_told() -> None:
+    fits = [replace(demo_fit().recordings[0], left_out=3), demo_fit().recordings[1]]
+    assert recording_table(fits).notes == ("3 outlying marker coordinates left out", "")
+
+
+def test_parameter_table_has_errors_and_intervals() -> None:
+    chain = elbow_fit().nominal.chain
+    known = Estimate("upper.bending_stiffness", 4.2, 0.0105, "N m^2")
+    rows = parameter_table((known, replace(known, std=None), replace(known, std=4.2)), chain).rows
+    assert rows[0] == ("upper.bending_stiffness", "yes", "4.000", "4.200 ± 0.011", "4.179 … 4.221", "0.25", "N m²")
+    assert rows[1][4:6] == ("–", "–")
+    assert rows[2][4:6] == ("0.0 … 12.4", "100")
+
+
+def test_whiteness_table() -> None:
+    table = whiteness_table((Whiteness("a.csv", 1.21, 0.03, False), Whiteness("b.csv", 4.0, 0.9, True)))
+    assert table.rows == (("a.csv", "yes", "1.10", "0.030"), ("b.csv", "no", "2.00", "0.90"))
 
 
 def test_nothing_simulated() -> None:
     fit = demo_fit()
-    bare = tuple(replace(each, replay=None, nominal=None, problem="it diverged") for each in fit.recordings)
+    bare = tuple(replace(each, replay=None, others=not_simulated, problem="it diverged") for each in fit.recordings)
     assert identification_verdict(replace(fit, recordings=bare)).headline == "No recording could be simulated."
     assert "not simulated: it diverged" in recording_table(bare).notes
 
@@ -137,7 +207,7 @@ def test_comparison_page() -> None:
     page = comparison_page(comparison, [])
     assert_self_contained(page)
     assert comparison_verdict(comparison).headline.replace("'", "&#39;") in page
-    assert "Notes and warnings" not in page
+    assert "<p>Warnings</p>" not in page
 
 
 def test_nominal_values_are_found_by_name() -> None:
@@ -158,4 +228,7 @@ def test_parameter_table_survives_what_is_not_finite() -> None:
     lost = replace(fit.parameters[0], value=math.nan, std=math.inf, identifiable=False, reason="nothing moves")
     table = parameter_table((lost,), fit.nominal.chain)
     assert table.rows[0][1] == "no"
-    assert table.notes == ("nothing moves",)
+    assert "nan" not in " ".join(table.rows[0])
+    missing = remedy_table((lost, fit.parameters[1]))
+    assert missing is not None
+    assert missing.rows == ((lost.name, "nothing moves", "–"),)

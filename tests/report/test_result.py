@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.report.fits import demo_fit, elbow_fit
+from tests.report.fits import demo_fit, elbow_fit, torque_fit
 from tests.report.schema import CheckResult, IdentifyResult, SimulateResult, UrdfResult
 from vjm.checking import Check
 from vjm.files import json_text
@@ -45,11 +45,46 @@ def test_encoder_and_simulation_are_null_where_there_are_none() -> None:
     assert identification_result(demo_fit())["recordings"][0]["theta_rms_rad"] is None
 
 
+def test_trajectory_fit_beside_the_torque_method() -> None:
+    fit = demo_fit()
+    fitted = tuple(replace(each, left_out=k) for k, each in enumerate(fit.recordings))
+    result = IdentifyResult.model_validate_json(json_text(identification_result(replace(fit, recordings=fitted))))
+    assert result.method == "trajectory"
+    assert result.objective.trajectory_chi2_per_sample == 1.01
+    assert result.mode_shape_mac == [0.9987, 0.9987, None]
+    for each, shown in zip(fit.recordings, result.recordings, strict=True):
+        assert each.torque is not None
+        assert shown.torque_marker_rms_m == each.torque.marker_rms
+    assert [each.left_out for each in result.recordings] == [0, 1, 2, 3]
+    white = {each.file: each.whiteness for each in result.recordings}
+    assert white["both_modes.csv"] is None  # held out
+    assert white["second_mode.csv"] is not None
+    assert white["second_mode.csv"].model_dump() == {
+        "chi2_per_sample": 1.2,
+        "largest_correlation": 0.35,
+        "coloured": True,
+    }
+
+
+def test_torque_fit_has_no_trajectories() -> None:
+    result = IdentifyResult.model_validate_json(json_text(identification_result(torque_fit())))
+    assert result.objective.trajectory_chi2_per_sample is None
+    assert {each.torque_marker_rms_m for each in result.recordings} == {None}
+    assert {each.whiteness for each in result.recordings} == {None}
+
+
+def test_what_is_not_determined_comes_with_a_remedy() -> None:
+    result = IdentifyResult.model_validate_json(json_text(identification_result(elbow_fit())))
+    remedies = {each.parameter: each.remedy for each in result.identifiable}
+    assert remedies["upper.hub_inertia"] == "a driven recording whose torque changes faster"
+    assert remedies["upper.bending_stiffness"] == ""
+
+
 def test_what_is_not_finite_becomes_null() -> None:
     fit = demo_fit()
     lost = replace(fit.parameters[0], std=math.inf, identifiable=False, reason="nothing moves")
     modes = (replace(fit.modes[0], frequency_measured=math.nan), *fit.modes[1:])
-    broken = replace(fit, parameters=(lost, *fit.parameters[1:]), objective=math.nan, modes=modes)
+    broken = replace(fit, parameters=(lost, *fit.parameters[1:]), objective=math.nan, modes=modes, torque_data=())
     result = IdentifyResult.model_validate_json(json_text(identification_result(broken)))
     assert result.objective.torque is None
     assert result.estimates[0].std is None

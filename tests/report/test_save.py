@@ -37,7 +37,7 @@ def test_folder_holds_everything(tmp_path: Path) -> None:
     IdentifyResult.model_validate_json((folder / "result.json").read_bytes())
     chain, extra = read_model(folder / "model.json")
     assert chain.stiffness.tolist() == fit.model.chain.stiffness.tolist()
-    assert extra["method"] == "torque"
+    assert extra["method"] == "trajectory"
     assert chain_from_urdf(folder / "model.urdf").joint_names == fit.model.chain.joint_names
     assert {path.stem for path in (folder / "figures").iterdir()} == {picture.name for picture in pictures_of(fit)}
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vjm.report.wording import listed, millimetres, number, short, with_error
+from vjm.report.wording import interval, listed, millimetres, number, short, with_error
 
 _EXPONENT = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
@@ -55,6 +55,20 @@ def test_number(value: float | None, text: str) -> None:
 )
 def test_with_error(value: float, std: float | None, text: str) -> None:
     assert with_error(value, std) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (1.97312, 0.00391, "1.9655 … 1.9808"),
+        (3.07e-4, 0.31e-4, "(2.46 … 3.68) × 10⁻⁴"),
+        (0.5, 0.5, "0.00 … 1.48"),
+        (0.5, None, "–"),
+        (math.nan, 0.1, "–"),
+    ],
+)
+def test_interval(value: float, std: float | None, text: str) -> None:
+    assert interval(value, std) == text
 
 
 @given(st.floats(1e-12, 1e12), st.floats(1e-6, 1e2))

@@ -64,6 +64,7 @@ def _identify(
         summary.table(parameter_table(fit.parameters, fit.nominal.chain))
         summary.table(mode_table(fit.modes))
         summary.table(recording_table(fit.recordings))
+        summary.notes([note for note in fit.notes if note not in fit.warnings])
         summary.warnings(fit.warnings)
         summary.report(folder / REPORT)
 
@@ -134,8 +135,13 @@ def _share(estimates: Sequence[Estimate]) -> str:
     text = f"{len(estimates) - len(missing)} of {len(estimates)} parameters determined"
     if not missing:
         return text
-    names = [f"{each.name} ({each.reason})" if len(missing) <= 2 else each.name for each in missing[:_MOST_NAMED]]
+    few = len(missing) <= 2
+    names = [f"{each.name} ({_why(each)})" if few else each.name for each in missing[:_MOST_NAMED]]
     return f"{text}; not {', '.join(names)}{' …' if len(missing) > _MOST_NAMED else ''}"
+
+
+def _why(estimate: Estimate) -> str:
+    return f"{estimate.reason}; it takes {estimate.remedy}" if estimate.remedy else estimate.reason
 
 
 def urdf(arguments: argparse.Namespace) -> None:

@@ -19,6 +19,7 @@ from vjm.report.verdict import Verdict
 
 _MOST_ROWS = 16
 _MOST_WARNINGS = 8
+_LONGEST_NAME = 30
 _COLORS = {"good": "green", "fair": "yellow", "poor": "red"}
 _PLAIN_WIDTH = 110  # columns where the output is no terminal
 
@@ -56,7 +57,10 @@ class Summary:
         """A table; of a long one the first rows."""
         rich = RichTable(box=box.SIMPLE_HEAD, title=table.caption, title_justify="left", title_style="bold")
         for k, header in enumerate(table.headers):
-            rich.add_column(Text(header), justify="left" if k < table.words else "right", overflow="fold")
+            words = k < table.words
+            rich.add_column(
+                Text(header), justify="left" if words else "right", overflow="fold", no_wrap=_whole(k, table)
+            )
         for row in table.rows[:_MOST_ROWS]:
             rich.add_row(*map(Text, row))
         self.console.print(rich)
@@ -64,11 +68,17 @@ class Summary:
         if left > 0:
             self.line(f"  … and {left} more in the report")
 
+    def notes(self, notes: Sequence[str]) -> None:
+        """What was decided on the way, and what the result rests on."""
+        if notes:
+            self.console.print(Text("Notes:", style="bold"))
+            self.points(notes)
+
     def warnings(self, warnings: Sequence[str]) -> None:
         """What a user should know before trusting the result."""
         if not warnings:
             return
-        self.console.print(Text("Notes and warnings:", style="bold yellow"))
+        self.console.print(Text("Warnings:", style="bold yellow"))
         for warning in warnings[:_MOST_WARNINGS]:
             self._item("!", warning)
         if len(warnings) > _MOST_WARNINGS:
@@ -81,6 +91,11 @@ class Summary:
     def _item(self, mark: str, text: str) -> None:
         wrapper = textwrap.TextWrapper(self.console.width - 1, f"  {mark} ", "    ", break_on_hyphens=False)
         self.console.print(Text(wrapper.fill(text)), soft_wrap=True)
+
+
+def _whole(column: int, table: Table) -> bool:
+    """Whether a column's cells are never broken: names, which are copied, unless one is far too long."""
+    return column == 0 and max((len(row[0]) for row in table.rows), default=0) <= _LONGEST_NAME
 
 
 def _forgiving_stdout() -> None:

@@ -2,6 +2,7 @@
 
 from vjm.identification.assess import fit_recordings
 from vjm.identification.parametrisation import PARAMETRISATIONS
+from vjm.identification.profile import ProfileInterval, profile_interval
 from vjm.identification.records import (
     METHODS,
     Identification,
@@ -9,6 +10,7 @@ from vjm.identification.records import (
     RecordingFit,
     TorqueData,
 )
+from vjm.identification.resampling import Resampled, bootstrap
 from vjm.identification.run import identify
 
 __all__ = [
@@ -16,8 +18,12 @@ __all__ = [
     "PARAMETRISATIONS",
     "Identification",
     "ModeComparison",
+    "ProfileInterval",
     "RecordingFit",
+    "Resampled",
     "TorqueData",
+    "bootstrap",
     "fit_recordings",
     "identify",
+    "profile_interval",
 ]

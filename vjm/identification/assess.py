@@ -115,12 +115,12 @@ def fit_recordings(
     tell("replaying recordings", 0, 2)
     recordings = [cleaned(experiment.rig, recording) for recording in experiment.recordings]
     replayed = _replayed(model, recordings, states or {})
-    kept, left_out, again = list(recordings), [0] * len(recordings), []
+    kept, again = list(recordings), []
     tell("replaying recordings", 1, 2)
     for k, (recording, (found, _)) in enumerate(zip(recordings, replayed, strict=True)):
         if found is not None:
-            kept[k], left_out[k] = without_outliers(recording, found.simulation.markers, model.marker_noise)
-            again += [k] if left_out[k] else []
+            kept[k], count = without_outliers(recording, found.simulation.markers, model.marker_noise)
+            again += [k] if count else []
     for k, repeated in zip(again, _replayed(model, [kept[k] for k in again], states or {}), strict=True):
         replayed[k] = repeated
     tell("replaying recordings", 2, 2)
@@ -133,10 +133,15 @@ def fit_recordings(
             model.marker_noise,
             model.encoder_noise,
             replayed[k][1],
-            left_out[k],
+            _measured(experiment.recordings[k]) - _measured(kept[k]),
         )
         for k in range(len(kept))
     )
+
+
+def _measured(recording: Recording) -> int:
+    """Number of marker coordinates."""
+    return int(np.isfinite(recording.markers).sum())
 
 
 class _Compared:

@@ -216,6 +216,15 @@ class Parametrisation:
                 result.append(float(getattr(link, _FIELDS[coordinate.group])[coordinate.index]))
         return np.array(result)
 
+    def jacobian(self, x: Array) -> Array:
+        """(p, p) derivative of the physical parameters by the coordinates."""
+        base = self.physical(x)
+        steps = 1e-6 * np.maximum(np.abs(x), 1e-3)
+        moved = [
+            (self.physical(x + step * unit) - base) / step for step, unit in zip(steps, np.eye(x.size), strict=True)
+        ]
+        return np.stack(moved, axis=1)
+
 
 # Widths of the preference: relative for stiffness, damping and hub, in logarithms and logits for the others.
 _WIDTHS = {"stiffness": 0.5, "damping": 1.0, "hub": 1.0, "length": 0.5, "mass": 0.5, "center": 1.0, "inertia": 1.0}

@@ -76,7 +76,7 @@ class RecordingFit:
         marker_noise: 1-sigma of a marker coordinate [m].
         encoder_noise: 1-sigma [rad].
         problem: why there is no replay; empty otherwise.
-        left_out: number of outlying marker coordinates that are not in `recording` any more.
+        left_out: number of marker coordinates, impossible or outlying, that are not in `recording` any more.
     """
 
     recording: Recording

@@ -39,15 +39,31 @@ _DERIVATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True)
+class Hold:
+    """One physical parameter held at a value.
+
+    Attributes:
+        index: of the parameter.
+        value: in its unit.
+        width: how closely, in its unit.
+    """
+
+    index: int
+    value: float
+    width: float
+
+
+@dataclass(frozen=True)
 class TrajectoryProblem:
     """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
 
     Attributes:
         parametrisation: the coordinates.
         observed: the recordings.
-        coarse: multiple of the integrator's default step to take before the last horizon.
+        coarse: multiple of the integrator's default step.
         preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
         spread: size of the weighted residuals that counts as one standard deviation beside the preference.
+        hold: a parameter that is not free; None: all are.
     """
 
     parametrisation: Parametrisation
@@ -55,6 +71,7 @@ class TrajectoryProblem:
     coarse: float = 1.0
     preference: tuple[Array, Array] | None = None
     spread: float = 1.0
+    hold: Hold | None = None
 
     def until(self, duration: float) -> TrajectoryProblem:
         """The same with the recordings' first seconds only."""
@@ -74,11 +91,21 @@ class TrajectoryProblem:
         return tuple(found)
 
     def preferred(self, x: Array) -> tuple[Array, Array]:
-        """Rows (p, p) and what they want (p,) of the preference for a change of x; none without a preference."""
-        if self.preference is None:
-            return np.zeros((0, x.size)), np.zeros(0)
-        centre, width = self.preference
-        return np.diag(self.spread / width), self.spread * (centre - x) / width
+        """Rows (r, p) and what they want (r,) of a preference and of a parameter held, for a change of x."""
+        rows, wanted = np.zeros((0, x.size)), np.zeros(0)
+        if self.preference is not None:
+            centre, width = self.preference
+            rows, wanted = np.diag(self.spread / width), self.spread * (centre - x) / width
+        if self.hold is None:
+            return rows, wanted
+        slope = self.parametrisation.jacobian(x)[self.hold.index] / self.hold.width
+        return np.vstack([rows, slope]), np.append(wanted, self.held(x))
+
+    def held(self, x: Array) -> float:
+        """How far the parameter held is off its value, in widths; zero where none is held."""
+        if self.hold is None:
+            return 0.0
+        return float((self.hold.value - self.parametrisation.physical(x)[self.hold.index]) / self.hold.width)
 
 
 @dataclass(frozen=True)
@@ -105,6 +132,11 @@ class Point:
         """What the search minimises."""
         wanted = self.problem.preferred(self.x)[1]
         return sum(run.cost for run in self.runs) + float(wanted @ wanted)
+
+    @property
+    def held_cost(self) -> float:
+        """What a parameter held adds to the cost."""
+        return self.problem.held(self.x) ** 2
 
     @property
     def chi2(self) -> float:
@@ -168,7 +200,7 @@ def fit_trajectory(
     count = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
-        part = replace(problem, coarse=1.0) if last else problem.until(horizon)
+        part = problem if last else problem.until(horizon)
         fit = _search(part, x, states, _Progress(progress, k, len(horizons)), final=last)
         count += fit.iterations
         x, states = fit.point.x, [run.state for run in fit.point.runs]

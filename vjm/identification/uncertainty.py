@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.chain.records import Chain
 from vjm.identification.information import Information
 from vjm.identification.parametrisation import Coordinate, Parametrisation
+from vjm.modes import modes
 from vjm.parameters import Estimate
 
 Array = NDArray[np.float64]
@@ -16,6 +18,7 @@ _SINGULAR = 1e-10  # eigenvalues this small against the largest are none
 _NOT_SEEN = 100.0  # standard error over value beyond which the number itself says nothing
 _STRONG = 0.9  # correlation worth naming
 _AT_BOUND = 1e-6
+_SLOWER = 4  # modes that a recording can be made to excite
 
 
 def covariance(information: Information) -> Array:
@@ -33,14 +36,7 @@ def covariance(information: Information) -> Array:
 
 def to_physical(parametrisation: Parametrisation, x: Array, coordinates: Array) -> Array:
     """(p, p) covariance of the physical parameters from that of the coordinates."""
-    value = parametrisation.physical(x)
-    columns = []
-    for k in range(x.size):
-        step = 1e-6 * max(abs(x[k]), 1e-3)
-        moved = x.copy()
-        moved[k] += step
-        columns.append((parametrisation.physical(moved) - value) / step)
-    slope = np.stack(columns, axis=1)
+    slope = parametrisation.jacobian(x)
     result: Array = slope @ coordinates @ slope.T
     return result
 
@@ -63,12 +59,10 @@ def estimates(
     result = []
     for k, coordinate in enumerate(parametrisation.coordinates):
         reason = _reason(k, parametrisation, x, values, std, correlation, visible)
+        remedy = _remedy(k, parametrisation, x) if reason else ""
         known = bool(np.isfinite(std[k])) and visible[k]
-        result.append(
-            Estimate(
-                coordinate.name, float(values[k]), float(std[k]) if known else None, coordinate.unit, not reason, reason
-            )
-        )
+        error = float(std[k]) if known else None
+        result.append(Estimate(coordinate.name, float(values[k]), error, coordinate.unit, not reason, reason, remedy))
     return tuple(result)
 
 
@@ -91,8 +85,7 @@ def _reason(
     coordinate: Coordinate = parametrisation.coordinates[k]
     if not visible[k]:
         return "the recordings do not respond to it"
-    lower, upper = parametrisation.bounds
-    if x[k] - lower[k] < _AT_BOUND or upper[k] - x[k] < _AT_BOUND:
+    if _at_bound(k, parametrisation, x):
         return "at its bound: the data do not hold it away from there"
     relative = std[k] / max(abs(values[k]), 1e-300)
     if relative <= _LARGEST_RELATIVE:
@@ -109,3 +102,43 @@ def _reason(
     elif coordinate.group == "damping":
         reason += "; the motion decays too little to show it"
     return reason
+
+
+def _at_bound(k: int, parametrisation: Parametrisation, x: Array) -> bool:
+    lower, upper = parametrisation.bounds
+    return bool(x[k] - lower[k] < _AT_BOUND or upper[k] - x[k] < _AT_BOUND)
+
+
+def _remedy(k: int, parametrisation: Parametrisation, x: Array) -> str:
+    """Which recording would determine parameter k."""
+    found = _recording_for(parametrisation.coordinates[k], parametrisation.chain(x))
+    if parametrisation.kind != "uniform" and _at_bound(k, parametrisation, x):
+        found += "; or fewer parameters (--parameters uniform)"
+    return found
+
+
+def _recording_for(coordinate: Coordinate, chain: Chain) -> str:
+    """Which recording a parameter shows in."""
+    group, shared = coordinate.group, coordinate.index < 0
+    if group == "hub":
+        return "a driven recording whose torque changes faster, so that the hub's own inertia takes more of it"
+    if group not in ("stiffness", "damping"):
+        return "a recording with a known payload on the tip, or with another one, or one that excites higher modes"
+    if group == "stiffness" and shared:
+        return "a recording in which the link bends farther beyond the camera's noise, or one with more markers on it"
+    mode = _mode_to_excite(chain, coordinate)
+    if group == "stiffness":
+        return f"markers nearer to this joint, or a recording that excites {mode}, which bends it most"
+    more = "faster modes lose more in a period" if shared else "it bends this joint most"
+    return f"a longer free decay, or one that excites {mode}: {more}"
+
+
+def _mode_to_excite(chain: Chain, coordinate: Coordinate) -> str:
+    """The one of the slower modes in which a joint has most of the elastic energy; for a whole link, the second."""
+    found = modes(chain, gravity=(0.0, 0.0))
+    count = min(_SLOWER, found.frequencies.size)
+    energy = chain.stiffness[:, None] * found.shapes[:, :count] ** 2
+    share = energy / np.maximum(energy.sum(axis=0), 1e-300)
+    joint = chain.passive_slices[coordinate.link].start + coordinate.index
+    mode = min(1, count - 1) if coordinate.index < 0 else int(np.argmax(share[joint]))
+    return f"mode {mode + 1} (about {found.frequencies[mode]:.2g} Hz)"

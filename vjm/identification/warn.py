@@ -139,7 +139,8 @@ def result_warnings(recordings: Sequence[RecordingFit], parameters: Sequence[Est
         if fit.left_out:
             plural = "s" if fit.left_out > 1 else ""
             found.append(
-                f"{fit.recording.file}: {fit.left_out} marker coordinate{plural} far from the frames around left out"
+                f"{fit.recording.file}: {fit.left_out} marker coordinate{plural} left out: impossible beside the other "
+                "markers, clipped, or far from the frames around"
             )
     for fit in recordings:
         if fit.replay is not None and fit.replay.marker_rms > _MANY_NOISES * fit.marker_noise:

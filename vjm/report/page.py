@@ -14,7 +14,7 @@ from jinja2 import Environment, StrictUndefined, Template
 from vjm.identification.records import Identification
 from vjm.report.comparison import Comparison
 from vjm.report.figures.pictures import Picture
-from vjm.report.tables import Table, mode_table, parameter_table, recording_table
+from vjm.report.tables import Table, mode_table, parameter_table, recording_table, remedy_table, whiteness_table
 from vjm.report.verdict import Verdict, comparison_verdict, identification_verdict, settings
 
 _TEMPLATE = "report.html.jinja"
@@ -22,13 +22,14 @@ _TEMPLATE = "report.html.jinja"
 
 @dataclass(frozen=True)
 class Section:
-    """Part of a page: a heading, tables, pictures."""
+    """Part of a page: a heading, sentences, tables, pictures."""
 
     heading: str
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     terms: tuple[tuple[str, str], ...] = ()
     text: str = ""
+    points: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,19 @@ class Page:
 def identification_page(fit: Identification, pictures: Sequence[Picture]) -> str:
     """The report of an identification, as self-contained HTML."""
     follow = tuple(each for each in pictures if each.name == "fit" or each.name.startswith("tip"))
-    rest = tuple(each for each in pictures if each not in follow)
+    left = tuple(each for each in pictures if each.name.startswith("residual"))
+    correlated = tuple(each for each in pictures if each.name == "correlations")
+    rest = tuple(each for each in pictures if each not in (*follow, *left, *correlated))
+    missing = remedy_table(fit.parameters)
+    summary = fit.trajectory
+    white = () if summary is None or not summary.whiteness else (whiteness_table(summary.whiteness),)
     sections = (
         Section("Parameters", (parameter_table(fit.parameters, fit.nominal.chain), mode_table(fit.modes))),
         Section("How well the model follows the recordings", (recording_table(fit.recordings),), follow),
+        Section("What the model leaves unexplained", white, left),
+        Section("What the recordings determine", () if missing is None else (missing,), correlated, points=fit.notes),
         Section("What the model was identified from", (), rest),
-        Section("Settings", terms=tuple(settings(fit)), text=_METHOD),
+        Section("Settings", terms=tuple(settings(fit)), text=_METHOD if summary is None else _TRAJECTORY_METHOD),
     )
     name = fit.experiment.rig.name
     return _render(Page(name, "identification", identification_verdict(fit), fit.warnings, sections))
@@ -69,6 +77,14 @@ _METHOD = (
     "A shape function fitted to the markers gives the joint angles; the parameters are those that make the equation of "
     "motion hold best (Yoshikawa, Ohta and Kanaoka, ICRA 2001). Standard errors hold if the model is right: where the "
     "fit is worse than the noise, the true errors are larger."
+)
+_TRAJECTORY_METHOD = (
+    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper "
+    "(Yoshikawa, Ohta and Kanaoka, ICRA 2001). The parameters are the most likely ones given everything measured: "
+    "every training recording is simulated open loop over its whole length, from an initial state estimated with the "
+    "parameters. The search starts from what the torque method finds, where there is something for it to find. "
+    "Standard errors and 95 % intervals hold if the model is right; what it leaves unexplained widens them, and can "
+    "make the values wrong by more."
 )
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from vjm.chain.records import Chain, LinkChain
+from vjm.identification.information import Whiteness
 from vjm.identification.records import ModeComparison, RecordingFit
 from vjm.parameters import Estimate
-from vjm.report.wording import UNKNOWN, millimetres, number, with_error
+from vjm.report.wording import UNKNOWN, counted, interval, millimetres, number, with_error
 
 _ARRAYS = {
     "stiffness": ("stiffness", 1),
@@ -42,16 +44,61 @@ class Table:
 
 
 def parameter_table(estimates: Sequence[Estimate], nominal: Chain) -> Table:
-    """Every parameter beside its nominal value (the paper's Table 1)."""
-    rows, notes = [], []
+    """Every parameter beside its nominal value (the paper's Table 1), with its standard error and 95 % interval."""
+    rows = []
     for estimate in estimates:
-        before = nominal_value(estimate.name, nominal)
-        state = "no" if not estimate.identifiable else "yes" if estimate.std is not None else "fixed"
-        value = with_error(estimate.value, estimate.std)
-        rows.append((estimate.name, state, number(before, 4), value, unit(estimate.unit)))
-        notes.append(estimate.reason)
-    headers = ("parameter", "determined", "nominal", "identified ± standard error", "unit")
-    return Table("Table 1. Parameters", headers, tuple(rows), words=2, notes=tuple(notes))
+        value, std = estimate.value, estimate.std
+        state = "no" if not estimate.identifiable else "yes" if std is not None else "fixed"
+        relative = None if std is None or value == 0 else abs(100 * std / value)
+        rows.append(
+            (
+                estimate.name,
+                state,
+                number(nominal_value(estimate.name, nominal), 4),
+                with_error(value, std),
+                interval(value, std),
+                number(relative, 2),
+                unit(estimate.unit),
+            )
+        )
+    headers = (
+        "parameter",
+        "determined",
+        "nominal",
+        "identified ± standard error",
+        "95 % interval",
+        "error [%]",
+        "unit",
+    )
+    return Table("Table 1. Parameters", headers, tuple(rows), words=2)
+
+
+def remedy_table(estimates: Sequence[Estimate]) -> Table | None:
+    """What the recordings do not determine, why, and which recording would; None where they determine everything."""
+    missing = [each for each in estimates if not each.identifiable]
+    rows = tuple((each.name, each.reason, each.remedy or UNKNOWN) for each in missing)
+    headers = ("parameter", "why not", "what would determine it")
+    return Table("What these recordings do not determine", headers, rows, words=3) if rows else None
+
+
+def whiteness_table(whiteness: Sequence[Whiteness]) -> Table:
+    """Whether what is left of each fitted recording is noise."""
+    rows = tuple(
+        (
+            each.file,
+            "no" if each.coloured else "yes",
+            number(math.sqrt(each.chi2) if each.chi2 >= 0 else None, 3),
+            number(each.correlation, 2),
+        )
+        for each in whiteness
+    )
+    headers = (
+        "recording",
+        "white noise",
+        "residual / noise, all sensors",
+        "largest correlation up to 10 samples later",
+    )
+    return Table("What the model leaves of the recordings it was fitted to", headers, rows, words=2)
 
 
 def unit(text: str) -> str:
@@ -85,7 +132,7 @@ def _element(quantity: str, link: LinkChain) -> float | None:
 
 def mode_table(modes: Sequence[ModeComparison]) -> Table:
     """Frequencies and damping ratios of the model beside the measured ones (the paper's Table 2)."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for k, mode in enumerate(modes):
         measured = mode.frequency_measured
         difference = None if measured is None else 100 * (mode.frequency_model / measured - 1)
@@ -97,10 +144,13 @@ def mode_table(modes: Sequence[ModeComparison]) -> Table:
                 UNKNOWN if difference is None else f"{difference:+.2f}".replace("-", "−"),
                 number(100 * mode.damping_model, 3),
                 "not seen" if mode.damping_measured is None else number(100 * mode.damping_measured, 3),
+                UNKNOWN if mode.mac is None else f"{mode.mac:.4f}",
             )
         )
     frequency = ("model [Hz]", "measured [Hz]", "difference [%]")
-    headers = ("", *frequency, "damping, model [%]", "damping, measured [%]")
+    headers: tuple[str, ...] = ("", *frequency, "damping, model [%]", "damping, measured [%]", "shape, MAC")
+    if all(mode.mac is None for mode in modes):
+        headers, rows = headers[:-1], [row[:-1] for row in rows]
     return Table("Table 2. Natural frequencies and damping", headers, tuple(rows))
 
 
@@ -109,7 +159,7 @@ def recording_table(fits: Sequence[RecordingFit], name: str = "identified") -> T
     rows: list[tuple[str, ...]] = []
     notes = []
     for fit in fits:
-        recording, replay, nominal = fit.recording, fit.replay, fit.nominal
+        recording, replay, nominal, torque = fit.recording, fit.replay, fit.nominal, fit.torque
         theta = None if replay is None or replay.theta_rms is None else 1e3 * replay.theta_rms
         rows.append(
             (
@@ -117,30 +167,44 @@ def recording_table(fits: Sequence[RecordingFit], name: str = "identified") -> T
                 "held out" if recording.role == "holdout" else "train",
                 recording.kind,
                 millimetres(nominal.marker_rms if nominal else None),
+                millimetres(torque.marker_rms if torque else None),
                 millimetres(replay.marker_rms if replay else None),
                 millimetres(fit.marker_noise),
                 number(replay.marker_rms / fit.marker_noise if replay else None, 2),
                 number(theta, 2),
             )
         )
-        notes.append(f"not simulated: {fit.problem}" if replay is None else _search_note(fit))
+        notes.append("; ".join(_remarks(fit)))
     headers: tuple[str, ...] = (
         "recording",
         "role",
         "kind",
         "nominal",
+        "torque method",
         name,
         "noise",
         f"{name} / noise",
         "encoder [mrad]",
     )
-    if all(row[-1] == UNKNOWN for row in rows):  # an arm without encoders
-        headers, rows = headers[:-1], [row[:-1] for row in rows]
+    for column in ("encoder [mrad]", "torque method"):  # an arm without encoders, a fit by the torque method itself
+        at = headers.index(column)
+        if all(row[at] == UNKNOWN for row in rows):
+            headers, rows = _without(headers, at), [_without(row, at) for row in rows]
     caption = "Fit per recording: RMS marker residual of an open-loop simulation"
     return Table(caption, headers, tuple(rows), words=3, notes=tuple(notes))
 
 
-def _search_note(fit: RecordingFit) -> str:
-    if fit.replay is not None and fit.replay.status != "converged":
-        return "the search for the initial state has not converged: the residual may be too large"
-    return ""
+def _without(row: tuple[str, ...], at: int) -> tuple[str, ...]:
+    return (*row[:at], *row[at + 1 :])
+
+
+def _remarks(fit: RecordingFit) -> list[str]:
+    """What a reader of a recording's row should know."""
+    if fit.replay is None:
+        return [f"not simulated: {fit.problem}"]
+    found = []
+    if fit.replay.status != "converged":
+        found.append("the search for the initial state has not converged: the residual may be too large")
+    if fit.left_out:
+        found.append(f"{counted(fit.left_out, 'outlying marker coordinate')} left out")
+    return found

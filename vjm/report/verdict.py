@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from vjm.identification.records import Identification, RecordingFit
+from vjm.identification.records import Identification, RecordingFit, TrajectorySummary
 from vjm.model import Model
 from vjm.report.comparison import Comparison
 from vjm.report.tables import nominal_value, unit
@@ -91,7 +91,11 @@ def _one_recording(fit: RecordingFit, words: str) -> str:
         f"{short(fit.recording.file)} ({words}): {millimetres(fit.replay.marker_rms if fit.replay else None)} RMS "
         f"over its whole {number(seconds, 2)}\N{NO-BREAK SPACE}s, open loop"
     )
-    if fit.nominal is not None:
+    if fit.torque is not None:
+        others = [("torque method", fit.torque), ("nominal values", fit.nominal)]
+        named = [f"{words}: {millimetres(each.marker_rms)}" for words, each in others if each is not None]
+        text += f" ({', '.join(named)})"
+    elif fit.nominal is not None:
         text += f"; {millimetres(fit.nominal.marker_rms)} with nominal values"
     return f"{text}; the camera's noise is {millimetres(fit.marker_noise)}."
 
@@ -114,7 +118,11 @@ def _undetermined(fit: Identification) -> list[str]:
     if not missing:
         return []
     if len(missing) <= _MOST_NAMED:
-        return [f"Not determined by these recordings: {each.name} ({each.reason})." for each in missing]
+        return [
+            f"Not determined by these recordings: {each.name} ({each.reason})"
+            + (f"; it takes {each.remedy}." if each.remedy else ".")
+            for each in missing
+        ]
     names = listed([each.name for each in missing[:_MOST_NAMED]])
     return [f"{len(missing)} of {len(fit.parameters)} parameters are not determined by these recordings: {names} …"]
 
@@ -132,9 +140,11 @@ def settings(fit: Identification) -> list[tuple[str, str]]:
         ("Virtual joints", listed([f"{link.name}: {link.virtual_joints}" for link in fit.model.chain.links])),
         ("Marker noise", f"{millimetres(fit.model.marker_noise)} ({_source(fit.experiment.rig.marker_noise)})"),
         *_encoder(fit.model),
-        ("J, eq. (15)", f"nominal model {number(fit.objective_nominal, 4)}, identified {number(fit.objective, 4)}"),
+        *_trajectories(fit.trajectory),
     ]
-    rows += [("Note", note) for note in fit.notes]
+    if fit.objective is not None:
+        before, after = number(fit.objective_nominal, 4), number(fit.objective, 4)
+        rows.append(("J, eq. (15)", f"nominal model {before}, identified {after}"))
     for k, link in enumerate(fit.model.rig.links):
         shapes = [data.angles.shapes[k] for data in fit.torque_data[:1]]
         rows += [(f"Shape functions, {link.name}", f"{shape.family}, order {shape.order}") for shape in shapes]
@@ -148,6 +158,15 @@ def settings(fit: Identification) -> list[tuple[str, str]]:
         values = f"{number(1e3 * noise[0], 2)} mrad, {number(noise[1], 2)} rad/s, {number(noise[2], 2)} rad/s²"
         rows.append((f"Noise in {data.recording.file}", f"angle, rate and acceleration of the worst joint: {values}"))
     return rows
+
+
+def _trajectories(summary: TrajectorySummary | None) -> list[tuple[str, str]]:
+    if summary is None:
+        return []
+    mean = number(summary.chi2 / max(summary.count, 1), 4)
+    text = f"mean square residual {mean} times the noise's, over {summary.count} measured values"
+    searched = f"{counted(summary.iterations, 'simulation')} of all recordings"
+    return [("Trajectories", f"{text}; {searched} in the last search")]
 
 
 def _encoder(model: Model) -> list[tuple[str, str]]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PLAIN_RANGE = range(-3, 5)  # decimal exponents written without a power of ten
 _LEAST_MILLIMETRES = 0.0095
+_TWO_SIDED_95 = 1.96  # standard errors
 UNKNOWN = "–"
 
 
@@ -27,14 +28,24 @@ def with_error(value: float, std: float | None) -> str:
     """A number with its standard error, as many digits as the error leaves certain: `(3.07 ± 0.31) × 10⁻⁴`."""
     if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
         return number(value, 4)
+    return _joined((value, std), " ± ", value, std)
+
+
+def interval(value: float, std: float | None) -> str:
+    """The 95 % interval of a quantity that cannot be negative: `1.966 … 1.981`; a dash where no error is known."""
+    if std is None or not math.isfinite(std) or std <= 0 or not math.isfinite(value):
+        return UNKNOWN
+    return _joined((max(value - _TWO_SIDED_95 * std, 0.0), value + _TWO_SIDED_95 * std), " … ", value, std)
+
+
+def _joined(numbers: Sequence[float], between: str, value: float, std: float) -> str:
+    """Numbers with as many digits as the standard error of a value leaves certain, all with the same power of ten."""
     last = _exponent(std, 2) - 1  # the error's second digit
     exponent = max(_exponent(value, 6), _exponent(std, 2)) if value else _exponent(std, 2)
     if exponent in _PLAIN_RANGE and last >= -6:
-        places = max(-last, 0)
-        return f"{round(value, -last):.{places}f} ± {round(std, -last):.{places}f}"
-    places = max(exponent - last, 0)
-    scale = 10.0**exponent
-    return f"({value / scale:.{places}f} ± {std / scale:.{places}f}) × {_power(exponent)}"
+        return between.join(f"{round(each, -last):.{max(-last, 0)}f}" for each in numbers)
+    places, scale = max(exponent - last, 0), 10.0**exponent
+    return f"({between.join(f'{each / scale:.{places}f}' for each in numbers)}) × {_power(exponent)}"
 
 
 def _exponent(value: float, digits: int) -> int:

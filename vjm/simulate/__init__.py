@@ -1,8 +1,7 @@
 """Open-loop simulation of recordings, its derivatives, and replay from the most likely initial state."""
 
 from vjm.simulate.initial_state import Replay, replay, replays
-from vjm.simulate.integrators import INTEGRATORS
-from vjm.simulate.rollout import Simulation, default_step, rollout, rollouts, simulate
+from vjm.simulate.rollout import INTEGRATORS, Simulation, default_step, rollout, rollouts, simulate
 
 __all__ = [
     "INTEGRATORS",

@@ -13,7 +13,8 @@ from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.records import Recording, Rig
 from vjm.modes import linearise, modes_of
 from vjm.simulate.drive import Drive
-from vjm.simulate.integrators import INTEGRATORS, System
+from vjm.simulate.exponential import exponential
+from vjm.simulate.integrators import System, runge_kutta
 from vjm.simulate.observation import Arcs
 from vjm.simulate.steps import Steps, sample
 
@@ -22,15 +23,16 @@ Array = NDArray[np.float64]
 # Steps a period of the locked arm's slowest mode; measured on 1 m chains of 4 to 40 joints bent by an eighth of their
 # length, or driven: the tip stays within 1e-6 m for 10 s. The error grows with the arm's length and the fourth power of
 # the step; the top modes of larger chains, however fast, are in the part that is advanced exactly.
+INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
+
 _STEPS_A_PERIOD = 60.0
 _MORE_A_JOINT = 16.0
 _MOST_STEPS_A_PERIOD = 220.0
-_ELBOW_STEP = 0.015  # periods of the fastest mode, where an active joint further out changes the mass matrix itself
+# Where an active joint further out swings the arm's outer part about fast: a joint's worth, and at most.
+_ELBOW_STEPS_A_JOINT = 640.0
+_MOST_ELBOW_STEPS = 4000.0
 REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20
-_DEFAULT_ERROR = 1e-6  # m
-_NEGLIGIBLE = 0.02  # of the marker noise
-_MOST_COARSE = 2.0
 _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
 _HALF_INTERVAL_ELBOW = 1 / 300  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
@@ -57,18 +59,13 @@ class Simulation:
 
 def default_step(chain: Chain, payload: float = 0.0) -> float:
     """Step of the exponential integrator [s] that keeps the tip within 1e-6 m of the reference over 10 s."""
-    slowest, fastest = locked_frequencies(chain, payload)
+    slowest, _ = locked_frequencies(chain, payload)
     longer = sum(link.length for link in chain.links) ** -0.25
     most = max(link.virtual_joints for link in chain.links)
-    step = 1 / (min(_STEPS_A_PERIOD + _MORE_A_JOINT * most, _MOST_STEPS_A_PERIOD) * slowest)
+    steps = min(_STEPS_A_PERIOD + _MORE_A_JOINT * most, _MOST_STEPS_A_PERIOD)
     if (chain.active > 0).any():
-        step = min(step, _ELBOW_STEP / fastest)
-    return float(longer * step)
-
-
-def coarse_step(marker_noise: float) -> float:
-    """Multiple of the default step whose error is a fiftieth of the marker noise [m], and twice the step at most."""
-    return float(np.clip((_NEGLIGIBLE * marker_noise / _DEFAULT_ERROR) ** 0.25, 1.0, _MOST_COARSE))
+        steps = min(_ELBOW_STEPS_A_JOINT * most, _MOST_ELBOW_STEPS)
+    return float(longer / (steps * slowest))
 
 
 def locked_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:

@@ -20,6 +20,7 @@ from vjm.chain.records import Chain
 from vjm.experiment.records import Recording
 from vjm.modes import linearise
 from vjm.simulate.observation import Observed
+from vjm.simulate.phi import phi_functions, rate_scale
 from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
@@ -28,10 +29,8 @@ _RIGID = ("lengths", "masses", "mass_centers", "inertias")
 _ANGLE = 1e-6  # rad, perturbation
 _RATE = 1e-5  # rad/s
 _NUMBERS_A_CHUNK = 400_000  # of coefficients held at once
-_NORM = 0.5  # to which matrices are halved before their power series
-_MOST_TURN = 3.2  # rad an interval; what lies inside it is interpolated, to a hundredth at this limit
+_MOST_TURN = 3.2  # rad an interval; what lies inside it is interpolated, to three hundredths at this limit
 _MOST_MODES = 16
-_COEFFICIENTS = 1 / np.cumprod(np.arange(1.0, 9.0))[2:]  # 1 / (k + 3)!
 
 
 class Moved(NamedTuple):
@@ -174,7 +173,7 @@ def sensitivities(
 def _propagators(found: Coefficients, interval: float) -> tuple[Array, Array]:
     """Over K intervals of three instants each, the flow (K, 2 m, 2 m) and what the forcing adds (K, 2 m, p)."""
     size = found.state.shape[1]
-    scale = max(float(np.abs(found.state[:, :, :size]).sum(axis=2).max()) ** 0.5, 1e-6)  # rates in units of this
+    scale = rate_scale(found.state)  # rates in units of this
     L = np.zeros((len(found.state), 2 * size, 2 * size))
     L[:, :size, size:] = scale * np.eye(size)
     L[:, size:, :size] = found.state[:, :, :size] / scale
@@ -183,36 +182,10 @@ def _propagators(found: Coefficients, interval: float) -> tuple[Array, Array]:
     F[:, size:] = found.forcing / scale
     L1, L2, L3 = (L[k : len(L) - 2 + k : 2] for k in (0, 1, 2))
     F1, F2, F3 = (F[k : len(F) - 2 + k : 2] for k in (0, 1, 2))
-    flow, phi1, phi2, phi3 = _exponentials(interval / 6 * (L1 + 4 * L2 + L3))
+    flow, phi1, phi2, phi3 = phi_functions(interval / 6 * (L1 + 4 * L2 + L3))
     added = phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3)
     units = np.r_[np.ones(size), np.full(size, scale)]
     return flow * units[:, None] / units, interval * added * units[:, None]
-
-
-def _exponentials(W: Array) -> tuple[Array, Array, Array, Array]:
-    """exp, phi_1, phi_2, phi_3 of matrices W (K, m, m): power series of halved matrices, then doubling."""
-    norm = float(np.abs(W).sum(axis=2).max(initial=0.0))
-    halvings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / _NORM))))
-    X = W / 2.0**halvings
-    X2 = X @ X
-    one, X3 = np.eye(W.shape[-1]), X2 @ X
-    phi3 = _series(one, X, X2, X3)
-    phi2 = one / 2 + X @ phi3
-    phi1 = one + X @ phi2
-    flow = one + X @ phi1
-    for _ in range(halvings):
-        phi3 = (flow @ phi3 + phi1 / 2 + phi2 + phi3) / 8
-        phi2 = (flow @ phi2 + phi1 + phi2) / 4
-        phi1 = (flow @ phi1 + phi1) / 2
-        flow = flow @ flow
-    return flow, phi1, phi2, phi3
-
-
-def _series(one: Array, X: Array, X2: Array, X3: Array) -> Array:
-    """phi_3 by its power series."""
-    c = _COEFFICIENTS
-    found: Array = c[0] * one + c[1] * X + c[2] * X2 + X3 @ (c[3] * one + c[4] * X + c[5] * X2)
-    return found
 
 
 def jacobian(

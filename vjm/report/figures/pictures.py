@@ -12,8 +12,10 @@ from vjm.identification.records import Identification, RecordingFit
 from vjm.model import Model
 from vjm.report.choose import liveliest, spread_over, tips
 from vjm.report.figures.angles import joint_angles
+from vjm.report.figures.correlations import correlation_map
 from vjm.report.figures.fits import MOST_RECORDINGS, fit_of_recordings
 from vjm.report.figures.markers import most_recordings, raw_markers
+from vjm.report.figures.residuals import MOST_ROWS, residual_map, residual_spectra
 from vjm.report.figures.shapes import link_shapes
 from vjm.report.figures.style import png
 from vjm.report.figures.tips import tip_motion
@@ -22,7 +24,17 @@ from vjm.report.wording import listed, short
 
 MOST_TIPS = 4
 # Every file name that a report may have under `figures/`: what an earlier run left of them is out of date.
-NAMES = ("fit", *(f"tip_{k + 1}" for k in range(MOST_TIPS)), "shapes", "angles", "torque_errors", "markers")
+NAMES = (
+    "fit",
+    *(f"tip_{k + 1}" for k in range(MOST_TIPS)),
+    "residual_map",
+    "residual_spectra",
+    "correlations",
+    "shapes",
+    "angles",
+    "torque_errors",
+    "markers",
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +56,12 @@ class Picture:
 
 def identification_pictures(fit: Identification) -> list[Picture]:
     """All figures of an identification."""
-    return [*_fit_pictures(fit.recordings, fit.model, fit.nominal, "identified"), *_data_pictures(fit)]
+    return [
+        *_fit_pictures(fit.recordings, fit.model, fit.nominal, "identified"),
+        *(_residual_pictures(fit) if fit.trajectory is not None else ()),
+        *_correlation_pictures(fit),
+        *_data_pictures(fit),
+    ]
 
 
 def replay_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model) -> list[Picture]:
@@ -64,6 +81,36 @@ def _fit_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model, na
         of = "" if k or len(chosen) == len(fits) else f" Shown for {len(chosen)} of {len(fits)} recordings."
         caption = f"Tip marker in {short(fit.recording.file)}, measured and simulated; residual underneath.{of}"
         yield _picture(f"tip_{k + 1}", caption, tip_motion(fit, model, nominal, name))
+
+
+def _residual_pictures(fit: Identification) -> Iterator[Picture]:
+    replayed = [each for each in fit.recordings if each.replay is not None and each.recording.frames.size]
+    if not replayed:
+        return
+    more = f" The first {MOST_ROWS} recordings of {len(replayed)}." if len(replayed) > MOST_ROWS else ""
+    caption = (
+        "What is left of each marker coordinate, RMS over the whole recording in units of the camera's noise. Pale "
+        "throughout: nothing is missing; a dark column: a marker that is not where the file says, or a mode that only "
+        f"it shows; a dark row: something that happens in that recording only.{more}"
+    )
+    yield _picture("residual_map", caption, residual_map(fit.model, replayed))
+    spectra = residual_spectra(fit.model, fit.recordings)
+    if spectra is not None:
+        caption = (
+            "Amplitude of what is left, root mean square over all marker coordinates. A peak above the dashed line at "
+            "a natural frequency: its frequency or damping is off; elsewhere: something that is not in the model."
+        )
+        yield _picture("residual_spectra", caption, spectra)
+
+
+def _correlation_pictures(fit: Identification) -> Iterator[Picture]:
+    figure = correlation_map(fit.parameters, fit.covariance)
+    if figure is not None:
+        caption = (
+            "Correlation of the estimates' errors. Near +1 or −1 the recordings determine only one combination of the "
+            "two parameters, however small the noise."
+        )
+        yield _picture("correlations", caption, figure)
 
 
 def _data_pictures(fit: Identification) -> Iterator[Picture]:

@@ -23,18 +23,20 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLoca
 Dashes = tuple[float, tuple[float, ...]]
 Look = tuple[str, Dashes]
 
-# Dark, middle and light: apart in grey as well.
+# Dark, middle and light: apart in grey as well; the torque method has marks or dashes of its own beside them.
 IDENTIFIED = "#0b2f5c"
 NOMINAL = "#e07b00"
+TORQUE = "#4aa3c7"
 MEASURED = "#7d7d7d"
 BAND = "#d6d6d6"
 NOMINAL_STYLE: Dashes = (0, (4, 2))
 _LINE_STYLES: tuple[Dashes, ...] = ((0, ()), (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
 
+_LIGHT = 0.55  # of white
 _DPI = 120
 _WIDTH = 9.2  # inches, as all lengths of the page below
 _LEFT, _RIGHT, _BOTTOM = 0.85, 0.2, 0.52
-_TITLE_LINE, _LEGEND_LINE, _TOP = 0.22, 0.27, 0.3
+_TITLE_LINE, _LEGEND_LINE, _TOP = 0.22, 0.27, 0.37
 _ROW_GAP, _COLUMN_GAP = 0.28, 0.85
 _TITLE_WIDTH = 101  # characters
 _SETTINGS: Any = {
@@ -159,6 +161,12 @@ def series(count: int) -> list[Look]:
     """So many looks that differ in darkness and in line style."""
     colors = mpl.colormaps["viridis"](np.linspace(0.0, 0.8, max(count, 1)))
     return [(to_hex(color), _LINE_STYLES[i % len(_LINE_STYLES)]) for i, color in enumerate(colors[:count])]
+
+
+def letters_on(color: tuple[float, float, float, float]) -> str:
+    """Colour of letters that are read on a ground of this colour (red, green, blue, opacity, each up to 1)."""
+    red, green, blue, _ = color
+    return "#222222" if 0.3 * red + 0.59 * green + 0.11 * blue > _LIGHT else "white"
 
 
 def log_ticks(axis: Axis) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -23,6 +23,7 @@ from vjm.report.figures.style import (
     MEASURED,
     NOMINAL,
     NOMINAL_STYLE,
+    TORQUE,
     Row,
     Sheet,
     panel_title,
@@ -36,7 +37,8 @@ from vjm.simulate.observation import Arcs
 Array = NDArray[np.float64]
 
 _MOST_CIRCLES = 170  # across the page
-_LEGIBLE = 4.0  # the nominal model's residual is drawn where it is at most so many times the other
+_LEGIBLE = 4.0  # another model's residual is drawn where it is at most so many times the identified one's
+_WORTH_A_LINE = 1.05  # and the torque method's where it is at least so many times that
 _DRAWN_POINTS = 800  # a camera takes few frames a period; the simulation is drawn between them too
 
 
@@ -61,15 +63,16 @@ def tip_motion(fit: RecordingFit, model: Model, nominal: Model, name: str = "ide
     page = sheet(_title(fit, signal, residual, name), [Row(2.2, len(parts)), Row(1.2, gap=0.75)])
     _draw_tips(page, fit, model, nominal, signal, parts)
     _draw_residual(page.axes[1][0], fit, signal, residual, name)
-    page.legend(_handles(fit, name, _crowded(signal, parts)))
+    page.legend(_handles(fit, signal, name, _crowded(signal, parts)))
     return page.figure
 
 
 def _title(fit: RecordingFit, signal: Signal, residual: Array, name: str) -> str:
     role = "held out" if fit.recording.role == "holdout" else "train"
     text = f"Tip of {short(fit.recording.file)} ({role}): {name} model within {millimetres(_rms(residual))} RMS"
-    if fit.nominal is not None:
-        text += f", nominal {millimetres(_rms(signal.value - _at(fit.nominal, fit, signal)))}"
+    for other, words in ((fit.torque, "torque method"), (fit.nominal, "nominal")):
+        if other is not None:
+            text += f", {words} {millimetres(_rms(signal.value - _at(other, fit, signal)))}"
     return f"{text}; noise {millimetres(fit.marker_noise)}"
 
 
@@ -147,11 +150,10 @@ def _draw_residual(axes: Axes, fit: RecordingFit, signal: Signal, residual: Arra
     axes.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
     axes.axhline(0.0, color="#444444", linewidth=0.6)
     drawn, largest = "", max(4 * noise, 1.08e3 * float(np.abs(residual).max()))
-    if fit.nominal is not None:
-        other = signal.value - _at(fit.nominal, fit, signal)
-        if _rms(other) <= _LEGIBLE * _rms(residual):
-            axes.plot(signal.time, 1e3 * other, color=NOMINAL, linewidth=0.8, alpha=0.9)
-            drawn, largest = " and nominal", max(largest, 1.08e3 * float(np.abs(other).max()))
+    other = _before(fit, signal, residual)
+    if other is not None:
+        axes.plot(signal.time, 1e3 * other.residual, color=other.color, linewidth=0.8, alpha=0.9)
+        drawn, largest = f" and {other.name}", max(largest, 1.08e3 * float(np.abs(other.residual).max()))
     axes.plot(signal.time, 1e3 * residual, color=IDENTIFIED, linewidth=0.8)
     axes.set_ylim(-largest, largest)
     axes.set_xlabel("time [s]")
@@ -159,11 +161,35 @@ def _draw_residual(axes: Axes, fit: RecordingFit, signal: Signal, residual: Arra
     panel_title(axes, f"Measured less {name}{drawn} model, whole recording")
 
 
-def _handles(fit: RecordingFit, name: str, crowded: bool) -> list[Line2D | Patch]:
+class _Before(NamedTuple):
+    """What another model leaves of the signal, to be drawn beside what the identified one leaves."""
+
+    name: str
+    color: str
+    residual: Array
+
+
+def _before(fit: RecordingFit, signal: Signal, residual: Array) -> _Before | None:
+    """The torque method's residual or, where that is as good, the nominal one's; None where it would hide the other."""
+    if fit.torque is not None:
+        other = signal.value - _at(fit.torque, fit, signal)
+        if _WORTH_A_LINE * _rms(residual) < _rms(other) <= _LEGIBLE * _rms(residual):
+            return _Before("torque method's", TORQUE, other)
+    if fit.nominal is not None:
+        other = signal.value - _at(fit.nominal, fit, signal)
+        if _rms(other) <= _LEGIBLE * _rms(residual):
+            return _Before("nominal", NOMINAL, other)
+    return None
+
+
+def _handles(fit: RecordingFit, signal: Signal, name: str, crowded: bool) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
         Line2D([], [], label="measured", **_measured_look(crowded)),
         Line2D([], [], color=IDENTIFIED, label=f"{name} model"),
     ]
     if fit.nominal is not None:
         handles.append(Line2D([], [], color=NOMINAL, linestyle=NOMINAL_STYLE, label="nominal model"))
+    other = _before(fit, signal, signal.value - _at(fit.replay, fit, signal)) if fit.replay is not None else None
+    if other is not None and other.color == TORQUE:
+        handles.append(Line2D([], [], color=TORQUE, label="torque method (residual)"))
     return [*handles, Patch(color=BAND, label="±2σ noise")]

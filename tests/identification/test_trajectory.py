@@ -1,0 +1,362 @@
+"""The trajectory method: what is put in comes out, as sharply as the noise allows, from far away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import vjm
+from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
+from tests.identification.test_recovery import SHARED, chain_recordings, demo
+from tests.simulate.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
+from vjm.experiment.records import Experiment, Recording
+from vjm.identification import Identification, identify
+from vjm.identification.parametrisation import Parametrisation
+from vjm.identification.resampling import Resampled, resample
+from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
+from vjm.identification.uncertainty import to_physical
+from vjm.simulate.observation import Observed
+from vjm.simulate.run import Start, run_all
+
+Array = NDArray[np.float64]
+NOISE = 3e-4
+ENCODER_NOISE = 1e-4
+
+# Without noise
+
+
+@pytest.mark.parametrize(("joint", "n"), [("clamped", 2), ("revolute", 2), ("revolute", 3)])
+@pytest.mark.parametrize("parameters", ["joints", "lengths"])
+def test_noise_free_chain_comes_back_from_twice_its_stiffness(joint: str, n: int, parameters: str) -> None:
+    experiment, truth = chain_recordings(joint, n, 0)
+    experiment = replace(experiment, rig=replace(experiment.rig, marker_noise=1e-6, encoder_noise=1e-6))
+    fit = identify(experiment, parameters=parameters)
+    found, true = fit.model.chain.links[0], truth.links[0]
+    assert fit.status == "converged"
+    assert found.stiffness == pytest.approx(true.stiffness, rel=1e-3)
+    assert found.damping == pytest.approx(true.damping, rel=5e-3)
+    assert found.lengths == pytest.approx(true.lengths, rel=1e-3)
+    assert found.hub_inertia == pytest.approx(true.hub_inertia, rel=1e-3)
+
+
+def test_every_parameter_at_once_finds_a_model_that_fits_as_well_as_the_truth() -> None:
+    experiment, _ = chain_recordings("revolute", 2, 1)
+    experiment = replace(experiment, rig=replace(experiment.rig, marker_noise=1e-5, encoder_noise=1e-5))
+    fit = identify(experiment, parameters="full")
+    assert fit.trajectory is not None
+    assert fit.trajectory.chi2 / fit.trajectory.count < 0.1
+    assert fit.model.chain.links[0].masses.sum() == pytest.approx(0.44)
+    assert fit.model.chain.links[0].lengths.sum() == pytest.approx(1.0)
+
+
+# At the statistical limit
+
+
+def truth_point(joint: str, n: int, kind: str) -> Point:
+    """Two recordings of a chain, with the chain itself as what is looked for."""
+    chain = arm_of(steel_link(n, joint))  # type: ignore[arg-type]
+    time = np.arange(301) / 100.0
+    if joint == "revolute":
+        recordings = [recording_of(chain, time, jerky_torque(1, seed)) for seed in (1, 2)]
+        states = [np.zeros(2 * chain.size) for _ in recordings]
+    else:
+        recordings = [recording_of(chain, time)] * 2
+        bends = (end_load_shape(chain, 0.05), end_load_shape(chain, 0.02) * np.linspace(1, -3, n))
+        states = [np.r_[bend, np.zeros(n)] for bend in bends]
+    observed = tuple(
+        Observed.of(
+            rig_of(chain),
+            replace(r, markers=np.zeros_like(r.markers), theta=np.zeros_like(r.theta)),
+            (NOISE, ENCODER_NOISE),
+        )
+        for r in recordings
+    )
+    parametrisation = Parametrisation(chain, kind, (0,) if joint == "revolute" else ())
+    starts = [Start.of(chain, each.recording) for each in observed]
+    runs = run_all(chain, observed, starts, states, 1.0)
+    return Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
+
+
+def bound_of(point: Point) -> Array:
+    """Cramer and Rao's: no unbiased estimate has a smaller standard deviation."""
+    R = point.gathered()[0].R[:-1, :-1]
+    return np.sqrt(np.diag(to_physical(point.problem.parametrisation, point.x, np.linalg.inv(R.T @ R))))
+
+
+@pytest.mark.parametrize(
+    ("joint", "n", "kind"), [("clamped", 3, "uniform"), ("revolute", 3, "uniform"), ("revolute", 3, "joints")]
+)
+def test_a_hundred_fits_scatter_as_little_as_any_can(joint: str, n: int, kind: str) -> None:
+    point = truth_point(joint, n, kind)
+    with ProcessPoolExecutor(2) as pool:
+        found = resample(point, 100, "noise", pool, seed=1)
+    bound = bound_of(point)
+    inside = np.abs(found.values - found.truth) < 1.96 * found.std
+    assert found.failed == 0
+    assert (found.spread < 1.15 * bound).all(), found.spread / bound
+    assert (np.abs(found.bias) < 0.2 * bound).all(), found.bias / bound
+    assert 0.91 <= inside.mean() <= 0.98
+    assert (inside.mean(axis=0) > 0.88).all(), inside.mean(axis=0)
+
+
+@pytest.mark.parametrize("coarse", [1.0])
+def test_coloured_noise_widens_the_standard_errors(coarse: float) -> None:
+    """Noise that lasts ten frames: the plain Fisher information would promise three times too much."""
+    point = truth_point("revolute", 2, "uniform")
+    rng = np.random.default_rng(3)
+    values, errors = [], []
+    for _ in range(30):
+        observed = []
+        for run in point.runs:
+            seen = run.observed
+            rows = [len(series) for series in run.series()]
+            sizes = [10, 1]
+            noise = [_coloured(rng, count, size).ravel() for count, size in zip(rows, sizes, strict=True)]
+            predicted = seen.predicted(run.chain, run.path[0])
+            observed.append(replace(seen, values=predicted + np.concatenate(noise) / seen.weights))
+        problem = replace(point.problem, observed=tuple(observed), coarse=coarse)
+        fit = fit_trajectory(problem, point.x, states=[run.state for run in point.runs])
+        values.append(problem.parametrisation.physical(fit.point.x))
+        errors.append(_std(fit))
+    scatter, promised = np.std(values, axis=0, ddof=1), np.median(errors, axis=0)
+    assert (promised > 0.65 * scatter).all(), promised / scatter
+    assert (promised < 1.8 * scatter).all(), promised / scatter
+    assert (bound_of(point) < 0.65 * scatter).any()
+
+
+def _coloured(rng: np.random.Generator, count: int, size: int) -> Array:
+    """(count, size) noise of unit variance whose neighbours correlate by 0.9."""
+    white = rng.standard_normal((count, size))
+    noise = np.empty_like(white)
+    noise[0] = white[0]
+    for k in range(1, count):
+        noise[k] = 0.9 * noise[k - 1] + np.sqrt(1 - 0.81) * white[k]
+    return noise
+
+
+def _std(fit: object) -> Array:
+    from vjm.identification.information import of_trajectory
+    from vjm.identification.uncertainty import covariance
+
+    information, whiteness = of_trajectory(fit, noise_known=True)  # type: ignore[arg-type]
+    assert all(one.coloured for one in whiteness)
+    point = fit.point  # type: ignore[attr-defined]
+    return np.sqrt(np.diag(to_physical(point.problem.parametrisation, point.x, covariance(information))))
+
+
+# On an executor
+
+
+def test_an_executor_changes_nothing() -> None:
+    point = truth_point("clamped", 2, "uniform")
+    here = resample(point, 4, "blocks", seed=7)
+    with ProcessPoolExecutor(2) as pool:
+        there = resample(point, 4, "blocks", pool, seed=7)
+    np.testing.assert_array_equal(here.values, there.values)
+    assert not np.array_equal(here.values, resample(point, 4, "blocks", seed=8).values)
+
+
+def test_a_dask_cluster_is_an_executor_too() -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    point = truth_point("clamped", 2, "uniform")
+    cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        found = resample(point, 4, "noise", client.get_executor(), seed=7)
+    np.testing.assert_allclose(found.values, resample(point, 4, "noise", seed=7).values, rtol=1e-12)
+
+
+# Another model's data
+
+
+@cache
+def hub_fit(seed: int, folder: str) -> Identification:
+    return identify(vjm.load_experiment(write_hub_experiment(Path(folder), seed)))
+
+
+@pytest.fixture(scope="module")
+def hub(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Identification]:
+    return lambda seed: hub_fit(
+        seed, str(tmp_path_factory.getbasetemp() / f"hub{seed}" / _made(tmp_path_factory, seed))
+    )
+
+
+def _made(factory: pytest.TempPathFactory, seed: int) -> str:
+    (factory.getbasetemp() / f"hub{seed}").mkdir(exist_ok=True)
+    return "."
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_geometrically_exact_beam_is_followed_to_the_noise(hub: Callable[[int], Identification], seed: int) -> None:
+    """Held out: a slew with corners, which bends the beam by more than a tenth of its length."""
+    fit = hub(seed)
+    assert fit.status == "converged"
+    assert fit.parameters[0].value == pytest.approx(TRUTH.bending_stiffness, rel=1e-3)
+    assert fit.model.chain.links[0].hub_inertia == pytest.approx(TRUTH.hub_inertia, rel=3e-3)
+    assert fit.parameters[1].value == pytest.approx(TRUTH.kelvin_voigt_time, rel=0.01)
+    for one in fit.recordings:
+        assert one.replay is not None
+        assert one.replay.marker_rms < 1.03 * NOISE
+        assert one.replay.theta_rms is not None
+        assert one.replay.theta_rms < 1.3 * ENCODER_NOISE
+    assert fit.recordings[-1].recording.file == SLEW
+    assert fit.warnings == ()
+
+
+def test_the_number_of_joints_does_not_depend_on_the_noise_s_seed(hub: Callable[[int], Identification]) -> None:
+    assert {hub(seed).model.chain.links[0].virtual_joints for seed in (1, 2, 3)} == {4}
+    assert any("one virtual joint more" in note for note in hub(1).notes)
+
+
+def test_the_torque_method_s_model_is_kept_to_compare_with(hub: Callable[[int], Identification]) -> None:
+    fit = hub(1)
+    assert fit.torque_model is not None
+    before, after = fit.recordings[-1].torque, fit.recordings[-1].replay
+    assert before is not None
+    assert after is not None
+    assert after.marker_rms < before.marker_rms
+
+
+def test_demo_comes_out_as_it_was_put_in() -> None:
+    fit = identify(demo())
+    stiffness, time = fit.parameters
+    assert stiffness.value == pytest.approx(1.973629, rel=5e-4)
+    assert time.value == pytest.approx(3.07e-4, rel=0.02)
+    assert fit.trajectory is not None
+    assert fit.trajectory.chi2 / fit.trajectory.count == pytest.approx(1.0, abs=0.05)
+    held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
+    assert held_out.replay is not None
+    assert held_out.replay.marker_rms < 1.04 * NOISE
+    for mode, frequency in zip(fit.modes, (1.18516, 7.42727), strict=False):
+        assert mode.frequency_model == pytest.approx(frequency, rel=5e-4)
+        assert mode.mac is not None
+        assert mode.mac > 0.999
+
+
+def test_measured_shapes_tell_modes_apart() -> None:
+    """MAC of the first mode with the second's shape is small."""
+    from vjm.identification.mode_shapes import assurance, model_shapes
+
+    model = identify(demo(), "torque").model
+    first, second = model_shapes(model.chain, model.rig, 0.0)[:2]
+    assert assurance(first, second.astype(complex)) < 0.3
+    assert assurance(first, (2 - 1j) * first) == pytest.approx(1.0)
+
+
+@pytest.mark.skipif(not (SHARED / "hub_rig").exists(), reason="the shared recordings are absent")
+def test_hub_rig_of_another_simulator() -> None:
+    fit = identify(vjm.load_experiment(SHARED / "hub_rig" / "experiment.toml"))
+    for one in fit.recordings:
+        assert one.replay is not None
+        assert one.replay.marker_rms < 1.02 * NOISE
+    assert all(estimate.identifiable for estimate in fit.parameters)
+
+
+@pytest.mark.skipif(not (SHARED / "silicone_beam").exists(), reason="the shared recordings are absent")
+def test_silicone_beam_fitted_on_one_recording_follows_the_other() -> None:
+    experiment = vjm.load_experiment(SHARED / "silicone_beam" / "experiment.toml")
+    unloaded = tuple(r for r in experiment.recordings if r.condition == "reference")
+    fit = identify(replace(experiment, recordings=unloaded))
+    held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
+    assert held_out.replay is not None
+    peak = float(np.nanmax(np.abs(held_out.recording.markers[:, -1, 1])))
+    assert held_out.replay.marker_rms < 0.03 * peak
+    assert fit.modes[0].frequency_model == pytest.approx(7.745, rel=5e-3)
+    assert any("no noise" in text for text in fit.warnings)
+
+
+# Two flexible links
+
+
+def test_two_flexible_links(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    from tests.mujoco_arm.two_links import TRUE_ARM, write_two_link_experiment
+
+    write_two_link_experiment(tmp_path, seed=1)
+    fit = identify(vjm.load_experiment(tmp_path / "experiment.toml"))
+    values = {estimate.name: estimate for estimate in fit.parameters}
+    for link in TRUE_ARM.links:
+        assert values[f"{link.name}.bending_stiffness"].value == pytest.approx(link.bending_stiffness, rel=5e-3)
+        assert values[f"{link.name}.hub_inertia"].value == pytest.approx(link.hub_inertia, rel=5e-3)
+    for one in fit.recordings:
+        assert one.replay is not None
+        assert one.replay.marker_rms < 1.1 * NOISE
+
+
+# On request
+
+
+def test_profile_interval_agrees_with_the_standard_error_where_the_likelihood_is_a_parabola(
+    hub: Callable[[int], Identification],
+) -> None:
+    fit = hub(1)
+    found = vjm.profile_interval(fit, "beam.bending_stiffness")
+    estimate = fit.parameters[0]
+    assert estimate.std is not None
+    assert found.low == pytest.approx(estimate.value - 1.96 * estimate.std, abs=0.1 * estimate.std)
+    assert found.high == pytest.approx(estimate.value + 1.96 * estimate.std, abs=0.1 * estimate.std)
+    wider = vjm.profile_interval(fit, "beam.bending_stiffness", 0.99)
+    assert wider.low < found.low < found.high < wider.high
+
+
+def test_what_cannot_be_resampled_or_profiled_is_said() -> None:
+    fit = identify(demo(), "torque")
+    with pytest.raises(vjm.InputError, match="trajectory"):
+        vjm.bootstrap(fit)
+    with pytest.raises(vjm.InputError, match="trajectory"):
+        vjm.profile_interval(fit, "beam.bending_stiffness")
+    with pytest.raises(vjm.InputError, match=r"kelvin_voigt_time"):
+        vjm.profile_interval(fit, "beam.mass")
+    with pytest.raises(vjm.InputError, match="blocks"):
+        vjm.bootstrap(fit, kind="pairs")
+    with pytest.raises(vjm.InputError, match="two or more"):
+        vjm.bootstrap(fit, 1)
+
+
+def test_resampled_intervals_and_correlations() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.multivariate_normal([1.0, 2.0], [[0.04, 0.03], [0.03, 0.09]], 4000)
+    found = Resampled(("a", "b"), np.array([1.0, 2.0]), values, np.ones((4000, 2)), 0)
+    assert found.interval(0.95) == pytest.approx(np.array([[0.608, 1.392], [1.412, 2.588]]), abs=0.03)
+    assert found.correlation[0, 1] == pytest.approx(0.5, abs=0.05)
+    assert found.spread == pytest.approx([0.2, 0.3], rel=0.05)
+    with pytest.raises(vjm.InputError, match="confidence"):
+        found.interval(1.5)
+
+
+def test_an_outlier_that_a_link_allows_is_found_by_its_residual() -> None:
+    experiment = demo()
+    changed: list[Recording] = []
+    for recording in experiment.recordings:
+        markers = recording.markers.copy()
+        if recording.file == "first_mode.csv":
+            markers[100, 2, 1] += 0.02
+        changed.append(replace(recording, markers=markers))
+    fit = identify(Experiment(experiment.rig, tuple(changed)))
+    assert fit.parameters[0].value == pytest.approx(1.973629, rel=5e-4)
+    (text,) = (each for each in fit.warnings if "left out" in each)
+    assert "first_mode.csv" in text
+    assert "1 marker coordinate " in text
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1", "cauchy"])
+def test_robust_losses_shrug_off_what_a_square_does_not(loss: str) -> None:
+    """Every twentieth sighting off by a millimetre or two: too many, and too small, to be cut out."""
+    experiment = demo()
+    rng = np.random.default_rng(4)
+    spoilt = []
+    for recording in experiment.recordings:
+        wrong = (rng.random(recording.markers.shape[:2]) < 0.05)[..., None]
+        off = 2e-3 * np.abs(rng.standard_normal(recording.markers.shape)) * wrong
+        spoilt.append(replace(recording, markers=recording.markers + off))
+    spoilt_experiment = Experiment(replace(experiment.rig, marker_noise=NOISE), tuple(spoilt))
+    plain, robust = (identify(spoilt_experiment, loss=each, virtual_joints=4) for each in ("linear", loss))
+    errors = [abs(fit.parameters[1].value - 3.07e-4) for fit in (plain, robust)]
+    assert errors[1] < 0.02 * 3.07e-4
+    assert robust.parameters[0].value == pytest.approx(1.973629, rel=5e-4)

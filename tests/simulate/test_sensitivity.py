@@ -1,0 +1,220 @@
+"""Derivatives of a simulated motion, against simulations from moved states and of moved chains."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.interpolate import PPoly, make_interp_spline
+from scipy.linalg import expm
+
+from tests.simulate.setups import (
+    DOWN,
+    arm_of,
+    end_load_shape,
+    jerky_torque,
+    recording_of,
+    rig_of,
+    steel_link,
+    two_link_arm,
+)
+from vjm.chain import Chain
+from vjm.experiment.records import Recording
+from vjm.simulate import rollouts
+from vjm.simulate.observation import Observed
+from vjm.simulate.phi import phi_functions
+from vjm.simulate.run import Run, Start, run_all, transferred
+from vjm.simulate.sensitivity import Moved
+from vjm.simulate.triangle import Triangle
+
+Array = NDArray[np.float64]
+STEP = 1e-5
+NOISE = (3e-4, 1e-4)
+
+
+def hub() -> tuple[Chain, Recording, Array]:
+    chain = arm_of(steel_link(3, "revolute"))
+    recording = recording_of(chain, np.arange(301) / 100.0, jerky_torque(1, 3), 0.05, DOWN)
+    return replace(chain, gravity=DOWN), recording, np.r_[-1.2, 0.02, 0.01, -0.01, 0.3, 0.0, 0.1, 0.0]
+
+
+def clamped() -> tuple[Chain, Recording, Array]:
+    chain = arm_of(steel_link(4))
+    recording = recording_of(chain, np.arange(301) / 100.0)
+    return chain, recording, np.r_[end_load_shape(chain, 0.1), 0.1, 0.0, -0.2, 0.1]
+
+
+def two_links() -> tuple[Chain, Recording, Array]:
+    chain = two_link_arm()
+    recording = recording_of(chain, np.arange(201) / 100.0, jerky_torque(2, 4, 0.05))
+    return chain, recording, np.zeros(2 * chain.size)
+
+
+ARMS = {"hub": hub, "clamped": clamped, "two links": two_links}
+
+
+def seen_by(chain: Chain, recording: Recording) -> Observed:
+    """As if everything had been measured."""
+    everything = replace(
+        recording, markers=np.zeros_like(recording.markers), theta=np.zeros((recording.time.size, chain.active.size))
+    )
+    return Observed.of(rig_of(chain), everything, NOISE)
+
+
+def run_of(chain: Chain, recording: Recording, state: Array) -> Run:
+    seen = seen_by(chain, recording)
+    return run_all(chain, [seen], [Start.of(chain, recording)], [state], 1.0)[0]
+
+
+def changed(chain: Chain, by: float) -> dict[str, Chain]:
+    """The chain with one parameter of its last link moved."""
+    link = chain.links[-1]
+    longer = (
+        link.lengths + by * link.length * np.eye(link.lengths.size)[0] - by * link.length * np.eye(link.lengths.size)[1]
+    )
+    parts = {
+        "stiffness": replace(link, stiffness=link.stiffness * (1 + by)),
+        "a joint's stiffness": replace(link, stiffness=link.stiffness * (1 + by * np.eye(link.virtual_joints)[-1])),
+        "damping": replace(link, damping=link.damping * (1 + by)),
+        "mass": replace(link, masses=link.masses * (1 + by)),
+        "length": replace(link, lengths=longer),
+    }
+    if link.joint == "revolute":
+        parts["hub"] = replace(link, hub_inertia=link.hub_inertia * (1 + by))
+    return {name: replace(chain, links=(*chain.links[:-1], part)) for name, part in parts.items()}
+
+
+def by_differences(run: Run, moved: list[tuple[Array, Chain, Array, Chain]], seen: Observed) -> Array:
+    """(N, C) central differences of the weighted predictions."""
+    columns = []
+    for ahead, one, behind, other in moved:
+        values = [
+            seen.weights * seen.predicted(chain, run_of(chain, seen.recording, state).path[0])
+            for state, chain in ((ahead, one), (behind, other))
+        ]
+        columns.append((values[0] - values[1]) / (2 * STEP))
+    return np.stack(columns, axis=1)
+
+
+def of_one_stretch(run: Run, moved: list[Moved]) -> Array:
+    """The run's derivatives, all of them in a single stretch of time."""
+    (rows,) = list(run.rows(moved))
+    return rows[0]
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_parameters(arm: str) -> None:
+    chain, recording, state = ARMS[arm]()
+    run = run_of(chain, recording, state)
+    ahead, behind = changed(chain, STEP), changed(chain, -STEP)
+    moved = [Moved(each, STEP) for each in ahead.values()]
+    found = of_one_stretch(run, moved)[:, -len(moved) :]
+    pairs = [(state, ahead[name], state, behind[name]) for name in ahead]
+    expected = by_differences(run, pairs, run.observed)
+    for k, name in enumerate(ahead):
+        error = np.linalg.norm(found[:, k] - expected[:, k]) / np.linalg.norm(expected[:, k])
+        assert error < (0.02 if arm != "two links" else 0.1), (name, error)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_initial_state(arm: str) -> None:
+    chain, recording, state = ARMS[arm]()
+    run = run_of(chain, recording, state)
+    directions = run.basis.states
+    found = of_one_stretch(run, [])
+    pairs = [(state + STEP * each, chain, state - STEP * each, chain) for each in directions.T]
+    expected = by_differences(run, pairs, run.observed)
+    assert found.shape == expected.shape
+    # Along directions that change what is seen: of unit length in the measurements, the slowest modes first.
+    lengths = np.linalg.norm(expected, axis=0)
+    errors = np.linalg.norm(found - expected, axis=0) / lengths
+    strong = lengths > 0.05 * lengths.max()
+    assert strong.sum() >= 2
+    assert errors[strong].max() < (0.05 if arm != "two links" else 0.1)
+    assert errors[0] < 1e-3
+
+
+def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain, recording, state = hub()
+    run = run_of(chain, recording, state)
+    moved = [Moved(each, STEP) for each in changed(chain, STEP).values()]
+    whole = run.triangle(moved)
+    monkeypatch.setattr("vjm.simulate.sensitivity._NUMBERS_A_CHUNK", 2000)
+    again = run_of(chain, recording, state)
+    assert len(list(again.rows(moved))) > 3
+    np.testing.assert_allclose(again.triangle(moved).R.T @ again.triangle(moved).R, whole.R.T @ whole.R, rtol=1e-8)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 40.0])
+def test_phi_functions(size: float) -> None:
+    """By the exponential of a block matrix, which holds them in its first row."""
+    rng = np.random.default_rng(1)
+    skew = rng.normal(size=(3, 4, 4))
+    matrices = size * (skew - np.swapaxes(skew, 1, 2)) - 0.1 * size * np.eye(4)
+    found = phi_functions(matrices)
+    for k, matrix in enumerate(matrices):
+        block = np.zeros((16, 16))
+        block[:4, :4] = matrix
+        block[range(12), range(4, 16)] = 1.0
+        expected = expm(block)[:4].reshape(4, 4, 4)
+        for order in range(4):
+            np.testing.assert_allclose(found[order][k], expected[:, order], rtol=1e-10, atol=1e-11)
+
+
+# The triangle
+
+
+@given(st.integers(0, 1000))
+def test_triangle_is_the_least_squares_problem(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    J, r = rng.normal(size=(30, 5)), rng.normal(size=30)
+    parts = [(J[:3], r[:3]), (J[3:4], r[3:4]), (J[4:], r[4:])]
+    triangle = Triangle.of(parts, 5)
+    best = np.linalg.lstsq(J, r, rcond=None)[0]
+    np.testing.assert_allclose(triangle.best(), best, atol=1e-9)
+    assert triangle.decrease(best) == pytest.approx(r @ r - np.sum((r - J @ best) ** 2))
+    others = rng.normal(size=2)
+    inner = np.linalg.lstsq(J[:, :3], r - J[:, 3:] @ others, rcond=None)[0]
+    np.testing.assert_allclose(triangle.solve(3, others), inner, atol=1e-9)
+    np.testing.assert_allclose(triangle.eliminated(3).best(), best[3:], atol=1e-9)
+    follow = triangle.followed(3)
+    np.testing.assert_allclose(J[:, :3].T @ (J[:, 3:] - J[:, :3] @ follow), 0.0, atol=1e-9)
+
+
+def test_triangle_of_fewer_rows_than_unknowns() -> None:
+    triangle = Triangle.of([(np.array([[2.0, 0.0, 0.0]]), np.array([4.0]))], 3)
+    np.testing.assert_allclose(triangle.best(), [2.0, 0.0, 0.0])
+
+
+# From one chain to another
+
+
+@pytest.mark.parametrize("given_joints", [3, 5])
+def test_a_state_told_in_another_chain_s_joints_looks_the_same(given_joints: int) -> None:
+    one, other = arm_of(steel_link(given_joints, "revolute")), arm_of(steel_link(6, "revolute"))
+    state = np.r_[0.3, end_load_shape(one, 0.08), 0.5, end_load_shape(one, 0.2)]
+    moved = transferred(one, other, state)
+    rig = rig_of(one)
+    seen = Observed.of(rig, recording_of(one, np.arange(2.0)), NOISE)
+    q, p = state[: one.size], moved[: other.size]
+    np.testing.assert_allclose(seen.arcs.markers(other, p[None]), seen.arcs.markers(one, q[None]), atol=2e-5)
+    assert moved[other.size] == 0.5
+
+
+def test_a_torque_s_moments_survive_its_steps() -> None:
+    """A straight arm's rotation under a torque of many kinks, by steps that pass over ten of them."""
+    chain = arm_of(steel_link(1, "revolute", bending_stiffness=1e8))
+    noise = np.random.default_rng(5).normal(0, 1, (1001, 1))
+    recording = recording_of(chain, np.arange(1001) / 1000.0, lambda _: noise)
+    rest = np.zeros((1, 2))
+    (wide,) = rollouts([chain], [recording], rest, rest, step=1e-2)
+    torque = PPoly.from_spline(make_interp_spline(recording.time, noise[:, 0], k=1))
+    inertia = 0.02 + 0.44 / 3
+    expected = torque.antiderivative(2)(wide.time) / inertia
+    inside = wide.time <= 1.0
+    assert np.ptp(expected) > 0.01
+    np.testing.assert_allclose(wide.q[inside, 0, 0], expected[inside], atol=1e-8)

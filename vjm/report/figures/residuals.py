@@ -1,0 +1,206 @@
+"""What the identified model leaves of the markers: coordinate by coordinate, and frequency by frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from vjm.identification.records import RecordingFit
+from vjm.model import Model
+from vjm.report.choose import tips
+from vjm.report.figures.style import (
+    IDENTIFIED,
+    MEASURED,
+    TORQUE,
+    Row,
+    letters_on,
+    log_ticks,
+    panel_title,
+    printable,
+    sheet,
+    styled,
+)
+from vjm.report.residuals import Spectrum, columns, misfit, spectrum
+from vjm.report.wording import number, short
+
+Array = NDArray[np.float64]
+
+MOST_ROWS = 24
+_MOST_COLUMNS = 14
+_MOST_SPECTRA = 4
+_ROW = 0.3  # inches a recording
+_MODES = "#a03060"
+# Residual over noise from white to dark: the scale that the worst needs.
+_LEVELS = ((1.0, 1.5, 3.0, 10.0), (1.0, 3.0, 10.0, 100.0), (1.0, 10.0, 100.0, 1000.0))
+_SLOW_LINES = 2  # of a spectrum, from its beginning: not even two periods in the recording
+_SAME_MODE = 0.05  # of a frequency
+_NEGLIGIBLE = 1.1  # residual over noise that is nothing to look for
+
+
+@styled
+def residual_map(model: Model, fits: Sequence[RecordingFit]) -> Figure:
+    """RMS residual of every marker coordinate in every recording, in units of the noise.
+
+    Args:
+        model: the identified one.
+        fits: of the recordings, at least one with a replay and a marker.
+    """
+    shown = [fit for fit in fits if fit.replay is not None][:MOST_ROWS]
+    heads = columns(model.rig, shown, _MOST_COLUMNS)
+    table, limit = misfit(shown, heads)
+    page = sheet(_map_title(shown, [head.name for head in heads], table, limit), [Row(_ROW * len(shown))], left=2.75)
+    axes = page.axes[0][0]
+    levels = next((each for each in _LEVELS if np.nanmax(table) <= each[-1]), _LEVELS[-1])
+    colors, norm = _colors(), LogNorm(1.0, levels[-1], clip=True)
+    axes.pcolormesh(np.ma.masked_invalid(table), cmap=colors, norm=norm, edgecolors="#bbbbbb", linewidth=0.6)
+    if len(heads) <= 2 * _MOST_COLUMNS:
+        _write_cells(axes, table, colors, norm)
+    axes.invert_yaxis()
+    axes.set_yticks(np.arange(len(shown)) + 0.5, [_label(fit) for fit in shown])
+    single = len(model.rig.links) == 1
+    names = [head.name.partition(".")[2] if single else head.name.replace(".", "\n", 1) for head in heads]
+    axes.set_xticks(np.arange(len(heads)) + 0.5, [printable(short(name, 14)) for name in names])
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.grid(False)
+    axes.set_xlabel("marker coordinate")
+    axes.set_ylabel("recording", labelpad=6)
+    page.legend(
+        [
+            Patch(facecolor=colors(norm(level)), edgecolor="#bbbbbb", label=f"{level:g} times the noise{more}")
+            for level, more in zip(levels, (" or less", "", "", " or more"), strict=True)
+        ]
+    )
+    return page.figure
+
+
+def _colors() -> Colormap:
+    return LinearSegmentedColormap.from_list("residual", ["#ffffff", "#f5c38a", "#c2541a", "#3d0f04"])
+
+
+def _write_cells(axes: Axes, table: Array, colors: Colormap, norm: LogNorm) -> None:
+    size = 8.5 if table.shape[1] <= _MOST_COLUMNS else 6.5
+    for (row, column), value in np.ndenumerate(table):
+        if np.isfinite(value):
+            color = letters_on(colors(norm(value)))
+            text = f"{value:.0f}" if value >= 10 else f"{value:.2f}"
+            axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=size, color=color)
+
+
+def _label(fit: RecordingFit) -> str:
+    role = "held out" if fit.recording.role == "holdout" else "train"
+    return printable(f"{short(fit.recording.file, 24)} ({role})")
+
+
+def _map_title(fits: Sequence[RecordingFit], names: Sequence[str], table: Array, limit: Array) -> str:
+    row, column = divmod(int(np.nanargmax(table)), table.shape[1])
+    worst = float(table[row, column])
+    noise = bool(np.nanmax(table / np.maximum(limit, _NEGLIGIBLE)) <= 1)
+    where = f"{names[column]} in {short(fits[row].recording.file)}"
+    if noise:
+        return f"Every marker is followed to within the noise; at most {number(worst, 3)} times it, {where}"
+    return f"Residual marker by marker: at most {number(worst, 3)} times the noise, {where}"
+
+
+def residual_spectra(model: Model, fits: Sequence[RecordingFit]) -> Figure | None:
+    """Amplitude spectra of what the model leaves of the held-out and the worst recordings, beside white noise.
+
+    Args:
+        model: the identified one; its natural frequencies are marked.
+        fits: of the recordings.
+
+    Returns:
+        None where no recording has a spectrum.
+    """
+    found = []
+    for fit in tips(model.rig, fits, _MOST_SPECTRA):
+        left = None if fit.replay is None else spectrum(fit.recording, fit.replay, fit.marker_noise)
+        if left is not None:
+            found.append((fit, left))
+    return _spectra(model, found) if found else None
+
+
+@styled
+def _spectra(model: Model, found: Sequence[tuple[RecordingFit, Spectrum]]) -> Figure:
+    count = min(2, len(found))
+    rows = -(-len(found) // count)
+    page = sheet(_spectrum_title(model, found), [Row(1.7 if rows > 1 else 2.2, count, gap=0.8)] * rows)
+    panels = [axes for row in page.axes for axes in row]
+    for unused in panels[len(found) :]:
+        unused.remove()
+    for axes, (fit, left) in zip(panels, found, strict=False):
+        _draw_spectrum(axes, model, fit, left)
+    handles = [
+        Line2D([], [], color=IDENTIFIED, label="identified model"),
+        Line2D([], [], color=MEASURED, linewidth=1.6, label="white noise"),
+        Line2D([], [], color=MEASURED, linestyle=(0, (4, 2)), label="its limit (99.9 %)"),
+        Line2D([], [], color=_MODES, linestyle=(0, (1, 1.5)), label="natural frequency of the model"),
+    ]
+    if any(fit.torque is not None for fit, _ in found):
+        handles.insert(1, Line2D([], [], color=TORQUE, linewidth=1.0, label="torque method"))
+    page.legend(handles)
+    return page.figure
+
+
+def _draw_spectrum(axes: Axes, model: Model, fit: RecordingFit, left: Spectrum) -> None:
+    before = None if fit.torque is None else spectrum(fit.recording, fit.torque, fit.marker_noise)
+    drawn = [left.amplitude]
+    if before is not None:
+        axes.plot(before.frequency, 1e6 * before.amplitude, color=TORQUE, linewidth=1.0)
+        drawn.append(before.amplitude)
+    axes.plot(left.frequency, 1e6 * left.amplitude, color=IDENTIFIED, linewidth=1.0)
+    axes.axhline(1e6 * left.white, color=MEASURED, linewidth=1.6)
+    axes.axhline(1e6 * left.limit, color=MEASURED, linestyle=(0, (4, 2)), linewidth=1.1)
+    low, high = float(left.frequency[0]), float(left.frequency[-1])
+    for frequency in model.modes(fit.recording.payload).frequencies:
+        if low <= frequency <= high:
+            axes.axvline(float(frequency), color=_MODES, linestyle=(0, (1, 1.5)), linewidth=1.3, zorder=1)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(low, high)
+    least = min(float(np.quantile(each, 0.02)) for each in drawn)
+    axes.set_ylim(0.7e6 * min(least, left.white), 1.5e6 * max(left.limit, *(float(each.max()) for each in drawn)))
+    log_ticks(axes.xaxis)
+    log_ticks(axes.yaxis)
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("amplitude [µm]")
+    role = "held out" if fit.recording.role == "holdout" else "train"
+    panel_title(axes, f"{short(fit.recording.file, 20)} ({role}): {_peak(model, fit, left)}")
+
+
+def _peak(model: Model, fit: RecordingFit, left: Spectrum) -> str:
+    at = int(np.argmax(left.amplitude))
+    if left.amplitude[at] <= left.limit:
+        return "nothing but noise"
+    return f"most {_where(model, fit, left)}"
+
+
+def _where(model: Model, fit: RecordingFit, left: Spectrum) -> str:
+    """The frequency at which most is missing, and the mode that is there."""
+    at = int(np.argmax(left.amplitude))
+    peak, line = float(left.frequency[at]), float(left.frequency[0])
+    if at < _SLOW_LINES:
+        return f"below {number(float(left.frequency[_SLOW_LINES]), 2)} Hz (drift)"
+    modes = model.modes(fit.recording.payload).frequencies
+    nearest = int(np.argmin(np.abs(modes - peak)))
+    mode = f" (mode {nearest + 1})" if abs(modes[nearest] - peak) < max(_SAME_MODE * peak, 2 * line) else ""
+    return f"at {number(peak, 3)} Hz{mode}"
+
+
+def _spectrum_title(model: Model, found: Sequence[tuple[RecordingFit, Spectrum]]) -> str:
+    beyond = [(fit, left) for fit, left in found if left.amplitude.max() > left.limit]
+    if not beyond:
+        return "Spectrum of the residual: no frequency at which the model misses more than noise"
+    fit, left = max(beyond, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].white)))
+    times = float(f"{left.amplitude.max() / left.white:.2g}")
+    return (
+        f"Spectrum of the residual: most is missing {_where(model, fit, left)}, in "
+        f"{short(fit.recording.file)}: {times:g} times what white noise gives"
+    )

@@ -1,0 +1,187 @@
+"""Exponential time differencing: long steps for chains that are stiff in K and smooth in everything else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm import dynamics
+from vjm.simulate.drive import Drive
+from vjm.simulate.integrators import Recorder, System
+from vjm.simulate.phi import phi_functions, rate_scale
+from vjm.simulate.steps import Steps
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+_ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
+
+
+def exponential(system: System, q: Array, v: Array, drive: Drive) -> Steps:
+    """Fourth-order exponential time differencing (Cox and Matthews 2002, ETDRK4): the fast default.
+
+    The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
+    resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
+    at the nearest of a grid of its angles. Arguments, result and errors are those of `runge_kutta`.
+    """
+    n, count = q.shape[1], len(drive.start)
+    linear = _LinearPart(system, drive.step)
+    weights = linear.at(q)
+    multiply = _multiply_shared if len(weights.state) == 1 else _multiply_each
+    record = Recorder(drive, q)
+    # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
+    missing = drive.ends[:-1] - drive.start
+    spread = [_spread(system, torques) for torques in (drive.start, drive.middle, drive.end)]
+    advance, size = system.free_acceleration, 2 * n
+    x = np.concatenate([q, v], axis=1)
+    for k in range(count):
+        if linear.varies:
+            weights = linear.at(x)
+        p = multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
+        a = advance(x, p[:, :n] + spread[0][k])
+        record.put(k, x[:, :n], x[:, n:], a + multiply(missing[k], weights.answer))
+        drift, result = p[:, size : 2 * size], p[:, 2 * size :]
+        p = multiply(a - p[:, n:size], weights.first)
+        first, result = p[:, :size], result + p[:, size:]
+        x2 = drift + first
+        p = multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
+        later = p[:, size:] - first
+        p = multiply(advance(x2, p[:, :n] + spread[1][k]) - p[:, n:size], weights.middle)
+        x3, result = drift + p[:, :size], result + p[:, size:]
+        p = multiply(x3, weights.rate)
+        p = multiply(advance(x3, p[:, :n] + spread[1][k]) - p[:, n:], weights.middle)
+        x4, result = later + 2 * p[:, :size], result + p[:, size:]
+        p = multiply(x4, weights.rate)
+        x = result + multiply(advance(x4, p[:, :n] + spread[2][k]) - p[:, n:], weights.end)
+    return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], drive.ends[-1]))
+
+
+def _multiply_shared(states: Array, matrices: Array) -> Array:
+    """(C, m) states times the transposed matrix that all copies share."""
+    result: Array = states @ matrices[0]
+    return result
+
+
+def _multiply_each(states: Array, matrices: Array) -> Array:
+    """(C, m) states, each times its own copy's transposed matrix."""
+    result: Array = np.matmul(states[:, None, :], matrices)[:, 0, :]
+    return result
+
+
+def _spread(system: System, torques: Array) -> Array:
+    """Active joints' torques (S, C, n_a) among those of all joints (S, C, nv)."""
+    found = np.zeros((len(torques), *system.stiffness.shape))
+    found[:, :, system.active] = torques
+    return found
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """ETDRK4's matrices (C, ...), transposed, and side by side where they multiply the same vector.
+
+    The remainder enters the rates only, so its weights are (2 nv, nv). `answer` turns active torques (n_a,) into
+    accelerations (nv,). One copy stands for all where they are equal.
+    """
+
+    state: Array
+    first: Array
+    second: Array
+    middle: Array
+    rate: Array
+    end: Array
+    answer: Array
+
+    @classmethod
+    def of(cls, system: System, inertia: Array, copies: list[int], step: float) -> _Weights:
+        """Of some copies with mass matrices (c, nv, nv)."""
+        n = inertia.shape[1]
+        inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
+        springs = np.zeros((len(copies), n, 2 * n))
+        springs[:, range(n), range(n)] = -system.stiffness[copies]
+        springs[:, range(n), range(n, 2 * n)] = -system.damping[copies]
+        rate: Array = inverse @ springs
+        half_flow, half_phi, _, _ = _flow(rate, step / 2)
+        flow, phi1, phi2, phi3 = _flow(rate, step)
+        half = step / 2 * half_phi[:, :, n:]
+        start = step * (phi1 - 3 * phi2 + 4 * phi3)[:, :, n:]
+        middle = step * (2 * phi2 - 4 * phi3)[:, :, n:]
+        end = step * (4 * phi3 - phi2)[:, :, n:]
+        return cls(
+            state=_side_by_side(springs, rate, half_flow, flow),
+            first=_side_by_side(half, start),
+            second=_side_by_side(springs, rate, half_flow),
+            middle=_side_by_side(half, middle),
+            rate=_side_by_side(springs, rate),
+            end=_side_by_side(end),
+            answer=_side_by_side(inverse[:, :, system.active]),
+        )
+
+    def of_copy(self, c: int) -> tuple[Array, ...]:
+        """One copy's matrices."""
+        return tuple(getattr(self, name)[c] for name in self.__dataclass_fields__)
+
+
+def _side_by_side(*matrices: Array) -> Array:
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=1), 1, 2))
+
+
+def _flow(rate: Array, step: float) -> tuple[Array, Array, Array, Array]:
+    """exp(z), phi1(z), phi2(z), phi3(z) of z = L h, all (C, 2 nv, 2 nv), for L with lower half `rate` (C, nv, 2 nv)."""
+    n = rate.shape[1]
+    scale = rate_scale(rate)
+    balanced = np.zeros((len(rate), 2 * n, 2 * n))
+    balanced[:, :n, n:] = scale * np.eye(n)
+    balanced[:, n:, :n] = rate[:, :, :n] / scale
+    balanced[:, n:, n:] = rate[:, :, n:]
+    units = np.r_[np.ones(n), np.full(n, scale)]
+    flow, phi1, phi2, phi3 = (each * units[:, None] / units for each in phi_functions(step * balanced))
+    return flow, phi1, phi2, phi3
+
+
+class _LinearPart:
+    """The matrices that belong to the copies' elbow angles, each worked out once."""
+
+    def __init__(self, system: System, step: float) -> None:
+        self.system = system
+        self.step = step
+        self.elbows = system.active[system.active > 0]
+        self.known: dict[tuple[int, ...], tuple[Array, ...]] = {}
+        self.current: tuple[bytes, _Weights] | None = None
+
+    @property
+    def varies(self) -> bool:
+        """Whether there are elbows."""
+        return self.elbows.size > 0
+
+    def at(self, x: Array) -> _Weights:
+        """Those of the copies' angles x (C, >= nv)."""
+        places = np.round(x[:, self.elbows] / _ELBOW_GRID).astype(np.intp)
+        key = places.tobytes()
+        if self.current is None or self.current[0] != key:
+            self.current = key, self._gathered(places) if self.varies else self._all(places)
+        return self.current[1]
+
+    def _gathered(self, places: Indices) -> _Weights:
+        keys = [(c, *place) for c, place in enumerate(places.tolist())]
+        new = [c for c, key in enumerate(keys) if key not in self.known]
+        if new:
+            worked_out = _Weights.of(self.system, self._inertia(places)[new], new, self.step)
+            self.known |= {keys[c]: worked_out.of_copy(k) for k, c in enumerate(new)}
+        return _Weights(*(np.stack(parts) for parts in zip(*(self.known[key] for key in keys), strict=True)))
+
+    def _all(self, places: Indices) -> _Weights:
+        system, inertia = self.system, self._inertia(places)
+        parts = (inertia, system.stiffness, system.damping)
+        equal = all((each == each[0]).all() for each in parts)
+        copies = [0] if equal else list(range(len(inertia)))
+        return _Weights.of(system, inertia[copies], copies, self.step)
+
+    def _inertia(self, places: Indices) -> Array:
+        """(C, nv, nv) the copies' mass matrices at zero angles, but for the elbows'."""
+        copies, n = self.system.stiffness.shape
+        q = np.zeros((copies, n))
+        q[:, self.elbows] = _ELBOW_GRID * places
+        full = dynamics.mass_matrix(self.system.mechanism, q.reshape(1, -1))[0]
+        return np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])
