@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from vjm.chain import Chain, layout, marker_positions, uniform_chain
+from vjm.chain.layout import free_layout
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
 from vjm.experiment import load_experiment
 from vjm.experiment.records import Experiment, Link, Recording, Rig
@@ -40,13 +41,13 @@ def demo_fit(method: str, parameters: str) -> Identification:
     return identify(replace(experiment, recordings=kept), method, parameters=parameters)
 
 
-def chain_recordings(joint: str, n: int, seed: int) -> tuple[Experiment, Chain]:
+def chain_recordings(joint: str, n: int, seed: int, free: bool = False) -> tuple[Experiment, Chain]:
     """Noise-free recordings of a chain with uneven K and D; the rig file's stiffness is wrong by a factor of two."""
     rng = np.random.default_rng(seed)
     arcs = tuple((np.arange(1, n + 1) / n).tolist())
     hub = 0.02 if joint == "revolute" else 0.0
     link = Link("beam", joint, 1.0, 0.44, 1.9, arcs, hub_inertia=hub, virtual_joints=n)  # type: ignore[arg-type]
-    even = uniform_chain(link, layout(1.0, n))
+    even = uniform_chain(link, free_layout(layout(1.0, n).lengths, "free") if free else layout(1.0, n))
     stiffness = even.stiffness * rng.uniform(0.7, 1.3, n)
     truth = Chain("rig", (replace(even, stiffness=stiffness, damping=stiffness * rng.uniform(2e-3, 4e-3, n)),))
     time = np.arange(900) / 600.0

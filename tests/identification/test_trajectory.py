@@ -35,7 +35,8 @@ ENCODER_NOISE = 1e-4
 @pytest.mark.parametrize(("joint", "n"), [("clamped", 2), ("revolute", 2), ("revolute", 3)])
 @pytest.mark.parametrize("parameters", ["joints", "lengths"])
 def test_noise_free_chain_comes_back_from_twice_its_stiffness(joint: str, n: int, parameters: str) -> None:
-    experiment, truth = chain_recordings(joint, n, 0)
+    # Free lengths have cells of their own, and so has what they are to find.
+    experiment, truth = chain_recordings(joint, n, 0, free=parameters == "lengths")
     experiment = replace(experiment, rig=replace(experiment.rig, marker_noise=1e-6, encoder_noise=1e-6))
     fit = identify(experiment, parameters=parameters)
     found, true = fit.model.chain.links[0], truth.links[0]
@@ -156,11 +157,22 @@ def _std(fit: object) -> Array:
 
 def test_an_executor_changes_nothing() -> None:
     point = truth_point("clamped", 2, "uniform")
-    here = resample(point, 4, "blocks", seed=7)
+    here = resample(point, 4, "noise", seed=7)
     with ProcessPoolExecutor(2) as pool:
-        there = resample(point, 4, "blocks", pool, seed=7)
+        there = resample(point, 4, "noise", pool, seed=7)
     np.testing.assert_array_equal(here.values, there.values)
-    assert not np.array_equal(here.values, resample(point, 4, "blocks", seed=8).values)
+    assert not np.array_equal(here.values, resample(point, 4, "noise", seed=8).values)
+
+
+def test_blocks_of_residuals_scatter_the_estimates_as_the_noise_does(hub: Callable[[int], Identification]) -> None:
+    fit = hub(1)
+    calls: list[int] = []
+    found = vjm.bootstrap(fit, 12, seed=3, progress=lambda _, done, total: calls.append(total - done))
+    std = np.array([estimate.std for estimate in fit.parameters])
+    assert calls == list(range(11, -1, -1))
+    assert (found.spread > 0.4 * std).all()
+    assert (found.spread < 2.0 * std).all()
+    assert np.abs(found.bias / std).max() < 1.5
 
 
 def test_a_dask_cluster_is_an_executor_too() -> None:
@@ -217,10 +229,10 @@ def test_the_number_of_joints_does_not_depend_on_the_noise_s_seed(hub: Callable[
 def test_the_torque_method_s_model_is_kept_to_compare_with(hub: Callable[[int], Identification]) -> None:
     fit = hub(1)
     assert fit.torque_model is not None
-    before, after = fit.recordings[-1].torque, fit.recordings[-1].replay
-    assert before is not None
-    assert after is not None
-    assert after.marker_rms < before.marker_rms
+    for one in fit.recordings[:2]:
+        assert one.torque is not None
+        assert one.replay is not None
+        assert one.replay.chi2 < one.torque.chi2
 
 
 def test_demo_comes_out_as_it_was_put_in() -> None:
@@ -336,7 +348,7 @@ def test_an_outlier_that_a_link_allows_is_found_by_its_residual() -> None:
     for recording in experiment.recordings:
         markers = recording.markers.copy()
         if recording.file == "first_mode.csv":
-            markers[100, 2, 1] += 0.02
+            markers[100, 2, 1] += 0.006
         changed.append(replace(recording, markers=markers))
     fit = identify(Experiment(experiment.rig, tuple(changed)))
     assert fit.parameters[0].value == pytest.approx(1.973629, rel=5e-4)

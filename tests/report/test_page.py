@@ -177,7 +177,7 @@ def test_torque_method_and_mac_have_columns_where_there_is_something_to_show() -
 
 def test_left_out_coordinates_are_told() -> None:
     fits = [replace(demo_fit().recordings[0], left_out=3), demo_fit().recordings[1]]
-    assert recording_table(fits).notes == ("3 outlying marker coordinates left out", "")
+    assert recording_table(fits).notes == ("3 marker coordinates left out", "")
 
 
 def test_parameter_table_has_errors_and_intervals() -> None:

@@ -75,6 +75,17 @@ def test_a_recording_of_a_few_frames_has_no_spectrum() -> None:
     assert spectrum(replace(fit.recording, markers=markers), fit.replay, _NOISE) is None
 
 
+def test_a_marker_that_is_hardly_seen_does_not_count() -> None:
+    fit = noisy(demo_fit().recordings[1], 0)
+    assert fit.replay is not None
+    markers = fit.recording.markers.copy()
+    markers[3:, 0] = np.nan
+    markers[:3, 0] = 0.5
+    found = spectrum(replace(fit.recording, markers=markers), fit.replay, _NOISE)
+    assert found is not None
+    assert found.amplitude.max() < found.limit
+
+
 def test_a_marker_that_is_off_shows_in_its_cell() -> None:
     fit = white(demo_fit())
     off = np.zeros(fit.recordings[2].recording.markers.shape)

@@ -56,6 +56,8 @@ class Summary:
     def table(self, table: Table) -> None:
         """A table; of a long one the first rows."""
         rich = RichTable(box=box.SIMPLE_HEAD, title=table.caption, title_justify="left", title_style="bold")
+        rich.collapse_padding = True
+        rich.pad_edge = False
         for k, header in enumerate(table.headers):
             words = k < table.words
             rich.add_column(

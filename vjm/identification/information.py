@@ -10,14 +10,12 @@ from scipy import stats
 
 from vjm.identification.torque_fit import TorqueFit
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.simulate.rollout import locked_frequencies
 from vjm.simulate.run import Run
 
 Array = NDArray[np.float64]
 
 _LAGS = 10  # samples, of the test for coloured residuals
 _FALSE_ALARM = 1e-3
-BLOCK_PERIODS = 2.0  # periods of the slowest mode: residuals farther apart are taken as independent
 
 
 @dataclass(frozen=True)
@@ -85,8 +83,8 @@ def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, t
     """Of whole trajectories.
 
     White residuals give the Fisher information, scaled by their own size. Where they are coloured, or larger than the
-    noise, scores are summed over blocks of two periods and their spread taken from block to block (cluster sandwich),
-    if it is larger.
+    noise, the scores' long-run covariance is taken instead, if it is larger (sandwich): Bartlett weights, their reach
+    by Andrews (1991).
 
     Args:
         fit: the minimum.
@@ -103,22 +101,27 @@ def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, t
         plain += R.T @ R * (max(white.chi2, 1.0) if noise_known else white.chi2)
     if not any(white.coloured for white in whiteness):
         return Information(normal, plain), whiteness
-    pairs = zip(point.runs, point.triangles, strict=True)
-    scores = np.vstack([_block_scores(run, run.scores(moved, triangle)) for run, triangle in pairs])
-    sandwich = scores.T @ scores * len(scores) / max(len(scores) - 1, 1)
+    sandwich = np.zeros((count, count))
+    for run, triangle in zip(point.runs, point.triangles, strict=True):
+        scores = _by_frame(run, run.scores(moved, triangle))
+        sandwich += _long_run(scores, min(reach_of(scores), len(scores) - 1))
     return Information(normal, _larger(sandwich, plain, normal)), whiteness
 
 
-def _block_scores(run: Run, scores: Array) -> Array:
-    """Scores (T, p) summed over blocks of a few periods, (B, p)."""
-    recording = run.observed.recording
-    slowest, _ = locked_frequencies(run.chain, recording.payload)
-    duration = float(recording.time[-1] - recording.time[0])
-    blocks = max(1, int(duration * slowest / BLOCK_PERIODS))
-    owner = np.minimum(((recording.time - recording.time[0]) / max(duration, 1e-300) * blocks).astype(int), blocks - 1)
-    found = np.zeros((blocks, scores.shape[1]))
-    np.add.at(found, owner, scores)
-    return found
+def _by_frame(run: Run, scores: Array) -> Array:
+    """Scores (T, p) of all sensors, summed from one camera frame to the next, (F, p)."""
+    frames = run.observed.frames
+    starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
+    summed: Array = np.add.reduceat(scores, starts, axis=0)
+    return summed
+
+
+def reach_of(series: Array) -> int:
+    """Number of samples over which series (F, p) are correlated, by their first-order autoregressions."""
+    power = np.sum(series[:-1] ** 2, axis=0)
+    rho = np.clip(np.sum(series[1:] * series[:-1], axis=0) / np.maximum(power, 1e-300), -0.97, 0.97)
+    alpha = float(np.max(4 * rho**2 / (1 - rho**2) ** 2, initial=0.0))
+    return max(1, int(np.ceil(1.1447 * (alpha * len(series)) ** (1 / 3))))
 
 
 def _larger(one: Array, other: Array, normal: Array) -> Array:

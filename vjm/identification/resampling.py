@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.identification.information import BLOCK_PERIODS, of_trajectory
+from vjm.identification.information import of_trajectory, reach_of
 from vjm.identification.records import Identification
 from vjm.identification.torque_fit import Progress
 from vjm.identification.trajectory_fit import Point, fit_trajectory
 from vjm.identification.uncertainty import covariance, to_physical
 from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import locked_frequencies
 from vjm.simulate.run import Run
 
 Array = NDArray[np.float64]
@@ -83,7 +82,8 @@ def bootstrap(
     """Fit data like those recorded again and again: how far do the parameters scatter?
 
     The data are the fitted trajectories with errors put back on: white noise of the sensors' size (a Monte Carlo
-    study of the model), or the recordings' own residuals in blocks of two periods, which keeps their colour.
+    study of the model), or the recordings' own residuals in blocks as long as they are correlated, which keeps their
+    colour.
 
     Args:
         fit: of method `trajectory`.
@@ -165,19 +165,15 @@ def _noise(run: Run, rng: np.random.Generator) -> Array:
 
 
 def _blocks(run: Run, rng: np.random.Generator) -> Array:
-    """The run's own weighted residuals (N,), whole blocks of time drawn with replacement."""
-    recording = run.observed.recording
-    slowest, _ = locked_frequencies(run.chain, recording.payload)
+    """The run's own weighted residuals (N,), blocks as long as they are correlated drawn with replacement."""
     errors = []
     for series in run.series():
-        length = max(1, min(len(series), _samples_a_block(recording.time, len(series), BLOCK_PERIODS / slowest)))
-        starts = rng.integers(0, max(len(series) - length, 0) + 1, -(-len(series) // length))
-        drawn = np.concatenate([series[start : start + length] for start in starts])[: len(series)]
-        # Where the drawn block has no value but one is wanted, the value itself stays.
-        kept = np.isfinite(series)
-        errors.append(np.where(np.isfinite(drawn), drawn, series)[kept])
+        # Instants at which the sensor showed nothing are no part of a block.
+        rows = np.isfinite(series).any(axis=1)
+        values = series[rows]
+        length = min(reach_of(np.nan_to_num(values)), len(values))
+        starts = rng.integers(0, len(values) - length + 1, -(-len(values) // length))
+        drawn = np.concatenate([values[start : start + length] for start in starts])[: len(values)]
+        # Where the block drawn has no value but one is wanted, the value itself stays.
+        errors.append(np.where(np.isfinite(drawn), drawn, values)[np.isfinite(values)])
     return np.concatenate(errors)
-
-
-def _samples_a_block(time: Array, count: int, duration: float) -> int:
-    return int(np.ceil(duration / max((time[-1] - time[0]) / max(count, 1), 1e-300)))

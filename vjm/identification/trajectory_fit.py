@@ -18,6 +18,7 @@ from scipy.optimize import lsq_linear
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.identification.parametrisation import Parametrisation
+from vjm.simulate.damping import Damping
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import locked_frequencies
@@ -28,11 +29,9 @@ from vjm.simulate.triangle import Triangle
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-_MOST_ITERATIONS = 40
+_MOST_ITERATIONS = 60
 _NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths of a standard error
 _COARSE = 1e-2  # the same relative to chi^2, before the whole recordings are looked at
-_FIRST_DAMPING = 1e-3
-_MOST_DAMPING = 1e6
 _FIRST_PERIODS = 3.0  # of the slowest mode
 _LONGER = 3.0  # from one horizon to the next
 _DERIVATIVE_STEP = 1e-6
@@ -247,24 +246,21 @@ def _search(
     else:
         point = _point(problem, x, states)
         point = replace(point, runs=tuple(run.weighed() for run in point.runs))
-    damping, done = 0.0, False
-    iteration = 0
+    damping, done, iteration = Damping(), False, 0
     for iteration in range(_MOST_ITERATIONS):
         tell(iteration)
-        change, state_changes, predicted = _step(point, damping)
+        change, state_changes, predicted = _step(point, damping.value)
         least = _NEGLIGIBLE * max(point.chi2 / point.count, 1.0)
         if predicted < (least if final else max(least, _COARSE * point.chi2)):
             done = True
             break
         trial = _attempt(point, change, state_changes)
         if trial is not None and trial.cost < point.cost:
-            decrease = point.cost - trial.cost
             point = replace(trial, runs=tuple(run.weighed() for run in trial.runs))
-            if decrease > predicted / 4:
-                damping = damping / 10 if damping > _FIRST_DAMPING else 0.0
+            damping = damping.better()
         else:
-            damping = max(10 * damping, _FIRST_DAMPING)
-            if damping > _MOST_DAMPING:
+            damping = damping.worse()
+            if damping.exhausted:
                 break
     return TrajectoryFit(point, done, iteration + 1)
 

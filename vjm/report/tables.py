@@ -206,5 +206,5 @@ def _remarks(fit: RecordingFit) -> list[str]:
     if fit.replay.status != "converged":
         found.append("the search for the initial state has not converged: the residual may be too large")
     if fit.left_out:
-        found.append(f"{counted(fit.left_out, 'outlying marker coordinate')} left out")
+        found.append(f"{counted(fit.left_out, 'marker coordinate')} left out")
     return found

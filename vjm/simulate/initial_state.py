@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
+from vjm.simulate.damping import Damping
 from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import Simulation
 from vjm.simulate.run import Run, Start, run_all
@@ -19,10 +20,9 @@ from vjm.simulate.triangle import Triangle
 
 Array = NDArray[np.float64]
 
-_MOST_ITERATIONS = 15
+_MOST_ITERATIONS = 20
 _TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
 _NEGLIGIBLE = 1e-2  # decrease of chi^2: what is left is a tenth of a standard deviation of the state
-_FIRST_DAMPING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class _Search:
 
     def __init__(self, run: Run) -> None:
         self.run = run
-        self.damping = 0.0
+        self.damping = Damping()
         self.triangle: Triangle | None = None
         self.converged = False
 
@@ -90,7 +90,7 @@ class _Search:
         """The next state to try; None once nothing is to be gained."""
         if self.triangle is None:
             self.triangle = self.run.triangle()
-        step = self.triangle.damped(self.damping).best()
+        step = self.triangle.damped(self.damping.value).best()
         if self.triangle.decrease(step) < max(_TOLERANCE * self.run.chi2, _NEGLIGIBLE):
             self.converged = True
             return None
@@ -100,9 +100,9 @@ class _Search:
         """Go there if it is better."""
         if trial is not None and trial.cost < self.run.cost:
             self.run, self.triangle = trial.weighed(), None
-            self.damping = self.damping / 10 if self.damping > _FIRST_DAMPING else 0.0
+            self.damping = self.damping.better()
         else:
-            self.damping = max(10 * self.damping, _FIRST_DAMPING)
+            self.damping = self.damping.worse()
 
 
 def most_likely(

@@ -29,8 +29,8 @@ _STEPS_A_PERIOD = 60.0
 _MORE_A_JOINT = 16.0
 _MOST_STEPS_A_PERIOD = 220.0
 # Where an active joint further out swings the arm's outer part about fast: a joint's worth, and at most.
-_ELBOW_STEPS_A_JOINT = 640.0
-_MOST_ELBOW_STEPS = 4000.0
+_ELBOW_STEPS_A_JOINT = 880.0
+_MOST_ELBOW_STEPS = 5200.0
 REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20
 _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
