@@ -28,6 +28,7 @@ from vjm.identification.warn import (
     data_warnings,
     joint_notes,
     mode_warnings,
+    repeat_warnings,
     residual_warnings,
     result_warnings,
     scale_notes,
@@ -175,6 +176,7 @@ def _result(
         warnings=(
             *experiment.warnings,
             *data_warnings(experiment, data.prepared, orders, found.joints, data.seen, kind),
+            *repeat_warnings(data.recordings, noise[0]),
             *found.warnings,
             *mode_warnings(comparison if method == "torque" else ()),
             *result_warnings(recordings, parameters),

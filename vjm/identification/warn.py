@@ -21,6 +21,7 @@ _MANY_NOISES = 1.5  # a training replay this many times the noise is not followe
 _LEAST_MOTION = 10.0  # times the noise
 _LARGEST_MISMATCH = 0.02
 _CORRELATED = 0.2  # of neighbouring residuals: worth a warning
+_REPEATED = 3.0  # times what the noise of two recordings explains
 _MUCH = 1.5  # mean square of the weighted residuals: worth a warning
 
 
@@ -116,6 +117,46 @@ def residual_warnings(whiteness: Sequence[Whiteness]) -> list[str]:
         for one in whiteness
         if one.coloured and (one.correlation > _CORRELATED or one.chi2 > _MUCH)
     ]
+
+
+def repeat_warnings(recordings: Sequence[Recording], noise: float) -> list[str]:
+    """Recordings of one label that do not repeat each other.
+
+    Args:
+        recordings: T instants each, without coordinates that cannot be right.
+        noise: 1-sigma of a marker coordinate [m].
+    """
+    groups: dict[str, list[Recording]] = {}
+    for recording in recordings:
+        if recording.repeat is not None:
+            groups.setdefault(recording.repeat, []).append(recording)
+    found = []
+    for label, group in groups.items():
+        for other in group[1:]:
+            off, apart = _apart(group[0], other, noise)
+            if apart:
+                found.append(
+                    f"{group[0].file} and {other.file} are labelled repeats of {label!r}, but their markers are "
+                    f"{1e3 * off:.3g} mm rms apart, {off / noise:.3g} times the noise: something changed between them"
+                )
+    return found
+
+
+def _apart(one: Recording, other: Recording, noise: float) -> tuple[float, bool]:
+    """RMS distance of the same coordinates at the same time after the start [m]; whether it is more than noise."""
+    squares = []
+    for k in np.ndindex(one.markers.shape[1:]):
+        mine, theirs = (np.isfinite(each.markers[(slice(None), *k)]) for each in (one, other))
+        if mine.sum() < 2 or theirs.sum() < 2:
+            continue
+        time, reference = one.time[mine] - one.time[0], other.time[theirs] - other.time[0]
+        inside = time <= reference[-1]
+        values = np.interp(time[inside], reference, other.markers[(theirs, *k)])
+        squares.append((one.markers[(mine, *k)][inside] - values) ** 2)
+    if not squares:
+        return 0.0, False
+    off = float(np.sqrt(np.mean(np.concatenate(squares))))
+    return off, off > _REPEATED * np.sqrt(2) * noise
 
 
 def scale_notes(rig: Rig, recordings: Sequence[Recording]) -> list[str]:

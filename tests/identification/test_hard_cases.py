@@ -1,0 +1,202 @@
+"""Recordings as they come: each fault gives a clear error or a clear warning, and never a silent wrong result."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from numpy.typing import NDArray
+
+import vjm
+from tests.fine_beam import Camera
+from tests.fine_beam.make_hub import TRUTH, write_hub_experiment
+from tests.identification.test_recovery import DEMO
+from vjm.errors import InsufficientDataError
+from vjm.experiment.cleaning import cleaned, impossible
+from vjm.identification import Identification, identify
+
+Array = NDArray[np.float64]
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+NOISE = 3e-4
+
+
+@pytest.fixture(scope="module")
+def hub_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("hub")
+    write_hub_experiment(folder, 1)
+    return folder
+
+
+def fit_changed(hub_folder: Path, tmp_path: Path, change: Change, file: str = "drive_large.csv") -> Identification:
+    """The fit of the experiment with one of its files changed."""
+    folder = tmp_path / "changed"
+    shutil.copytree(hub_folder, folder)
+    table = pd.read_csv(folder / file)
+    change(table).to_csv(folder / file, index=False)
+    return identify(vjm.load_experiment(folder / "experiment.toml"), virtual_joints=4)
+
+
+def assert_sane(fit: Identification, within: float = 2e-3) -> None:
+    assert fit.status == "converged"
+    assert fit.parameters[0].value == pytest.approx(TRUTH.bending_stiffness, rel=within)
+    held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
+    assert held_out.replay is not None
+    assert held_out.replay.marker_rms < 1.1 * NOISE
+
+
+def test_one_outlier_of_a_metre(hub_folder: Path, tmp_path: Path) -> None:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        row = table["beam.m3.x"].first_valid_index() + 5 * 200
+        table.loc[row, "beam.m3.y"] += 1.0
+        return table
+
+    fit = fit_changed(hub_folder, tmp_path, change)
+    assert_sane(fit)
+    assert any("farther apart" in text for text in fit.warnings)
+    assert any("left out" in text for text in fit.warnings)
+
+
+def test_labels_swapped_for_a_fifth_of_a_second(hub_folder: Path, tmp_path: Path) -> None:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        rows = (table["t"] >= 2.0) & (table["t"] < 2.2)
+        for axis in "xy":
+            one, other = f"beam.m2.{axis}", f"beam.m4.{axis}"
+            table.loc[rows, [one, other]] = table.loc[rows, [other, one]].to_numpy()
+        return table
+
+    fit = fit_changed(hub_folder, tmp_path, change)
+    assert_sane(fit)
+    assert any("swapped" in text for text in fit.warnings)
+
+
+def test_a_coordinate_that_clips(hub_folder: Path, tmp_path: Path) -> None:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        limit = 0.8 * table["beam.m5.y"].max()
+        table["beam.m5.y"] = table["beam.m5.y"].clip(upper=limit)
+        return table
+
+    fit = fit_changed(hub_folder, tmp_path, change)
+    assert_sane(fit)
+    assert any("clipped" in text for text in fit.warnings)
+
+
+def test_every_second_frame_lost(hub_folder: Path, tmp_path: Path) -> None:
+    def change(table: pd.DataFrame) -> pd.DataFrame:
+        frames = table.index[table["beam.m1.x"].notna()]
+        table.loc[frames[1::2], [c for c in table.columns if ".m" in c]] = np.nan
+        return table
+
+    assert_sane(fit_changed(hub_folder, tmp_path, change))
+
+
+def test_a_camera_of_five_frames_a_second(tmp_path: Path) -> None:
+    """Too slow for the second mode; what moves the arm is known, so its frames say enough."""
+    experiment = vjm.load_experiment(write_hub_experiment(tmp_path, 1, Camera(5.0, NOISE)))
+    fit = identify(experiment, virtual_joints=4)
+    assert_sane(fit, within=5e-3)
+    assert any("frames/s" in text or "rate" in text for text in fit.warnings)
+
+
+def test_occluded_markers_and_dropped_frames_are_ordinary(tmp_path: Path) -> None:
+    camera = Camera(100.0, NOISE, dropped_frames=0.1, occluded=0.2)
+    fit = identify(vjm.load_experiment(write_hub_experiment(tmp_path, 2, camera)), virtual_joints=4)
+    assert_sane(fit)
+
+
+def test_torque_missing_in_one_recording(hub_folder: Path, tmp_path: Path) -> None:
+    fit = fit_changed(hub_folder, tmp_path, lambda table: table.drop(columns="beam.tau"))
+    assert_sane(fit, within=5e-3)
+    assert any("drive_large.csv" in text and "torque" in text for text in fit.warnings)
+
+
+def test_torque_missing_everywhere(hub_folder: Path) -> None:
+    experiment = vjm.load_experiment(hub_folder / "experiment.toml")
+    silent = tuple(replace(r, tau=np.full_like(r.tau, np.nan)) for r in experiment.recordings)
+    with pytest.raises(InsufficientDataError, match="method 'torque'"):
+        identify(replace(experiment, recordings=silent))
+
+
+def test_a_recording_in_which_nothing_moves(hub_folder: Path) -> None:
+    experiment = vjm.load_experiment(hub_folder / "experiment.toml")
+    still = []
+    for recording in experiment.recordings:
+        rng = np.random.default_rng(3)
+        where = np.where(np.isfinite(recording.markers), 1.0, np.nan)
+        arcs = np.stack([np.linspace(0.2, 1.0, 5), np.zeros(5)], axis=-1)
+        markers = where * (arcs + NOISE * rng.standard_normal(recording.markers.shape))
+        theta = np.where(np.isfinite(recording.theta), 1e-4 * rng.standard_normal(recording.theta.shape), np.nan)
+        still.append(replace(recording, markers=markers, theta=theta, tau=0 * recording.tau))
+    mixed = (still[0], *experiment.recordings[1:])
+    assert_sane(identify(replace(experiment, recordings=mixed), virtual_joints=4))
+    nothing = identify(replace(experiment, recordings=tuple(still)), virtual_joints=4)
+    assert not any(estimate.identifiable for estimate in nothing.parameters)
+    assert any("moves only" in text for text in nothing.warnings)
+
+
+def test_repeats_that_are_none(hub_folder: Path) -> None:
+    experiment = vjm.load_experiment(hub_folder / "experiment.toml")
+    labelled = tuple(replace(r, repeat="drive") if r.role == "train" else r for r in experiment.recordings)
+    fit = identify(replace(experiment, recordings=labelled), virtual_joints=4)
+    (text,) = (each for each in fit.warnings if "repeats" in each)
+    assert "drive_small.csv and drive_large.csv" in text
+    twice = (replace(labelled[1], file="again.csv"), *labelled[1:])
+    assert not any("repeats" in each for each in identify(replace(experiment, recordings=twice)).warnings)
+
+
+def test_a_wrong_nominal_stiffness_does_not_matter() -> None:
+    """Half and twice the stiffness, where no torque tells it: the frequencies do."""
+    experiment = vjm.load_experiment(DEMO)
+    for factor in (0.5, 2.0):
+        (link,) = experiment.rig.links
+        rig = replace(experiment.rig, links=(replace(link, bending_stiffness=factor * link.bending_stiffness),))
+        fit = identify(replace(experiment, rig=rig), virtual_joints=4)
+        assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
+
+
+def test_without_torque_errors_other_stiffnesses_are_tried() -> None:
+    """No frame shows all of the link, so the torque method has nothing to start from."""
+    experiment = vjm.load_experiment(DEMO)
+    (link,) = experiment.rig.links
+    rig = replace(experiment.rig, links=(replace(link, bending_stiffness=0.6 * link.bending_stiffness),))
+    halves = []
+    for recording in experiment.recordings:
+        markers = recording.markers.copy()
+        markers[::2, :4] = np.nan
+        markers[1::2, [0, 1, 2, 4]] = np.nan
+        halves.append(replace(recording, markers=markers))
+    fit = identify(replace(experiment, rig=rig, recordings=tuple(halves)), virtual_joints=4)
+    assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
+
+
+# What is left out before anything is fitted
+
+
+def straight(frames: int) -> Array:
+    arcs = np.stack([np.linspace(0.2, 1.0, 5), np.zeros(5)], axis=-1)
+    return np.repeat(arcs[None], frames, axis=0)
+
+
+def test_a_single_culprit_goes_alone() -> None:
+    markers = straight(3)
+    markers[1, 2, 1] = 1.0
+    wrong = impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
+    assert np.argwhere(wrong).tolist() == [[1, 2]]
+
+
+def test_where_no_single_marker_explains_it_all_go() -> None:
+    markers = straight(3)
+    markers[1, [1, 3]] = markers[1, [3, 1]]
+    wrong = impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
+    assert wrong[1].all()
+    assert not wrong[[0, 2]].any()
+
+
+def test_what_is_right_stays_the_same_object() -> None:
+    experiment = vjm.load_experiment(DEMO)
+    for recording in experiment.recordings:
+        assert cleaned(experiment.rig, recording) is recording
