@@ -20,7 +20,8 @@ from vjm.experiment.records import Experiment, Recording
 from vjm.identification import Identification, identify
 from vjm.identification.parametrisation import Parametrisation
 from vjm.identification.resampling import Resampled, resample
-from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
+from vjm.identification.trajectory_fit import fit_trajectory
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.identification.uncertainty import to_physical
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Start, run_all

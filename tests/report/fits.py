@@ -25,7 +25,8 @@ from vjm.identification.records import (
     TorqueData,
     TrajectorySummary,
 )
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
+from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.model import Model
 from vjm.parameters import Estimate
 from vjm.report.figures.pictures import Picture, identification_pictures

@@ -11,10 +11,11 @@ from vjm.errors import InsufficientDataError
 from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import Experiment, Recording
 from vjm.identification.plan import Plan, make_plan
-from vjm.identification.prepare import Prepared, Settings, fitted_recordings, modes_in, prepare
+from vjm.identification.prepare import Prepared, Settings, fitted_recordings, modes_in, motion_of, prepare
 from vjm.noise import sensor_noise
 from vjm.spectrum import MeasuredModes
 
+_LEAST_MOTION = 2.0  # times the noise
 _EXTRA_MODES = 2  # peaks looked for beyond the modes that the shapes show
 
 
@@ -73,6 +74,12 @@ def read_data(experiment: Experiment, options: Options) -> Data:
     rig = experiment.rig
     recordings = tuple(cleaned(rig, recording) for recording in fitted_recordings(experiment.recordings))
     noise = sensor_noise(rig, [cleaned(rig, recording) for recording in experiment.recordings])
+    if max(motion_of(recording, noise) for recording in recordings) < _LEAST_MOTION:
+        raise InsufficientDataError(
+            "identification",
+            "in no training recording does the arm move by more than its sensors' noise",
+            "record it swinging or driven",
+        )
     plan = make_plan(
         experiment,
         recordings,

@@ -111,6 +111,16 @@ def fitted_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     return chosen
 
 
+def motion_of(recording: Recording, noise: tuple[float, float]) -> float:
+    """How much the coordinate that moves most does, as a multiple of its sensor's noise [m, rad]."""
+    sizes = [0.0]
+    for values, sigma in ((recording.markers.reshape(len(recording.time), -1), noise[0]), (recording.theta, noise[1])):
+        seen = values[:, np.isfinite(values).sum(axis=0) > 1]
+        if seen.size:
+            sizes.append(float(np.nanstd(seen, axis=0).max()) / sigma)
+    return max(sizes)
+
+
 def choose_orders(rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:
     """For each link, the largest number of shape functions that a recording supports by cross-validation.
 

@@ -11,7 +11,8 @@ from scipy import stats
 
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
 from vjm.identification.records import Identification
-from vjm.identification.trajectory_fit import Hold, TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_problem import Hold
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,8 @@ from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, Simulatio
 from vjm.identification.information import of_trajectory, reach_of
 from vjm.identification.records import Identification
 from vjm.identification.torque_fit import Progress
-from vjm.identification.trajectory_fit import Point, fit_trajectory
+from vjm.identification.trajectory_fit import fit_trajectory
+from vjm.identification.trajectory_problem import Point
 from vjm.identification.uncertainty import covariance, to_physical
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run

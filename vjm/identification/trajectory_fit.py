@@ -9,22 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
-from vjm.identification.parametrisation import Parametrisation
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
+from vjm.modes import modes
 from vjm.simulate.damping import Damping
 from vjm.simulate.initial_state import most_likely
-from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import locked_frequencies
-from vjm.simulate.run import Run, Start, run_all
-from vjm.simulate.sensitivity import Moved
-from vjm.simulate.triangle import Triangle
+from vjm.simulate.run import Start, run_all
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -34,132 +29,6 @@ _NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths 
 _COARSE = 1e-2  # the same relative to chi^2, before the whole recordings are looked at
 _FIRST_PERIODS = 3.0  # of the slowest mode
 _LONGER = 3.0  # from one horizon to the next
-_DERIVATIVE_STEP = 1e-6
-
-
-@dataclass(frozen=True)
-class Hold:
-    """One physical parameter held at a value.
-
-    Attributes:
-        index: of the parameter.
-        value: in its unit.
-        width: how closely, in its unit.
-    """
-
-    index: int
-    value: float
-    width: float
-
-
-@dataclass(frozen=True)
-class TrajectoryProblem:
-    """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
-
-    Attributes:
-        parametrisation: the coordinates.
-        observed: the recordings.
-        coarse: multiple of the integrator's default step.
-        preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
-        spread: size of the weighted residuals that counts as one standard deviation beside the preference.
-        hold: a parameter that is not free; None: all are.
-    """
-
-    parametrisation: Parametrisation
-    observed: tuple[Observed, ...]
-    coarse: float = 1.0
-    preference: tuple[Array, Array] | None = None
-    spread: float = 1.0
-    hold: Hold | None = None
-
-    def until(self, duration: float) -> TrajectoryProblem:
-        """The same with the recordings' first seconds only."""
-        parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]
-        return replace(self, observed=tuple(parts))
-
-    def moved(self, x: Array) -> tuple[Moved, ...]:
-        """The chain with each coordinate moved a little."""
-        found = []
-        upper = self.parametrisation.bounds[1]
-        for k, value in enumerate(x):
-            by = _DERIVATIVE_STEP * max(abs(value), 1e-2)
-            by = by if value + by <= upper[k] else -by
-            point = x.copy()
-            point[k] += by
-            found.append(Moved(self.parametrisation.chain(point), by))
-        return tuple(found)
-
-    def preferred(self, x: Array) -> tuple[Array, Array]:
-        """Rows (r, p) and what they want (r,) of a preference and of a parameter held, for a change of x."""
-        rows, wanted = np.zeros((0, x.size)), np.zeros(0)
-        if self.preference is not None:
-            centre, width = self.preference
-            rows, wanted = np.diag(self.spread / width), self.spread * (centre - x) / width
-        if self.hold is None:
-            return rows, wanted
-        slope = self.parametrisation.jacobian(x)[self.hold.index] / self.hold.width
-        return np.vstack([rows, slope]), np.append(wanted, self.held(x))
-
-    def held(self, x: Array) -> float:
-        """How far the parameter held is off its value, in widths; zero where none is held."""
-        if self.hold is None:
-            return 0.0
-        return float((self.hold.value - self.parametrisation.physical(x)[self.hold.index]) / self.hold.width)
-
-
-@dataclass(frozen=True)
-class Point:
-    """Coordinates and initial states, with every recording simulated from there.
-
-    Attributes:
-        problem: what is minimised.
-        x: (p,) coordinates.
-        runs: one a recording.
-    """
-
-    problem: TrajectoryProblem
-    x: Array
-    runs: tuple[Run, ...]
-
-    @cached_property
-    def chain(self) -> Chain:
-        """The chain at x."""
-        return self.problem.parametrisation.chain(self.x)
-
-    @cached_property
-    def cost(self) -> float:
-        """What the search minimises."""
-        wanted = self.problem.preferred(self.x)[1]
-        return sum(run.cost for run in self.runs) + float(wanted @ wanted)
-
-    @property
-    def held_cost(self) -> float:
-        """What a parameter held adds to the cost."""
-        return self.problem.held(self.x) ** 2
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squared weighted residuals."""
-        return sum(run.chi2 for run in self.runs)
-
-    @property
-    def count(self) -> int:
-        """Number of measured values."""
-        return sum(run.observed.count for run in self.runs)
-
-    @cached_property
-    def triangles(self) -> tuple[Triangle, ...]:
-        """Each recording's linearised problem: its initial state first, then the coordinates."""
-        moved = self.problem.moved(self.x)
-        return tuple(run.triangle(moved) for run in self.runs)
-
-    def gathered(self, damping: float = 0.0) -> tuple[Triangle, tuple[Triangle, ...]]:
-        """What recordings and preference together say of the coordinates, and each recording's own problem."""
-        parts = tuple(triangle.damped(damping) for triangle in self.triangles)
-        rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
-        rows.append(np.column_stack(self.problem.preferred(self.x)))
-        stacked = np.vstack(rows)
-        return Triangle.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
 
 
 @dataclass(frozen=True)
@@ -218,9 +87,9 @@ def _horizons(problem: TrajectoryProblem, x: Array, known: float) -> list[float]
 
 
 def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
-    """A few periods of the slowest mode [s]: so short that a wrong frequency has not yet cost a cycle."""
+    """A few periods of the slowest vibration [s]: so short that a wrong frequency has not yet cost a cycle."""
     chain = problem.parametrisation.chain(x)
-    return _FIRST_PERIODS / min(locked_frequencies(chain, o.recording.payload)[0] for o in problem.observed)
+    return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in problem.observed)
 
 
 @dataclass(frozen=True)

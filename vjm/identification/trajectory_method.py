@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
-from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.errors import InsufficientDataError
 from vjm.experiment.records import Experiment, Recording, Rig
 from vjm.identification.data import Data
 from vjm.identification.outliers import without_outliers
@@ -18,9 +18,10 @@ from vjm.identification.parametrisation import Parametrisation
 from vjm.identification.select import JointChoice, choose_virtual_joints, cuts_of, nominal_chain
 from vjm.identification.torque_fit import Progress, TorqueFit, TorqueProblem
 from vjm.identification.torque_method import START_DAMPING, driven_hubs, fit_uniform, with_frequencies
-from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
+from vjm.identification.trajectory_problem import TrajectoryProblem
+from vjm.identification.trajectory_start import from_afar, misfit
 from vjm.simulate.drive import measured_torque
-from vjm.simulate.initial_state import most_likely
 from vjm.simulate.loss import LOSSES
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Start, run_all, transferred
@@ -28,8 +29,6 @@ from vjm.simulate.run import Start, run_all, transferred
 Array = NDArray[np.float64]
 
 _WORTH_A_JOINT = 0.005  # relative fall of the RMS residual
-_LOST = 10.0  # RMS residual over noise of the first periods beyond which other starts are tried
-_EXPLAINED = 0.3  # unless it is less than this share of the motion
 _COARSE = (8.0, 4.0, 2.0, 1.4)  # times the integrator's default step
 _UNSEEN = 0.01  # chi^2 of the integration error: no direction of the parameters moves by more than its root
 _OTHER_STIFFNESS = tuple(float(factor) for factor in np.geomspace(0.25, 4.0, 9))
@@ -176,25 +175,9 @@ class _Search:
         short = problem.until(horizon)
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
         others = [np.where(stiffness, factor * nominal, nominal) for factor in _OTHER_STIFFNESS]
-        fit = self._first(short, starts, _LOST)
-        if fit is None or _misfit(fit) > max(_LOST, _EXPLAINED * _motion(short, nominal)):
-            fit = self._first(short, [*starts, *others], _LOST)
-        if fit is None:
-            fit = fit_trajectory(short, nominal, self.progress)  # and let it say what is wrong
+        fit = from_afar(short, starts, others, self.progress)
         states = [run.state for run in fit.point.runs]
         return fit_trajectory(problem, fit.point.x, self.progress, states, horizon)
-
-    def _first(self, problem: TrajectoryProblem, starts: Sequence[Array], enough: float) -> TrajectoryFit | None:
-        """The fit from the likeliest start; from the next ones too, until one misses by at most `enough` noises."""
-        best: TrajectoryFit | None = None
-        ranked = sorted(((_misfit_at(problem, x), k) for k, x in enumerate(starts)))
-        for misfit, k in ranked:
-            if not np.isfinite(misfit) or (best is not None and _misfit(best) < enough):
-                break
-            trial = _attempted(problem, starts[k], self.progress)
-            if trial is not None and (best is None or _misfit(trial) < _misfit(best)):
-                best = trial
-        return best
 
     def _by_torque(self, torque: tuple[TorqueProblem, TorqueFit] | None) -> list[Array]:
         """Coordinates that the torque method finds: held to the measured frequencies if it can be, and free."""
@@ -210,7 +193,7 @@ class _Search:
         states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
         problem = self.problem(joints)
         chain = problem.parametrisation.chain(fit.point.x)
-        problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, _misfit(fit) ** 2))
+        problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, misfit(fit) ** 2))
         return fit_trajectory(problem, fit.point.x, self.progress, states)
 
     def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -223,10 +206,10 @@ class _Search:
         x = parametrisation.start
         for _ in range(_MOST_PASSES):
             # The preference counts as much as one of the values that this model itself leaves unexplained.
-            problem = replace(problem, spread=max(_misfit(fit), 1.0))
+            problem = replace(problem, spread=max(misfit(fit), 1.0))
             fit = fit_trajectory(problem, x, self.progress, [run.state for run in fit.point.runs])
             x = fit.point.x
-            if max(_misfit(fit), 1.0) > 0.9 * problem.spread:
+            if max(misfit(fit), 1.0) > 0.9 * problem.spread:
                 break
         return fit
 
@@ -264,22 +247,6 @@ def _note(gain: float, fewer: TrajectoryFit, more: TrajectoryFit) -> str:
     return f"{note} and move " + ", ".join(f"{c.name} by {100 * shift:.2g} %" for c, shift in named)
 
 
-def _motion(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS of what was measured about the arm's rest, in units of the noise."""
-    chain = problem.parametrisation.chain(x)
-    squares = 0.0
-    for seen in problem.observed:
-        rest = Start.of(chain, seen.recording).rest[: chain.size]
-        residual = seen.residual(chain, np.broadcast_to(rest, (seen.recording.time.size, chain.size)))
-        squares += float(residual @ residual)
-    return float(np.sqrt(squares / sum(seen.count for seen in problem.observed)))
-
-
-def _misfit(fit: TrajectoryFit) -> float:
-    """RMS weighted residual."""
-    return float(np.sqrt(fit.point.chi2 / fit.point.count))
-
-
 def _coarsest(chain: Chain, observed: Sequence[Observed], states: Sequence[Array], excess: float) -> float:
     """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error.
 
@@ -297,20 +264,3 @@ def _coarsest(chain: Chain, observed: Sequence[Observed], states: Sequence[Array
         if error < _UNSEEN * max(excess, 1.0):
             return coarse
     return 1.0
-
-
-def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS weighted residual from the most likely initial states at coordinates x; infinite where nothing runs."""
-    try:
-        found = most_likely(problem.parametrisation.chain(x), problem.observed)
-    except SimulationDivergedError:
-        return np.inf
-    return float(np.sqrt(sum(run.chi2 for run, _ in found) / sum(run.observed.count for run, _ in found)))
-
-
-def _attempted(problem: TrajectoryProblem, x: Array, progress: Progress | None) -> TrajectoryFit | None:
-    """The fit from there; None where the arm cannot be simulated so."""
-    try:
-        return fit_trajectory(problem, x, progress)
-    except SimulationDivergedError:
-        return None
