@@ -63,6 +63,7 @@ def _clipped(markers: Array) -> Mask:
     for column, values in enumerate(flat.T):
         measured = np.flatnonzero(np.isfinite(values))
         for sign in (1.0, -1.0):
-            for start, length in zip(*clipped_runs(sign * values[measured]), strict=True):
-                wrong[measured[start : start + length], column] = True
+            starts, _ = clipped_runs(sign * values[measured])
+            if starts.size:  # then shorter runs at the same value, at smaller peaks, are clipped too
+                wrong[:, column] |= values == values[measured[starts[0]]]
     return wrong.reshape(markers.shape)

@@ -34,7 +34,7 @@ _MOST_ELBOW_STEPS = 5200.0
 REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20
 _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
-_HALF_INTERVAL_ELBOW = 1 / 300  # where the arm changes its shape altogether
+_HALF_INTERVAL_ELBOW = 1 / 600  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
 _MOST_TOGETHER = 64
 
