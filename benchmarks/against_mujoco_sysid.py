@@ -7,17 +7,18 @@ inertia) and the same free parameters: every joint's stiffness and damping, and 
 
 MuJoCo runs as its manual recommends: the backend `mujoco` with its default tolerances, as many threads as there are
 cores, the integrator `implicitfast` with MuJoCo's default time step (1 ms gives the same RMS in nearly twice the time),
-residuals divided by the sensors' noise; it is told the true initial state, rest. Three more runs stand beside it, on
-which the goal does not depend:
+residuals divided by the sensors' noise; markers are sites on the virtual links; it is told the true initial state, rest.
+The goal is set by this run. Three more stand beside it, all of which are given vjm's own curve through the virtual
+joints to put the markers on, in the toolbox's hook `modify_residual`:
 
-- a step tolerance of 1e-4: the default, 1e-8, spends most of its rollouts on steps that no longer change anything;
-- its backend `scipy_parallel_fd`, SciPy's search with MuJoCo's rollouts, which needs fewer of them;
-- the markers as sites on the straight virtual links, which are not quite where the beam is. The other runs compute the
-  markers on vjm's curve through the virtual joints, in the toolbox's own hook `modify_residual`.
+- with everything else the same;
+- with a step tolerance of 1e-4: the default, 1e-8, spends most of its rollouts on steps that no longer change anything;
+- with its backend `scipy_parallel_fd`, SciPy's search with MuJoCo's rollouts, which needs fewer of them.
 
 RMS is of all marker coordinates, open loop over the whole recording: MuJoCo's from rest, vjm's from the initial state
 that it finds, as it is not told that the motion starts at rest. The limit of RMS is MuJoCo's to the micrometre, or
-0.311 mm where that is smaller.
+0.311 mm where that is smaller. vjm's time is the whole of `vjm.identify`: reading the modes of the recording, the torque
+method that it starts from, and the replay of the result included.
 """
 
 import io
@@ -257,10 +258,10 @@ def main() -> None:
     curve = partial(look_at_curve, start_of(experiment))
     contenders: dict[str, Callable[[], Fit]] = {
         "vjm": partial(with_vjm, experiment),
-        "mujoco.sysid": partial(with_mujoco, experiment, curve),
-        "mujoco.sysid, xtol 1e-4": partial(with_mujoco, experiment, curve, xtol=1e-4),
-        "mujoco.sysid, scipy_parallel_fd": partial(with_mujoco, experiment, curve, "scipy_parallel_fd"),
-        "mujoco.sysid, sites": partial(with_mujoco, experiment, look_at_sites),
+        "mujoco.sysid": partial(with_mujoco, experiment, look_at_sites),
+        "mujoco.sysid, vjm's curve": partial(with_mujoco, experiment, curve),
+        "mujoco.sysid, vjm's curve, xtol 1e-4": partial(with_mujoco, experiment, curve, xtol=1e-4),
+        "mujoco.sysid, vjm's curve, scipy_parallel_fd": partial(with_mujoco, experiment, curve, "scipy_parallel_fd"),
     }
     fits: dict[str, Fit] = {}
 

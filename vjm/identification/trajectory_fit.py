@@ -52,6 +52,7 @@ def fit_trajectory(
     progress: Progress | None = None,
     states: Sequence[Array] | None = None,
     known: float = np.inf,
+    rough: bool = False,
 ) -> TrajectoryFit:
     """Find the coordinates and initial states that explain the measurements best.
 
@@ -61,6 +62,7 @@ def fit_trajectory(
         progress: told (text, done, total) now and then.
         states: (2 nv,) initial states near the minimum; None: the search begins with the recordings' first periods.
         known: how long `start` and `states` are known to follow the recordings [s].
+        rough: whether the minimum is only a start for another search.
     """
     lower, upper = problem.parametrisation.bounds
     x = np.clip(start, lower + 1e-6, upper)
@@ -69,7 +71,7 @@ def fit_trajectory(
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
         part = problem if last else problem.until(horizon)
-        fit = _search(part, x, states, _Progress(progress, k, len(horizons)), final=last)
+        fit = _search(part, x, states, _Progress(progress, k, len(horizons)), final=last and not rough)
         count += fit.iterations
         x, states = fit.point.x, [run.state for run in fit.point.runs]
     return replace(fit, iterations=count)

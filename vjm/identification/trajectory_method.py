@@ -44,7 +44,6 @@ class ByTrajectory:
         fit: the minimum.
         joints: numbers of virtual joints, and what they cost.
         torque: the torque method's fit that it started from; None where there was none.
-        observed: the recordings it was fitted to.
         problems: why others were not used, a sentence each.
         notes: what was decided on the way.
     """
@@ -52,7 +51,6 @@ class ByTrajectory:
     fit: TrajectoryFit
     joints: tuple[JointChoice, ...]
     torque: tuple[TorqueProblem, TorqueFit] | None
-    observed: tuple[Observed, ...]
     problems: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -88,7 +86,7 @@ def by_trajectory(
         replace(choose_virtual_joints(link, order, n), asked=len(counts) == 1 and search.asked)
         for link, order, n in zip(experiment.rig.links, data.plan.shape.orders, joints, strict=True)
     )
-    return ByTrajectory(fit, choices, torque, search.observed, problems, notes)
+    return ByTrajectory(fit, choices, torque, problems, notes)
 
 
 def _simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
@@ -138,6 +136,11 @@ class _Search:
         """Whether the numbers of joints were asked for."""
         return all(choice.asked for choice in self.data.plan.joints)
 
+    @property
+    def only_a_start(self) -> bool:
+        """Whether the uniform links are not what is asked for."""
+        return self.data.options.parameters != "uniform"
+
     def candidates(self) -> list[tuple[int, ...]]:
         """Numbers of joints to try, the smallest first: from as many as there are modes seen to the plan's."""
         planned = tuple(choice.joints for choice in self.data.plan.joints)
@@ -177,11 +180,11 @@ class _Search:
         others = [np.where(stiffness, factor * nominal, nominal) for factor in _OTHER_STIFFNESS]
         fit = from_afar(short, starts, others, self.progress)
         states = [run.state for run in fit.point.runs]
-        return fit_trajectory(problem, fit.point.x, self.progress, states, horizon)
+        return fit_trajectory(problem, fit.point.x, self.progress, states, horizon, rough=self.only_a_start)
 
     def _by_torque(self, torque: tuple[TorqueProblem, TorqueFit] | None) -> list[Array]:
         """Coordinates that the torque method finds: held to the measured frequencies if it can be, and free."""
-        if torque is None:
+        if torque is None or torque[0].parametrisation.hubs != self.hubs:
             return []
         with contextlib.suppress(InsufficientDataError):
             return [with_frequencies(*torque, self.data)[1].x, torque[1].x]
@@ -194,7 +197,7 @@ class _Search:
         problem = self.problem(joints)
         chain = problem.parametrisation.chain(fit.point.x)
         problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, misfit(fit) ** 2))
-        return fit_trajectory(problem, fit.point.x, self.progress, states)
+        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.only_a_start)
 
     def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
         """The same with the parameters asked for, the uniform links being where they start and what they prefer."""

@@ -26,14 +26,16 @@ def from_afar(
 
     Args:
         problem: those periods.
-        likely: (p,) coordinates to start from, ranked by how well they follow the recordings.
+        likely: (p,) coordinates to start from, the first of them first, the others by how well they follow.
         others: the same, tried where none of these leads anywhere.
         progress: told (text, done, total) now and then.
 
     Raises:
         SimulationDivergedError: no start can be simulated.
     """
-    fit = _first(problem, likely, progress)
+    fit = _attempted(problem, likely[0], progress)
+    if fit is None or misfit(fit) > _LOST:
+        fit = _first(problem, likely, progress)
     if fit is None or misfit(fit) > max(_LOST, _EXPLAINED * _motion(problem, likely[-1])):
         fit = _first(problem, [*likely, *others], progress)
     # Where nothing runs at all, let the search itself say what is wrong.
