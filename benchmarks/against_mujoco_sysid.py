@@ -7,9 +7,9 @@ inertia) and the same free parameters: every joint's stiffness and damping, and 
 
 MuJoCo runs as its manual recommends: the backend `mujoco` with its default tolerances, as many threads as there are
 cores, the integrator `implicitfast` with MuJoCo's default time step (1 ms gives the same RMS in nearly twice the time),
-residuals divided by the sensors' noise; markers are sites on the virtual links; it is told the true initial state, rest.
-The goal is set by this run. Three more stand beside it, all of which are given vjm's own curve through the virtual
-joints to put the markers on, in the toolbox's hook `modify_residual`:
+residuals divided by the sensors' noise; markers are sites on the virtual links; it is told the true initial state,
+rest. The goal is set by this run. Three more stand beside it, all of which are given vjm's own curve through the
+virtual joints to put the markers on, in the toolbox's hook `modify_residual`:
 
 - with everything else the same;
 - with a step tolerance of 1e-4: the default, 1e-8, spends most of its rollouts on steps that no longer change anything;
@@ -17,8 +17,8 @@ joints to put the markers on, in the toolbox's hook `modify_residual`:
 
 RMS is of all marker coordinates, open loop over the whole recording: MuJoCo's from rest, vjm's from the initial state
 that it finds, as it is not told that the motion starts at rest. The limit of RMS is MuJoCo's to the micrometre, or
-0.311 mm where that is smaller. vjm's time is the whole of `vjm.identify`: reading the modes of the recording, the torque
-method that it starts from, and the replay of the result included.
+0.311 mm where that is smaller. vjm's time is the whole of `vjm.identify`: reading the modes of the recording, the
+torque method that it starts from, and the replay of the result included.
 """
 
 import io
