@@ -81,14 +81,17 @@ class Model:
         """The same as `simulate`, with the residuals' statistics."""
         return self.replays([recording])[0]
 
-    def replays(self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None) -> list[Replay]:
+    def replays(
+        self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, coarse: float = 1.0
+    ) -> list[Replay]:
         """Replays of several recordings, advanced together.
 
         Args:
             recordings: T instants each.
             states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
+            coarse: multiple of the integrator's default step.
         """
-        return replays(self.chain, self.rig, recordings, self.marker_noise, self.encoder_noise, states)
+        return replays(self.chain, self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse)
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""

@@ -27,6 +27,7 @@ from vjm.torque import torque_errors
 
 Array = NDArray[np.float64]
 
+_COARSE = 2.0  # times the integrator's default step, for models that miss by more than its error anyway
 MATCH_TOLERANCE = 0.15  # a measured frequency this close to the model's is the same mode
 
 
@@ -161,20 +162,20 @@ class _Compared:
         return [
             [None] * len(self.recordings)
             if model is None
-            else [found for found, _ in _replayed(model, self.recordings, {})]
+            else [found for found, _ in _replayed(model, self.recordings, {}, _COARSE)]
             for model in self.models
         ]
 
 
 def _replayed(
-    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array]
+    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array], coarse: float = 1.0
 ) -> list[tuple[Replay | None, str]]:
     """Each recording's replay, or why there is none."""
     if not recordings:
         return []
     try:
-        return [(each, "") for each in model.replays(recordings, [states.get(r.file) for r in recordings])]
+        return [(each, "") for each in model.replays(recordings, [states.get(r.file) for r in recordings], coarse)]
     except (InsufficientDataError, SimulationDivergedError) as error:
         if len(recordings) == 1:
             return [(None, str(error))]
-    return [_replayed(model, [each], states)[0] for each in recordings]
+    return [_replayed(model, [each], states, coarse)[0] for each in recordings]

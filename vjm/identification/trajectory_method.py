@@ -29,7 +29,7 @@ from vjm.simulate.run import Start, run_all, transferred
 Array = NDArray[np.float64]
 
 _WORTH_A_JOINT = 0.005  # relative fall of the RMS residual
-_COARSE = (8.0, 4.0, 2.0, 1.4)  # times the integrator's default step
+_COARSE = (4.0, 2.0)  # times the integrator's default step
 _UNSEEN = 0.01  # chi^2 of the integration error: no direction of the parameters moves by more than its root
 _OTHER_STIFFNESS = tuple(float(factor) for factor in np.geomspace(0.25, 4.0, 9))
 _MOST_PASSES = 8

@@ -53,6 +53,7 @@ def replays(
     marker_noise: float,
     encoder_noise: float,
     states: Sequence[Array | None] | None = None,
+    coarse: float = 1.0,
 ) -> list[Replay]:
     """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
 
@@ -63,13 +64,14 @@ def replays(
         marker_noise: 1-sigma [m].
         encoder_noise: 1-sigma [rad].
         states: (2 nv,) where to start the search for the initial states; None: at rest.
+        coarse: multiple of the integrator's default step.
 
     Raises:
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
     observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
-    return [report(run, converged) for run, converged in most_likely(chain, observed, states)]
+    return [report(run, converged) for run, converged in most_likely(chain, observed, states, coarse)]
 
 
 def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
