@@ -39,7 +39,7 @@ def identification_result(fit: Identification) -> Result:
         "mode_shape_mac": [finite(mode.mac) for mode in fit.modes],
         "objective": {
             "torque": finite(fit.objective),
-            "trajectory_chi2_per_sample": finite(None if summary is None else summary.chi2 / summary.count),
+            "trajectory_chi2_per_sample": finite(None if summary is None else summary.chi2_per_sample),
         },
         "recordings": [{**recording_result(each), "whiteness": _whiteness(fit, each)} for each in fit.recordings],
         "status": fit.status,

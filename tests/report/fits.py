@@ -31,6 +31,8 @@ from vjm.model import Model
 from vjm.parameters import Estimate
 from vjm.report.figures.pictures import Picture, identification_pictures
 from vjm.simulate import Replay, simulate
+from vjm.simulate.observation import Observed
+from vjm.simulate.run import Start, run_all
 from vjm.torque import torque_errors
 
 Array = NDArray[np.float64]
@@ -113,7 +115,7 @@ def make_fit(
         modes=_modes(model),
         objective=1.2e-3,
         objective_nominal=2.3e-2,
-        trajectory=None if before is None else _summary(model.chain, train),
+        trajectory=None if before is None else _summary(model, train),
         torque_data=tuple(_torque_data(model, nominal, recording) for recording in train),
         recordings=tuple(_fit(model, nominal, before, recording, replayer) for recording in experiment.recordings),
         status="converged",
@@ -129,12 +131,17 @@ def _covariance(estimates: tuple[Estimate, ...], correlation: float = -0.6) -> A
     return result
 
 
-def _summary(chain: Chain, train: list[Recording]) -> TrajectorySummary:
-    """A summary whose minimum holds no recordings: what is shown does not come from it."""
-    parametrisation = Parametrisation(chain, "uniform", ())
-    point = Point(TrajectoryProblem(parametrisation, ()), parametrisation.start, ())
+def _summary(model: Model, train: list[Recording]) -> TrajectorySummary:
+    """A summary of the training recordings simulated from rest, which is no minimum."""
+    parametrisation = Parametrisation(model.chain, "uniform", ())
+    noise = (model.marker_noise, model.encoder_noise)
+    simulated = [each for each in train if not each.tau.size or np.isfinite(each.tau).any()]
+    observed = tuple(Observed.of(model.rig, each, noise) for each in simulated)
+    starts = [Start.of(model.chain, each.recording) for each in observed]
+    runs = run_all(model.chain, observed, starts, [start.rest for start in starts], 2.0)
+    point = Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
     whiteness = tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0) for k, each in enumerate(train))
-    return TrajectorySummary(1010.0, 1000, 7, whiteness, TrajectoryFit(point, True, 7))
+    return TrajectorySummary(whiteness, TrajectoryFit(point, True, 7))
 
 
 def _chain(rig: Rig, joints: int, bending: float, time_constant: float) -> Chain:

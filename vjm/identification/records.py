@@ -103,18 +103,17 @@ class TrajectorySummary:
     """How well whole trajectories fit.
 
     Attributes:
-        chi2: sum of the squared weighted residuals of all training recordings.
-        count: number of measured values.
-        iterations: simulations of all recordings that the last search took.
         whiteness: of each recording's residuals.
-        fit: the minimum itself.
+        fit: the minimum.
     """
 
-    chi2: float
-    count: int
-    iterations: int
     whiteness: tuple[Whiteness, ...]
     fit: TrajectoryFit
+
+    @property
+    def chi2_per_sample(self) -> float:
+        """Mean square of the weighted residuals of all training recordings."""
+        return self.fit.point.misfit**2
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ def _trajectory(experiment: Experiment, data: Data, loss: str, progress: Progres
         notes=found.notes,
         before=None if found.torque is None else found.torque[0].parametrisation.chain(found.torque[1].x),
         states={run.observed.recording.file: run.state for run in point.runs},
-        trajectory=TrajectorySummary(point.chi2, point.count, found.fit.iterations, whiteness, found.fit),
+        trajectory=TrajectorySummary(whiteness, found.fit),
     )
 
 

@@ -121,7 +121,7 @@ def _search(
     for iteration in range(_MOST_ITERATIONS):
         tell(iteration)
         change, state_changes, predicted = _step(point, damping.value)
-        least = _NEGLIGIBLE * max(point.chi2 / point.count, 1.0)
+        least = _NEGLIGIBLE * max(point.misfit, 1.0) ** 2
         if predicted < (least if final else max(least, _COARSE * point.chi2)):
             done = True
             break

@@ -20,7 +20,7 @@ from vjm.identification.torque_fit import Progress, TorqueFit, TorqueProblem
 from vjm.identification.torque_method import START_DAMPING, driven_hubs, fit_uniform, with_frequencies
 from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
 from vjm.identification.trajectory_problem import TrajectoryProblem
-from vjm.identification.trajectory_start import from_afar, misfit
+from vjm.identification.trajectory_start import from_afar
 from vjm.simulate.drive import measured_torque
 from vjm.simulate.loss import LOSSES
 from vjm.simulate.observation import Observed
@@ -196,7 +196,7 @@ class _Search:
         states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
         problem = self.problem(joints)
         chain = problem.parametrisation.chain(fit.point.x)
-        problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, misfit(fit) ** 2))
+        problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, fit.point.misfit**2))
         return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.only_a_start)
 
     def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -209,10 +209,10 @@ class _Search:
         x = parametrisation.start
         for _ in range(_MOST_PASSES):
             # The preference counts as much as one of the values that this model itself leaves unexplained.
-            problem = replace(problem, spread=max(misfit(fit), 1.0))
+            problem = replace(problem, spread=max(fit.point.misfit, 1.0))
             fit = fit_trajectory(problem, x, self.progress, [run.state for run in fit.point.runs])
             x = fit.point.x
-            if max(misfit(fit), 1.0) > 0.9 * problem.spread:
+            if max(fit.point.misfit, 1.0) > 0.9 * problem.spread:
                 break
         return fit
 

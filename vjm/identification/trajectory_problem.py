@@ -130,6 +130,11 @@ class Point:
         """Number of measured values."""
         return sum(run.observed.count for run in self.runs)
 
+    @property
+    def misfit(self) -> float:
+        """RMS weighted residual: one where it is the noise."""
+        return float(np.sqrt(self.chi2 / self.count))
+
     @cached_property
     def triangles(self) -> tuple[Triangle, ...]:
         """Each recording's linearised problem: its initial state first, then the coordinates."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Progress, TrajectoryFit, fit_trajectory
-from vjm.identification.trajectory_problem import TrajectoryProblem
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.run import Start
 
@@ -34,9 +34,9 @@ def from_afar(
         SimulationDivergedError: no start can be simulated.
     """
     fit = _attempted(problem, likely[0], progress)
-    if fit is None or misfit(fit) > _LOST:
+    if fit is None or fit.point.misfit > _LOST:
         fit = _first(problem, likely, progress)
-    if fit is None or misfit(fit) > max(_LOST, _EXPLAINED * _motion(problem, likely[-1])):
+    if fit is None or fit.point.misfit > max(_LOST, _EXPLAINED * _motion(problem, likely[-1])):
         fit = _first(problem, [*likely, *others], progress)
     # Where nothing runs at all, let the search itself say what is wrong.
     return fit or fit_trajectory(problem, likely[-1], progress)
@@ -47,17 +47,12 @@ def _first(problem: TrajectoryProblem, starts: Sequence[Array], progress: Progre
     best: TrajectoryFit | None = None
     ranked = sorted((_misfit_at(problem, x), k) for k, x in enumerate(starts))
     for expected, k in ranked:
-        if not np.isfinite(expected) or (best is not None and misfit(best) < _LOST):
+        if not np.isfinite(expected) or (best is not None and best.point.misfit < _LOST):
             break
         trial = _attempted(problem, starts[k], progress)
-        if trial is not None and (best is None or misfit(trial) < misfit(best)):
+        if trial is not None and (best is None or trial.point.misfit < best.point.misfit):
             best = trial
     return best
-
-
-def misfit(fit: TrajectoryFit) -> float:
-    """RMS weighted residual."""
-    return float(np.sqrt(fit.point.chi2 / fit.point.count))
 
 
 def _motion(problem: TrajectoryProblem, x: Array) -> float:
@@ -77,7 +72,7 @@ def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
         found = most_likely(problem.parametrisation.chain(x), problem.observed)
     except SimulationDivergedError:
         return np.inf
-    return float(np.sqrt(sum(run.chi2 for run, _ in found) / sum(run.observed.count for run, _ in found)))
+    return Point(problem, x, tuple(run for run, _ in found)).misfit
 
 
 def _attempted(problem: TrajectoryProblem, x: Array, progress: Progress | None) -> TrajectoryFit | None:

@@ -163,9 +163,9 @@ def settings(fit: Identification) -> list[tuple[str, str]]:
 def _trajectories(summary: TrajectorySummary | None) -> list[tuple[str, str]]:
     if summary is None:
         return []
-    mean = number(summary.chi2 / max(summary.count, 1), 4)
-    text = f"mean square residual {mean} times the noise's, over {summary.count} measured values"
-    searched = f"{counted(summary.iterations, 'simulation')} of all recordings"
+    mean = number(summary.chi2_per_sample, 4)
+    text = f"mean square residual {mean} times the noise's, over {summary.fit.point.count} measured values"
+    searched = f"{counted(summary.fit.iterations, 'simulation')} of all recordings"
     return [("Trajectories", f"{text}; {searched} in the last search")]
 
 
