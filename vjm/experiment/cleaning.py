@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.experiment.marker_checks import DEFAULT_MARKER_NOISE, TOLERANCE, clipped_runs
+from vjm.experiment.marker_checks import DEFAULT_MARKER_NOISE, clipped_runs, distance_limits
 from vjm.experiment.records import Array, Recording, Rig
 
 Mask = NDArray[np.bool_]
@@ -45,9 +45,8 @@ def impossible(markers: Array, arcs: Array, noise: float) -> Mask:
         arcs: (k,) arc lengths [m].
         noise: 1-sigma of a coordinate [m].
     """
-    limits = np.abs(arcs[:, None] - arcs) + TOLERANCE * np.sqrt(2.0) * noise
     offset = np.nan_to_num(markers[:, :, None] - markers[:, None])
-    beyond = np.hypot(offset[..., 0], offset[..., 1]) > limits
+    beyond = np.hypot(offset[..., 0], offset[..., 1]) > distance_limits(arcs, noise)
     count = beyond.sum(axis=(1, 2)) // 2
     # All the impossible pairs are this marker's.
     culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)

@@ -43,7 +43,7 @@ def distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str]
         names: k names of the markers.
         noise: 1-sigma noise of a coordinate [m].
     """
-    limits = np.abs(arcs[:, None] - arcs) + TOLERANCE * np.sqrt(2.0) * noise
+    limits = distance_limits(arcs, noise)
     bad, excess, pair = _beyond_limits(markers, limits)
     if not bad.size:
         return []
@@ -54,6 +54,17 @@ def distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str]
         f"which are {abs(arcs[second] - arcs[first]):.4g} m apart along the link"
     )
     return [sentence + _swap_hint(markers[bad], limits, names)]
+
+
+def distance_limits(arcs: Array, noise: float) -> Array:
+    """(k, k) distance [m] beyond which two of a link's markers cannot be apart, whatever the link's shape.
+
+    Args:
+        arcs: (k,) arc lengths of the markers [m].
+        noise: 1-sigma noise of a coordinate [m].
+    """
+    limits: Array = np.abs(arcs[:, None] - arcs) + TOLERANCE * np.sqrt(2.0) * noise
+    return limits
 
 
 def _beyond_limits(markers: Array, limits: Array) -> tuple[NDArray[np.intp], float, tuple[int, int]]:

@@ -108,6 +108,14 @@ class Observed:
         joints = max(self.recording.theta.shape[1], 1)
         return np.concatenate([self.frames[self.markers // self._width], self.angles // joints])
 
+    def spread(self, values: Array) -> tuple[Array, Array]:
+        """Values (N_m + N_t,) where they were measured, (F, 2 k) and (T, n_a); NaN where nothing was."""
+        markers = np.full((self.frames.size, self._width), np.nan)
+        angles = np.full(self.recording.theta.shape, np.nan)
+        markers.ravel()[self.markers] = values[: self.markers.size]
+        angles.ravel()[self.angles] = values[self.markers.size :]
+        return markers, angles
+
     def until(self, end: float) -> Observed:
         """The beginning of the recording: all that was measured up to an instant [s]."""
         recording = self.recording

@@ -121,9 +121,8 @@ class Run:
         """Derivatives (r, 2 slow + p) of the weighted predictions, and the residuals (r,), as far as they count."""
         parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
         kept = np.sqrt(self.observed.loss.slope(self.residual**2))
-        for markers, angles, part in parts:
-            share = np.concatenate([kept[markers], kept[angles]])
-            yield share[:, None] * part, share * np.concatenate([self.residual[markers], self.residual[angles]])
+        for measured, part in parts:
+            yield kept[measured, None] * part, kept[measured] * self.residual[measured]
 
     def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
         """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters."""
@@ -147,24 +146,14 @@ class Run:
         instants = self.observed.instants
         found = np.zeros((self.observed.recording.time.size, len(moved)))
         parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
-        for markers, angles, part in parts:
+        for measured, part in parts:
             own = part[:, states:] - part[:, :states] @ followed
-            residual = np.concatenate([self.residual[markers], self.residual[angles]])
-            np.add.at(found, np.concatenate([instants[markers], instants[angles]]), own * residual[:, None])
+            np.add.at(found, instants[measured], own * self.residual[measured, None])
         return found
 
-    def series(self) -> Iterator[Array]:
+    def series(self) -> list[Array]:
         """Weighted residuals over each kind of sensor's instants, (F, 2 k) and (T, n_a); NaN where nothing was seen."""
-        split, frames = self.observed.markers.size, self.observed.frames.size
-        for size, index, part in (
-            (frames * 2 * self.observed.recording.markers.shape[1], self.observed.markers, self.residual[:split]),
-            (self.observed.recording.theta.size, self.observed.angles, self.residual[split:]),
-        ):
-            if index.size:
-                flat = np.full(size, np.nan)
-                flat[index] = part
-                rows = frames if index is self.observed.markers else self.observed.recording.time.size
-                yield flat.reshape(rows, -1)
+        return [each for each in self.observed.spread(self.residual) if np.isfinite(each).any()]
 
 
 def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:

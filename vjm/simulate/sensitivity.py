@@ -24,6 +24,7 @@ from vjm.simulate.phi import phi_functions, rate_scale
 from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _RIGID = ("lengths", "masses", "mass_centers", "inertias")
 _ANGLE = 1e-6  # rad, perturbation
@@ -190,7 +191,7 @@ def _propagators(found: Coefficients, interval: float) -> tuple[Array, Array]:
 
 def jacobian(
     observed: Observed, chain: Chain, basis: Basis, moved: Sequence[Moved], steps: Steps, stride: int
-) -> Iterator[tuple[slice, slice, Array]]:
+) -> Iterator[tuple[Indices, Array]]:
     """Weighted derivatives of what was measured, one stretch of time after another.
 
     Args:
@@ -198,8 +199,8 @@ def jacobian(
         chain, basis, moved, steps, stride: as in `sensitivities`.
 
     Yields:
-        The stretch's marker coordinates and angles, as slices of `observed.values`, and the derivatives (r, 2 slow + p)
-        of their predictions, times their weights: markers first.
+        What was measured in the stretch, (r,) indices of `observed.values`, and the derivatives (r, 2 slow + p) of its
+        predictions, times their weights.
     """
     recording, active = observed.recording, chain.active
     time = recording.time
@@ -219,8 +220,8 @@ def jacobian(
         begin = int(np.searchsorted(observed.frames, first)) * by_markers.shape[1]
         flat = by_markers.reshape(-1, slope.shape[1])
         derivatives = np.concatenate([flat[observed.markers[markers] - begin], by_angles])
-        weights = np.concatenate([observed.weights[markers], observed.weights[angles]])
-        yield markers, angles, weights[:, None] * derivatives
+        measured = np.r_[markers, angles]
+        yield measured, observed.weights[measured, None] * derivatives
         first = last
 
 
