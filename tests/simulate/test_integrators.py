@@ -94,6 +94,15 @@ def test_default_agrees_with_runge_kutta_to_a_micrometre(name: str) -> None:
     assert np.abs(markers_of(CASES[name], "exponential") - expected).max() < 1e-6
 
 
+@pytest.mark.parametrize(("n", "kelvin_voigt", "step"), [(20, 3e-4, 1e-4), (40, 1e-4, 2.5e-5)])
+def test_long_chains_take_long_steps_as_exactly(n: int, kelvin_voigt: float, step: float) -> None:
+    """The top mode, of 1 to 4 kHz, turns 3 to 15 times in a step; Runge-Kutta has to follow it."""
+    chain = arm_of(steel_link(n, kelvin_voigt=kelvin_voigt))
+    case = Case(chain, recording_of(chain, np.arange(101) / 100.0), end_load_shape(chain, 0.1))
+    assert default_step(chain) > 3.5e-3
+    assert np.abs(markers_of(case, "exponential") - markers_of(case, "rk4", step)).max() < 1e-6
+
+
 @pytest.mark.parametrize("name", ["released, 6 joints", "two driven links"])
 def test_the_reference_s_own_step_is_short_enough(name: str) -> None:
     """Against its default, the 100 us of the paper's section 6.4."""
