@@ -15,6 +15,7 @@ import vjm
 from vjm.chain import Chain, layout, uniform_chain
 from vjm.experiment.records import Experiment, Link, Recording, Rig
 from vjm.simulate import rollouts
+from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Arcs
 from vjm.simulate.steps import sample
 
@@ -42,7 +43,7 @@ def recording_of(rig: Rig, chain: Chain, seed: int, rows: int) -> Recording:
     markers = np.full((rows, len(MARKERS), 2), np.nan)
     empty = Recording(f"r{seed}.csv", "driven", "train", t, np.zeros((rows, 1)), torque, markers)
     rest = np.zeros((1, chain.size))
-    q = sample(rollouts([chain], [empty], rest, rest)[0], t)[0][:, 0]
+    q = sample(rollouts([Arm(chain)], [empty], rest, rest)[0], t)[0][:, 0]
     markers[::10] = Arcs.of(rig).markers(chain, q[::10]) + NOISE * rng.standard_normal(markers[::10].shape)
     theta = q[:, :1] + ENCODER_NOISE * rng.standard_normal((rows, 1))
     return Recording(f"r{seed}.csv", "driven", "train", t, theta, torque, markers)

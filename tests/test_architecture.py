@@ -25,6 +25,7 @@ ORDER = (
     ("angles",),
     ("urdf", "model_file", "dynamics"),
     ("modes", "torque"),
+    ("effects",),
     ("simulate",),
     ("model",),
     ("identification",),

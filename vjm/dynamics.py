@@ -85,16 +85,25 @@ def _virtual_links(model: pin.Model, chain: Chain, suffix: str = "") -> Iterator
     """Add the chain's joints to the model, and tell where each virtual link hangs.
 
     Yields:
-        For each virtual link in turn: its flexible link, its number there, the Pinocchio joint that carries it (0 where
-        it stands still) and its distance from that joint [m].
+        For each virtual link in turn, and as number -1 for each hub before a root joint: its flexible link, its number
+        there, the Pinocchio joint that carries it (0 where it stands still) and its distance from that joint [m].
     """
-    joint, offset = 0, 0.0
+    joint, offset, turn = 0, 0.0, 0.0
     names = iter(chain.joint_names)
+
+    def added() -> int:
+        return int(model.addJoint(joint, pin.JointModelRZ(), _shift(offset, turn), next(names) + suffix))
+
     for i, link in enumerate(chain.links):
+        if link.joint == "revolute":
+            joint, offset, turn = added(), 0.0, 0.0
+        if link.root_stiffness is not None:
+            yield i, -1, joint, offset
+            joint, offset, turn = added(), 0.0, 0.0
         for j, length in enumerate(link.lengths.tolist()):
-            if j > 0 or link.joint == "revolute":
-                joint = model.addJoint(joint, pin.JointModelRZ(), _shift(offset), next(names) + suffix)
-                offset = 0.0
+            if j > 0:
+                turn = link.rest_curvature * float(link.cells[j - 1])
+                joint, offset, turn = added(), 0.0, 0.0
             yield i, j, joint, offset
             offset += length
 
@@ -104,16 +113,24 @@ def _add_chain(model: pin.Model, chain: Chain, payload: float, suffix: str) -> N
         link = chain.links[i]
         if joint == 0:
             continue
-        hub = link.hub_inertia if j == 0 else 0.0
-        model.appendBodyToJoint(joint, _rod(link, j, hub), _shift(offset))
+        if j < 0:
+            hub = pin.Inertia(0.0, np.zeros(3), np.diag([0.0, 0.0, link.hub_inertia]))
+            model.appendBodyToJoint(joint, hub, _shift(offset))
+            continue
+        model.appendBodyToJoint(joint, _rod(link, j, _root_inertia(link) if j == 0 else 0.0), _shift(offset))
         if j == link.virtual_joints:
             tip_mass = link.payload + (payload if i == len(chain.links) - 1 else 0.0)
             tip = pin.Inertia(tip_mass, np.zeros(3), np.zeros((3, 3)))
             model.appendBodyToJoint(joint, tip, _shift(offset + float(link.lengths[j])))
 
 
-def _shift(x: float) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+def _root_inertia(link: LinkChain) -> float:
+    """What turns with virtual link 0 [kg m^2]."""
+    return link.root_inertia + (link.hub_inertia if link.root_stiffness is None else 0.0)
+
+
+def _shift(x: float, turn: float = 0.0) -> pin.SE3:
+    return pin.SE3(pin.utils.rotate("z", turn), np.array([x, 0.0, 0.0]))
 
 
 def _rod(link: LinkChain, j: int, hub_inertia: float) -> pin.Inertia:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -12,11 +13,13 @@ from numpy.typing import NDArray
 
 from vjm import dynamics
 from vjm.chain.records import Chain
+from vjm.effects.effect import Effect
 from vjm.errors import ShapeError
 from vjm.experiment.records import Recording, Rig
 from vjm.files import write_text_atomic
 from vjm.modes import Modes, modes
 from vjm.parameters import Estimate
+from vjm.simulate.arm import Arm
 from vjm.simulate.initial_state import Replay, replays
 from vjm.simulate.rollout import Simulation
 from vjm.urdf import chain_to_urdf
@@ -51,6 +54,7 @@ class Model:
         marker_noise: 1-sigma noise of a marker coordinate [m].
         encoder_noise: 1-sigma noise of an encoder [rad].
         estimates: the parameters it was identified with; empty for a nominal model.
+        effects: what acts on the chain and its sensors beyond it.
 
     Raises:
         ShapeError: a chain whose links are not the rig's.
@@ -61,12 +65,18 @@ class Model:
     marker_noise: float
     encoder_noise: float
     estimates: tuple[Estimate, ...] = ()
+    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
         chain_links = [(link.name, link.joint) for link in self.chain.links]
         rig_links = [(link.name, link.joint) for link in self.rig.links]
         if chain_links != rig_links:
             raise ShapeError("model", f"links {chain_links}", f"the experiment's links {rig_links}")
+
+    @cached_property
+    def arm(self) -> Arm:
+        """The chain with its effects."""
+        return Arm.of(self.chain, self.effects)
 
     def simulate(self, recording: Recording) -> Simulation:
         """Simulate a recording open loop, from the initial state most likely given the whole of it.
@@ -91,15 +101,18 @@ class Model:
             states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
             coarse: multiple of the integrator's default step.
         """
-        return replays(self.chain, self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse)
+        return replays(
+            [self.arm] * len(recordings), self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse
+        )
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
-        return modes(self.chain, payload)
+        return modes(self.arm.chain, payload)
 
     def pinocchio(self) -> PinocchioModel:
         """The chain as a `pin.Model`, with its stiffness and damping beside it."""
-        return PinocchioModel(dynamics.build(self.chain).model, self.chain.stiffness, self.chain.damping)
+        chain = self.arm.chain
+        return PinocchioModel(dynamics.build(chain).model, chain.stiffness, chain.damping)
 
     def to_urdf(self, path: Path | str) -> Path:
         """Write the chain as URDF, whole or not at all; returns the path."""

@@ -45,6 +45,12 @@ class LinkEntry(_Entry):
     hub_inertia: _NotNegative
     payload: _NotNegative
     distal: Distal
+    joint_stiffness: _NotNegative
+    joint_damping: _NotNegative
+    root_stiffness: _NotNegative | None
+    root_damping: _NotNegative
+    root_inertia: _NotNegative
+    rest_curvature: float
     width: _Positive | None
     thickness: _Positive | None
 

@@ -24,6 +24,7 @@ from vjm.identification.trajectory_fit import fit_trajectory
 from vjm.identification.trajectory_method import _coarsest
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.identification.uncertainty import to_physical
+from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Start, run_all
 
@@ -82,8 +83,8 @@ def truth_point(joint: str, n: int, kind: str) -> Point:
         for r in recordings
     )
     parametrisation = Parametrisation(chain, kind, (0,) if joint == "revolute" else ())
-    starts = [Start.of(chain, each.recording) for each in observed]
-    runs = run_all(chain, observed, starts, states, 1.0)
+    starts = [Start.of(Arm(chain), each.recording) for each in observed]
+    runs = run_all([Arm(chain)] * len(observed), observed, starts, states, 1.0)
     return Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
 
 
@@ -117,7 +118,7 @@ def estimates(point: Point, seed: int) -> Array:
         observed = tuple(
             replace(
                 run.observed,
-                values=run.observed.predicted(run.chain, run.path[0]) + sign * each / run.observed.weights,
+                values=run.observed.predicted(run.arm, run.steps) + sign * each / run.observed.weights,
             )
             for run, each in zip(point.runs, noise, strict=True)
         )
@@ -150,7 +151,7 @@ def test_coloured_noise_widens_the_standard_errors() -> None:
             rows = [len(series) for series in run.series()]
             sizes = [10, 1]
             noise = [_coloured(rng, count, size).ravel() for count, size in zip(rows, sizes, strict=True)]
-            predicted = seen.predicted(run.chain, run.path[0])
+            predicted = seen.predicted(run.arm, run.steps)
             observed.append(replace(seen, values=predicted + np.concatenate(noise) / seen.weights))
         problem = replace(point.problem, observed=tuple(observed))
         fit = fit_trajectory(problem, point.x, states=[run.state for run in point.runs])
@@ -422,7 +423,7 @@ def test_steps_are_as_long_as_no_estimate_minds(noise: float) -> None:
     observed = [replace(run.observed, noise=(noise, noise)) for run in point.runs]
     coarse = _coarsest(point.chain, observed, states, 1.0)
     starts = [run.start for run in point.runs]
-    exact, found = (run_all(point.chain, observed, starts, states, c) for c in (0.25, coarse))
+    exact, found = (run_all([Arm(point.chain)] * len(observed), observed, starts, states, c) for c in (0.25, coarse))
     error = sum(float(np.sum((a.residual - b.residual) ** 2)) for a, b in zip(exact, found, strict=True))
     assert (coarse > 1.0) == (noise > 1e-5)
     assert coarse == 1.0 or error < 0.02

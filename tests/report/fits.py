@@ -137,8 +137,8 @@ def _summary(model: Model, train: list[Recording]) -> TrajectorySummary:
     noise = (model.marker_noise, model.encoder_noise)
     simulated = [each for each in train if not each.tau.size or np.isfinite(each.tau).any()]
     observed = tuple(Observed.of(model.rig, each, noise) for each in simulated)
-    starts = [Start.of(model.chain, each.recording) for each in observed]
-    runs = run_all(model.chain, observed, starts, [start.rest for start in starts], 2.0)
+    starts = [Start.of(model.arm, each.recording) for each in observed]
+    runs = run_all([model.arm] * len(observed), observed, starts, [start.rest for start in starts], 2.0)
     point = Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
     whiteness = tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0) for k, each in enumerate(train))
     return TrajectorySummary(whiteness, TrajectoryFit(point, True, 7))

@@ -29,6 +29,7 @@ from vjm.chain import Chain
 from vjm.experiment.records import Recording
 from vjm.modes import modes
 from vjm.simulate import INTEGRATORS, default_step, rollout, rollouts, simulate
+from vjm.simulate.arm import Arm
 from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
@@ -200,7 +201,7 @@ def test_a_torque_turns_a_free_arm_by_its_impulse() -> None:
     chain = arm_of(steel_link(4, "revolute"))
     time = np.arange(201) / 100.0
     recording = recording_of(chain, time, lambda t: np.random.default_rng(3).normal(0.0, 0.1, (t.size, 1)))
-    (found,) = rollouts([chain], [recording], np.zeros((1, 5)), np.zeros((1, 5)))
+    (found,) = rollouts([Arm(chain)], [recording], np.zeros((1, 5)), np.zeros((1, 5)))
     inside = found.time <= time[-1]
     momentum = [
         lagrange_mass_matrix(chain, q)[0] @ v for q, v in zip(found.q[inside, 0], found.v[inside, 0], strict=True)
@@ -249,7 +250,7 @@ def test_quintics_are_sampled_exactly(seed: int, count: int, start: float, step:
         scaled = polynomial.polyder(coefficients, order, axis=0)
         return np.moveaxis(polynomial.polyval((time - start) / (step * count), scaled), -1, 0) / (step * count) ** order
 
-    steps = Steps(knots, at(knots, 0), at(knots, 1), at(knots, 2))
+    steps = Steps(knots, at(knots, 0), at(knots, 1), at(knots, 2), at(knots, 0)[..., :0])
     time = np.sort(np.r_[knots, rng.uniform(knots[0], knots[-1], 20)])
     q, v = sample(steps, time)
     assert q.shape == (count + 20, 2, 3)

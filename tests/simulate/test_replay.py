@@ -19,6 +19,7 @@ from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
 from vjm.experiment.records import Recording
 from vjm.simulate import Replay, replay, rollout, simulate
+from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Arcs
 
 Array = NDArray[np.float64]
@@ -46,7 +47,7 @@ def released(n: int = 4, rate: float = 30.0, seconds: float = 4.0) -> tuple[Chai
 
 
 def found_state(chain: Chain, recording: Recording) -> tuple[Array, Array, Replay]:
-    result = replay(chain, rig_of(chain), recording, NOISE, ENCODER_NOISE)
+    result = replay(Arm(chain), rig_of(chain), recording, NOISE, ENCODER_NOISE)
     assert result.status == "converged"
     return result.simulation.q[0], result.simulation.v[0], result
 
@@ -161,7 +162,7 @@ def test_a_driven_link_without_torque_cannot_be_replayed() -> None:
     chain = arm_of(steel_link(2, "revolute"))
     recording = recording_of(chain, np.arange(31) / 30.0, lambda t: np.full((t.size, 1), np.nan))
     with pytest.raises(InsufficientDataError):
-        replay(chain, rig_of(chain), recording, NOISE, ENCODER_NOISE)
+        replay(Arm(chain), rig_of(chain), recording, NOISE, ENCODER_NOISE)
 
 
 # The independent beam
@@ -186,7 +187,7 @@ def test_the_true_stiffness_follows_the_independent_beam_to_the_noise(file: str,
     experiment, truth = demo()
     (recording,) = (each for each in experiment.recordings if each.file == file)
     chain = arm_of(steel_link(n, bending_stiffness=truth["bending_stiffness"], kelvin_voigt=truth["kelvin_voigt_time"]))
-    result = replay(chain, experiment.rig, recording, NOISE, ENCODER_NOISE)
+    result = replay(Arm(chain), experiment.rig, recording, NOISE, ENCODER_NOISE)
     assert result.status == "converged"
     assert result.marker_rms < most * NOISE
 
@@ -196,4 +197,4 @@ def test_a_wrong_stiffness_does_not() -> None:
     experiment, truth = demo()
     chain = arm_of(steel_link(6, bending_stiffness=1.04 * truth["bending_stiffness"], kelvin_voigt=3.07e-4))
     first = next(each for each in experiment.recordings if each.file == "first_mode.csv")
-    assert replay(chain, experiment.rig, first, NOISE, ENCODER_NOISE).marker_rms > 20 * NOISE
+    assert replay(Arm(chain), experiment.rig, first, NOISE, ENCODER_NOISE).marker_rms > 20 * NOISE

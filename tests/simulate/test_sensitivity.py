@@ -25,6 +25,7 @@ from tests.simulate.setups import (
 from vjm.chain import Chain
 from vjm.experiment.records import Recording
 from vjm.simulate import rollouts
+from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Observed
 from vjm.simulate.phi import phi_functions
 from vjm.simulate.run import Run, Start, run_all, transferred
@@ -67,7 +68,7 @@ def seen_by(chain: Chain, recording: Recording) -> Observed:
 
 def run_of(chain: Chain, recording: Recording, state: Array) -> Run:
     seen = seen_by(chain, recording)
-    return run_all(chain, [seen], [Start.of(chain, recording)], [state], 1.0)[0]
+    return run_all([Arm(chain)], [seen], [Start.of(Arm(chain), recording)], [state], 1.0)[0]
 
 
 def changed(chain: Chain, by: float) -> dict[str, Chain]:
@@ -93,7 +94,7 @@ def by_differences(run: Run, moved: list[tuple[Array, Chain, Array, Chain]], see
     columns = []
     for ahead, one, behind, other in moved:
         values = [
-            seen.weights * seen.predicted(chain, run_of(chain, seen.recording, state).path[0])
+            seen.weights * seen.predicted(Arm(chain), run_of(chain, seen.recording, state).steps)
             for state, chain in ((ahead, one), (behind, other))
         ]
         columns.append((values[0] - values[1]) / (2 * STEP))
@@ -111,7 +112,7 @@ def test_parameters(arm: str) -> None:
     chain, recording, state = ARMS[arm]()
     run = run_of(chain, recording, state)
     ahead, behind = changed(chain, STEP), changed(chain, -STEP)
-    moved = [Moved(each, STEP) for each in ahead.values()]
+    moved = [Moved(Arm(each), STEP) for each in ahead.values()]
     found = of_one_stretch(run, moved)[:, -len(moved) :]
     pairs = [(state, ahead[name], state, behind[name]) for name in ahead]
     expected = by_differences(run, pairs, run.observed)
@@ -141,7 +142,7 @@ def test_initial_state(arm: str) -> None:
 def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     chain, recording, state = hub()
     run = run_of(chain, recording, state)
-    moved = [Moved(each, STEP) for each in changed(chain, STEP).values()]
+    moved = [Moved(Arm(each), STEP) for each in changed(chain, STEP).values()]
     whole = run.triangle(moved)
     monkeypatch.setattr("vjm.simulate.sensitivity._NUMBERS_A_CHUNK", 2000)
     again = run_of(chain, recording, state)
@@ -211,7 +212,7 @@ def test_a_torque_s_moments_survive_its_steps() -> None:
     noise = np.random.default_rng(5).normal(0, 1, (1001, 1))
     recording = recording_of(chain, np.arange(1001) / 1000.0, lambda _: noise)
     rest = np.zeros((1, 2))
-    (wide,) = rollouts([chain], [recording], rest, rest, step=1e-2)
+    (wide,) = rollouts([Arm(chain)], [recording], rest, rest, step=1e-2)
     torque = PPoly.from_spline(make_interp_spline(recording.time, noise[:, 0], k=1))
     inertia = 0.02 + 0.44 / 3
     expected = torque.antiderivative(2)(wide.time) / inertia

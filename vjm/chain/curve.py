@@ -31,17 +31,29 @@ class CurveMap:
         arcs: (k,) arc lengths [m].
         heading: (k, n) d psi(arcs) / d phi.
         node_heading: (Q, n) the same at the quadrature nodes.
+        nodes: (Q,) arc lengths of the quadrature nodes [m].
         weights: (k, Q) quadrature weights from the proximal end to each arc length [m].
     """
 
     arcs: Array
     heading: Array
     node_heading: Array
+    nodes: Array
     weights: Array
 
-    def positions(self, phi: ArrayLike) -> Array:
-        """(..., k, 2) positions in the link frame [m] for phi (..., n) [rad]."""
+    def positions(self, phi: ArrayLike, turn: ArrayLike = 0.0, rest_curvature: float = 0.0) -> Array:
+        """Positions in the link frame.
+
+        Args:
+            phi: (..., n) virtual joints' angles [rad].
+            turn: (...) of the root in that frame [rad].
+            rest_curvature: of the unloaded link [1/m].
+
+        Returns:
+            (..., k, 2) [m].
+        """
         psi = np.asarray(phi, dtype=float) @ self.node_heading.T
+        psi += rest_curvature * self.nodes + np.asarray(turn, dtype=float)[..., None]
         return np.stack([np.cos(psi) @ self.weights.T, np.sin(psi) @ self.weights.T], axis=-1)
 
     def jacobian(self, phi: ArrayLike) -> Array:
@@ -93,6 +105,7 @@ def _curve_map(
         arcs=ends,
         heading=spline(ends) - offset,
         node_heading=spline(nodes) - offset,
+        nodes=nodes,
         weights=np.where(nodes < ends[:, None], weights, 0.0),
     )
 
@@ -112,14 +125,20 @@ def link_poses(chain: Chain, q: ArrayLike) -> tuple[Array, Array]:
     origins, headings = [], []
     for link, part in zip(chain.links, chain.passive_slices, strict=True):
         if link.joint == "revolute":
-            heading = heading + angles[..., part.start - 1]
+            heading = heading + angles[..., part.stop - link.coordinates]
         origins.append(origin)
         headings.append(heading)
         tip = curve_map(link, [link.length])
-        phi = angles[..., part]
-        origin = origin + rotate(tip.positions(phi)[..., 0, :], heading)
-        heading = heading + phi @ tip.heading[0]
+        phi, turn = angles[..., part], _turn(chain, angles, part)
+        origin = origin + rotate(tip.positions(phi, turn, link.rest_curvature)[..., 0, :], heading)
+        heading = heading + turn + phi @ tip.heading[0] + link.rest_curvature * link.length
     return np.stack(origins, axis=-2), np.stack(headings, axis=-1)
+
+
+def _turn(chain: Chain, angles: Array, part: slice) -> Array:
+    """(...) angle of the root joint before the virtual joints `part`; zero where there is none [rad]."""
+    root = part.start - 1
+    return angles[..., root] if root in chain.roots else np.zeros(angles.shape[:-1])
 
 
 def rotate(vectors: Array, angle: Array) -> Array:
@@ -145,8 +164,21 @@ def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_lin
     origins, headings = link_poses(chain, angles)
     parts = []
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
-        local = curve_map(link, arcs[i]).positions(angles[..., part])
+        turn = _turn(chain, angles, part)
+        local = curve_map(link, arcs[i]).positions(angles[..., part], turn, link.rest_curvature)
         if not in_link_frame[i]:
             local = origins[..., i, None, :] + rotate(local, headings[..., i, None])
         parts.append(local)
     return np.concatenate(parts, axis=-2)
+
+
+def marker_headings(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_link_frame: tuple[bool, ...]) -> Array:
+    """(..., k) headings of the curve at the markers [rad]; arguments as of `marker_positions`."""
+    angles = np.asarray(q, dtype=float)
+    _, headings = link_poses(chain, angles)
+    parts = []
+    for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
+        local = _turn(chain, angles, part)[..., None] + angles[..., part] @ curve_map(link, arcs[i]).heading.T
+        local = local + link.rest_curvature * arcs[i]
+        parts.append(local if in_link_frame[i] else headings[..., i, None] + local)
+    return np.concatenate(parts, axis=-1)

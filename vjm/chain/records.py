@@ -34,6 +34,12 @@ class LinkChain:
         hub_inertia: about the active joint's axis [kg m^2].
         payload: point mass at the distal end [kg].
         distal: `free`, the distal end carries no moment, or `joined`, another link is driven from there.
+        joint_stiffness, joint_damping: of the active joint, back to zero [N m/rad] and viscous [N m s/rad].
+        root_stiffness: of a passive joint between the hub, or the ground, and virtual link 0 [N m/rad]; None: there is
+            no such joint.
+        root_damping: of that joint [N m s/rad].
+        root_inertia: of what turns with virtual link 0 beyond that joint, about its axis [kg m^2].
+        rest_curvature: of the unloaded link, an arc [1/m]; the virtual joints' angles are measured from there.
         width: parallel to the joint axes [m], for pictures; None where unknown.
         thickness: in the bending plane [m], for pictures; None where unknown.
 
@@ -53,6 +59,12 @@ class LinkChain:
     hub_inertia: float = 0.0
     payload: float = 0.0
     distal: Distal = "free"
+    joint_stiffness: float = 0.0
+    joint_damping: float = 0.0
+    root_stiffness: float | None = None
+    root_damping: float = 0.0
+    root_inertia: float = 0.0
+    rest_curvature: float = 0.0
     width: float | None = None
     thickness: float | None = None
 
@@ -67,6 +79,10 @@ class LinkChain:
             if not np.isfinite(values).all() or (values < 0).any():
                 raise ShapeError(f"{self.name}.{field}", values.tolist(), "finite values, none negative")
             object.__setattr__(self, field, values)
+        for field in _NOT_NEGATIVE:
+            value = getattr(self, field)
+            if value is not None and not 0 <= value < np.inf:
+                raise ShapeError(f"{self.name}.{field}", value, "zero or a positive number")
         for field in ("lengths", "cells"):
             if (getattr(self, field) <= 0).any():
                 raise ShapeError(f"{self.name}.{field}", getattr(self, field).tolist(), "positive lengths")
@@ -75,6 +91,11 @@ class LinkChain:
     def virtual_joints(self) -> int:
         """Number n of virtual joints."""
         return int(self.stiffness.size)
+
+    @property
+    def coordinates(self) -> int:
+        """Number of joints: active, root and virtual."""
+        return self.virtual_joints + (self.joint == "revolute") + (self.root_stiffness is not None)
 
     @property
     def length(self) -> float:
@@ -87,6 +108,7 @@ class LinkChain:
         return np.cumsum(self.lengths)[:-1]
 
 
+_NOT_NEGATIVE = ("joint_stiffness", "joint_damping", "root_stiffness", "root_damping", "root_inertia")
 _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffness": 0, "damping": 0, "cells": 0}
 
 
@@ -94,8 +116,8 @@ _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffnes
 class Chain:
     """A whole arm of flexible links as virtual-joint chains.
 
-    Coordinates q run from the base outwards: for each link its active angle theta (revolute links only),
-    then its virtual joints' angles phi.
+    Coordinates q run from the base outwards: for each link its active angle theta (revolute links only), the angle of
+    its root joint (where there is one), then its virtual joints' angles phi.
 
     Attributes:
         name: of the arm.
@@ -110,57 +132,63 @@ class Chain:
     @property
     def size(self) -> int:
         """Number of coordinates nv."""
-        return sum(link.virtual_joints + (link.joint == "revolute") for link in self.links)
+        return sum(link.coordinates for link in self.links)
 
     @property
     def passive_slices(self) -> tuple[slice, ...]:
         """For each link, the coordinates that are its virtual joints' angles."""
-        slices, start = [], 0
-        for link in self.links:
-            start += link.joint == "revolute"
-            slices.append(slice(start, start + link.virtual_joints))
-            start += link.virtual_joints
-        return tuple(slices)
+        stops = np.cumsum([link.coordinates for link in self.links]).tolist()
+        return tuple(slice(stop - link.virtual_joints, stop) for stop, link in zip(stops, self.links, strict=True))
 
     @property
     def active(self) -> NDArray[np.intp]:
         """Coordinates that are active joint angles."""
-        passive = self.passive_slices
+        stops = np.cumsum([link.coordinates for link in self.links])
         return np.array(
-            [part.start - 1 for part, link in zip(passive, self.links, strict=True) if link.joint == "revolute"],
+            [stop - link.coordinates for stop, link in zip(stops, self.links, strict=True) if link.joint == "revolute"],
             dtype=np.intp,
         )
 
     @property
+    def roots(self) -> NDArray[np.intp]:
+        """Coordinates that are root joints' angles."""
+        parts = zip(self.passive_slices, self.links, strict=True)
+        return np.array([part.start - 1 for part, link in parts if link.root_stiffness is not None], dtype=np.intp)
+
+    @property
     def passive(self) -> NDArray[np.intp]:
-        """Coordinates that are virtual joints' angles."""
+        """Coordinates that no motor drives."""
         return np.setdiff1d(np.arange(self.size), self.active)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Name of each coordinate's joint: `LINK_joint` if active, `LINK_virtual_J` (J from 1) if virtual."""
+        """Name of each coordinate's joint: `LINK_joint` if active, `LINK_root`, `LINK_virtual_J` (J from 1)."""
         names: list[str] = []
         for link in self.links:
             if link.joint == "revolute":
                 names.append(f"{link.name}_joint")
+            if link.root_stiffness is not None:
+                names.append(f"{link.name}_root")
             names.extend(f"{link.name}_virtual_{j}" for j in range(1, link.virtual_joints + 1))
         return tuple(names)
 
     @property
     def stiffness(self) -> Array:
-        """(nv,) joint stiffness, zero at active joints [N m/rad]."""
+        """(nv,) joint stiffness [N m/rad]."""
         return self._spread("stiffness")
 
     @property
     def damping(self) -> Array:
-        """(nv,) joint damping, zero at active joints [N m s/rad]."""
+        """(nv,) joint damping [N m s/rad]."""
         return self._spread("damping")
 
     def _spread(self, field: str) -> Array:
-        values = np.zeros(self.size)
-        for part, link in zip(self.passive_slices, self.links, strict=True):
-            values[part] = getattr(link, field)
-        return values
+        values: list[Array] = []
+        for link in self.links:
+            own = [getattr(link, f"joint_{field}")] if link.joint == "revolute" else []
+            own += [] if link.root_stiffness is None else [getattr(link, f"root_{field}")]
+            values += [np.array(own), getattr(link, field)]
+        return np.concatenate(values)
 
 
 def frozen(values: ArrayLike) -> Array:

@@ -102,8 +102,8 @@ def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, t
     if not any(white.coloured for white in whiteness):
         return Information(normal, plain), whiteness
     sandwich = np.zeros((count, count))
-    for run, triangle in zip(point.runs, point.triangles, strict=True):
-        scores = _by_frame(run, run.scores(moved, triangle))
+    for run, triangle, own in zip(point.runs, point.triangles, moved, strict=True):
+        scores = _by_frame(run, run.scores(own, triangle))
         sandwich += _long_run(scores, min(reach_of(scores), len(scores) - 1))
     return Information(normal, _larger(sandwich, plain, normal)), whiteness
 

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from vjm.chain.layout import Layout, free_layout
 from vjm.chain.records import Chain, LinkChain
 from vjm.errors import ChoiceError
+from vjm.experiment.records import Recording
+from vjm.simulate.arm import Arm
 
 Array = NDArray[np.float64]
 PARAMETRISATIONS = ("uniform", "joints", "lengths", "full")
@@ -146,6 +148,10 @@ class Parametrisation:
         for i, link in enumerate(self.template.links):
             links.append(self._link(i, link, x))
         return replace(self.template, links=tuple(links))
+
+    def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
+        """What moves in each of the recordings, at coordinates x (p,)."""
+        return (Arm(self.chain(x)),) * len(recordings)
 
     def _values(self, i: int, group: str, x: Array) -> tuple[list[int], Array]:
         rows = [k for k, c in enumerate(self.coordinates) if c.link == i and c.group == group]

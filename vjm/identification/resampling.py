@@ -158,7 +158,7 @@ def _refit(point: Point, kind: str, seed: np.random.SeedSequence) -> tuple[Array
 def _remade(run: Run, errors: Array) -> Observed:
     """The recording as the run would have made it, with weighted errors (N,)."""
     seen = run.observed
-    return replace(seen, values=seen.predicted(run.chain, run.path[0]) + errors / seen.weights)
+    return replace(seen, values=seen.predicted(run.arm, run.steps) + errors / seen.weights)
 
 
 def _noise(run: Run, rng: np.random.Generator) -> Array:

@@ -112,7 +112,7 @@ def _search(
     problem: TrajectoryProblem, x: Array, states: Sequence[Array] | None, tell: _Progress, final: bool
 ) -> TrajectoryFit:
     if states is None:
-        found = most_likely(problem.parametrisation.chain(x), problem.observed, coarse=problem.coarse)
+        found = most_likely(problem.arms(x), problem.observed, coarse=problem.coarse)
         point = Point(problem, x, tuple(run for run, _ in found))
     else:
         point = _point(problem, x, states)
@@ -139,11 +139,11 @@ def _search(
 def _point(
     problem: TrajectoryProblem, x: Array, states: Sequence[Array], spreads: Sequence[float] | None = None
 ) -> Point:
-    chain = problem.parametrisation.chain(x)
-    starts = [Start.of(chain, each.recording) for each in problem.observed]
+    arms = problem.arms(x)
+    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
     if spreads is not None:
         starts = [replace(start, spread=spread) for start, spread in zip(starts, spreads, strict=True)]
-    runs = run_all(chain, problem.observed, starts, states, problem.coarse)
+    runs = run_all(arms, problem.observed, starts, states, problem.coarse)
     return Point(problem, x, tuple(runs))
 
 

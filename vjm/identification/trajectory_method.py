@@ -21,9 +21,10 @@ from vjm.identification.torque_method import START_DAMPING, driven_hubs, fit_uni
 from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
 from vjm.identification.trajectory_problem import TrajectoryProblem
 from vjm.identification.trajectory_start import from_afar
+from vjm.simulate.arm import Arm
 from vjm.simulate.drive import measured_torque
 from vjm.simulate.loss import LOSSES
-from vjm.simulate.observation import Observed
+from vjm.simulate.observation import Observed, view
 from vjm.simulate.run import Start, run_all, transferred
 
 Array = NDArray[np.float64]
@@ -115,7 +116,7 @@ def _without_outliers(rig: Rig, fit: TrajectoryFit) -> tuple[Observed, ...]:
     found = []
     for run in fit.point.runs:
         seen = run.observed
-        markers = seen.arcs.markers(run.chain, run.path[0])
+        markers = view(run.arm, seen.arcs, run.steps, seen.recording.time)
         recording, count = without_outliers(seen.recording, markers, seen.noise[0])
         found.append(Observed.of(rig, recording, seen.noise, seen.loss) if count else seen)
     return tuple(found)
@@ -259,10 +260,11 @@ def _coarsest(chain: Chain, observed: Sequence[Observed], states: Sequence[Array
         states: (2 nv,) initial states, about as they will be.
         excess: mean square of the weighted residuals.
     """
-    starts = [Start.of(chain, each.recording) for each in observed]
-    exact = run_all(chain, observed, starts, states, 1.0)
+    arms = [Arm(chain)] * len(observed)
+    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
+    exact = run_all(arms, observed, starts, states, 1.0)
     for coarse in _COARSE:
-        runs = run_all(chain, observed, starts, states, coarse)
+        runs = run_all(arms, observed, starts, states, coarse)
         error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
         if error < _UNSEEN * max(excess, 1.0):
             return coarse

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
 from vjm.identification.parametrisation import Parametrisation
+from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run
 from vjm.simulate.sensitivity import Moved
@@ -60,8 +61,12 @@ class TrajectoryProblem:
         parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]
         return replace(self, observed=tuple(parts))
 
-    def moved(self, x: Array) -> tuple[Moved, ...]:
-        """The chain with each coordinate moved a little."""
+    def arms(self, x: Array) -> tuple[Arm, ...]:
+        """What moves in each recording."""
+        return self.parametrisation.arms(x, [each.recording for each in self.observed])
+
+    def moved(self, x: Array) -> tuple[tuple[Moved, ...], ...]:
+        """For each recording, its arm with each coordinate moved a little."""
         found = []
         upper = self.parametrisation.bounds[1]
         for k, value in enumerate(x):
@@ -69,8 +74,8 @@ class TrajectoryProblem:
             by = by if value + by <= upper[k] else -by
             point = x.copy()
             point[k] += by
-            found.append(Moved(self.parametrisation.chain(point), by))
-        return tuple(found)
+            found.append([Moved(arm, by) for arm in self.arms(point)])
+        return tuple(zip(*found, strict=True))
 
     def preferred(self, x: Array) -> tuple[Array, Array]:
         """Rows (r, p) and what they want (r,) of a preference and of a parameter held, for a change of x."""
@@ -139,7 +144,7 @@ class Point:
     def triangles(self) -> tuple[Triangle, ...]:
         """Each recording's linearised problem: its initial state first, then the coordinates."""
         moved = self.problem.moved(self.x)
-        return tuple(run.triangle(moved) for run in self.runs)
+        return tuple(run.triangle(own) for run, own in zip(self.runs, moved, strict=True))
 
     def gathered(self, damping: float = 0.0) -> tuple[Triangle, tuple[Triangle, ...]]:
         """What recordings and preference together say of the coordinates, and each recording's own problem."""

@@ -12,6 +12,7 @@ from vjm.identification.trajectory_fit import Progress, TrajectoryFit, fit_traje
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.run import Start
+from vjm.simulate.steps import still
 
 Array = NDArray[np.float64]
 
@@ -57,11 +58,10 @@ def _first(problem: TrajectoryProblem, starts: Sequence[Array], progress: Progre
 
 def _motion(problem: TrajectoryProblem, x: Array) -> float:
     """RMS of what was measured about the arm's rest, in units of the noise."""
-    chain = problem.parametrisation.chain(x)
     squares = 0.0
-    for seen in problem.observed:
-        rest = Start.of(chain, seen.recording).rest[: chain.size]
-        residual = seen.residual(chain, np.broadcast_to(rest, (seen.recording.time.size, chain.size)))
+    for seen, arm in zip(problem.observed, problem.arms(x), strict=True):
+        rest = Start.of(arm, seen.recording).rest[: arm.chain.size]
+        residual = seen.residual(arm, still(seen.recording.time, rest))
         squares += float(residual @ residual)
     return float(np.sqrt(squares / sum(seen.count for seen in problem.observed)))
 
@@ -69,7 +69,7 @@ def _motion(problem: TrajectoryProblem, x: Array) -> float:
 def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
     """RMS weighted residual from the most likely initial states at coordinates x; infinite where nothing runs."""
     try:
-        found = most_likely(problem.parametrisation.chain(x), problem.observed)
+        found = most_likely(problem.arms(x), problem.observed)
     except SimulationDivergedError:
         return np.inf
     return Point(problem, x, tuple(run for run, _ in found)).misfit

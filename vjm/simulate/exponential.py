@@ -19,43 +19,57 @@ Indices = NDArray[np.intp]
 _ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 
 
-def exponential(system: System, q: Array, v: Array, drive: Drive) -> Steps:
+def exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Steps:
     """Fourth-order exponential time differencing (Cox and Matthews 2002, ETDRK4): the fast default.
 
     The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
     resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
-    at the nearest of a grid of its angles. Arguments, result and errors are those of `runge_kutta`.
+    at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
+    that this becomes where the linear part is zero. Arguments, result and errors are those of `runge_kutta`.
     """
     n, count = q.shape[1], len(drive.start)
     linear = _LinearPart(system, drive.step)
     weights = linear.at(q)
     multiply = _multiply_shared if len(weights.state) == 1 else _multiply_each
-    record = Recorder(drive, q)
+    record = Recorder(drive, q, z)
     # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
     missing = drive.ends[:-1] - drive.start
     spread = [_spread(system, torques) for torques in (drive.start, drive.middle, drive.end)]
-    advance, size = system.free_acceleration, 2 * n
+    size, step = 2 * n, drive.step
+
+    def respond(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
+        if not system.acting:
+            return system.free_acceleration(x, springs + torque), z
+        force, rates = system.pushed(k * step, x[:, :n], x[:, n:], z)
+        return system.free_acceleration(x, springs + torque + force), rates
+
     x = np.concatenate([q, v], axis=1)
     for k in range(count):
         if linear.varies:
             weights = linear.at(x)
         p = multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
-        a = advance(x, p[:, :n] + spread[0][k])
-        record.put(k, x[:, :n], x[:, n:], a + multiply(missing[k], weights.answer))
+        a, z1 = respond(k, x, z, p[:, :n], spread[0][k])
+        record.put(k, x[:, :n], x[:, n:], a + multiply(missing[k], weights.answer), z)
         drift, result = p[:, size : 2 * size], p[:, 2 * size :]
         p = multiply(a - p[:, n:size], weights.first)
         first, result = p[:, :size], result + p[:, size:]
         x2 = drift + first
         p = multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
         later = p[:, size:] - first
-        p = multiply(advance(x2, p[:, :n] + spread[1][k]) - p[:, n:size], weights.middle)
+        a, z2 = respond(k + 0.5, x2, z + step / 2 * z1, p[:, :n], spread[1][k])
+        p = multiply(a - p[:, n:size], weights.middle)
         x3, result = drift + p[:, :size], result + p[:, size:]
         p = multiply(x3, weights.rate)
-        p = multiply(advance(x3, p[:, :n] + spread[1][k]) - p[:, n:], weights.middle)
+        a, z3 = respond(k + 0.5, x3, z + step / 2 * z2, p[:, :n], spread[1][k])
+        p = multiply(a - p[:, n:], weights.middle)
         x4, result = later + 2 * p[:, :size], result + p[:, size:]
         p = multiply(x4, weights.rate)
-        x = result + multiply(advance(x4, p[:, :n] + spread[2][k]) - p[:, n:], weights.end)
-    return record.finish(x[:, :n], x[:, n:], system.acceleration(x[:, :n], x[:, n:], drive.ends[-1]))
+        a, z4 = respond(k + 1, x4, z + step * z3, p[:, :n], spread[2][k])
+        x = result + multiply(a - p[:, n:], weights.end)
+        z = z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4)
+    q, v = x[:, :n], x[:, n:]
+    force, _ = system.pushed(count * step, q, v, z)
+    return record.finish(q, v, system.acceleration(q, v, drive.ends[-1], force), z)
 
 
 def _multiply_shared(states: Array, matrices: Array) -> Array:

@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.records import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
+from vjm.simulate.arm import Arm
 from vjm.simulate.damping import Damping
 from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import Simulation
+from vjm.simulate.rollout import Simulation, simulation
 from vjm.simulate.run import Run, Start, run_all
 from vjm.simulate.triangle import Triangle
 
@@ -47,7 +47,7 @@ class Replay:
 
 
 def replays(
-    chain: Chain,
+    arms: Sequence[Arm],
     rig: Rig,
     recordings: Sequence[Recording],
     marker_noise: float,
@@ -58,7 +58,7 @@ def replays(
     """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
 
     Args:
-        chain: the arm.
+        arms: one a recording.
         rig: says where the markers are.
         recordings: what was measured, and the torques.
         marker_noise: 1-sigma [m].
@@ -71,12 +71,12 @@ def replays(
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
     observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
-    return [report(run, converged) for run, converged in most_likely(chain, observed, states, coarse)]
+    return [report(run, converged) for run, converged in most_likely(arms, observed, states, coarse)]
 
 
-def replay(chain: Chain, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
+def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
     """The same of a single recording."""
-    return replays(chain, rig, [recording], marker_noise, encoder_noise)[0]
+    return replays([arm], rig, [recording], marker_noise, encoder_noise)[0]
 
 
 class _Search:
@@ -108,55 +108,54 @@ class _Search:
 
 
 def most_likely(
-    chain: Chain, observed: Sequence[Observed], states: Sequence[Array | None] | None = None, coarse: float = 1.0
+    arms: Sequence[Arm], observed: Sequence[Observed], states: Sequence[Array | None] | None = None, coarse: float = 1.0
 ) -> list[tuple[Run, bool]]:
     """Each recording's run from its most likely initial state, and whether the search for it converged.
 
     Args:
-        chain: the arm.
+        arms: one a recording.
         observed: the recordings.
         states: (2 nv,) where to start; None: at rest.
         coarse: multiple of the default step.
     """
-    starts = [Start.of(chain, each.recording) for each in observed]
+    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     given = [None] * len(starts) if states is None else states
     first = [start.rest if state is None else state for start, state in zip(starts, given, strict=True)]
-    runs = run_all(chain, observed, starts, first, coarse)
+    runs = run_all(arms, observed, starts, first, coarse)
     searches = [_Search(run.weighed()) for run in runs]
     for _ in range(_MOST_ITERATIONS):
         proposals = [(search, search.proposal()) for search in searches if not search.converged]
         pending = [(search, state) for search, state in proposals if state is not None]
         if not pending:
             break
-        for (search, _), trial in zip(pending, _attempts(chain, pending, coarse), strict=True):
+        for (search, _), trial in zip(pending, _attempts(pending, coarse), strict=True):
             search.judge(trial)
     return [(search.run, search.converged) for search in searches]
 
 
-def _attempts(chain: Chain, pending: Sequence[tuple[_Search, Array]], coarse: float) -> list[Run | None]:
+def _attempts(pending: Sequence[tuple[_Search, Array]], coarse: float) -> list[Run | None]:
     """Runs from the proposed states; None where one diverges."""
+    arms = [search.run.arm for search, _ in pending]
     observed = [search.run.observed for search, _ in pending]
     starts = [search.run.start for search, _ in pending]
     try:
-        return [*run_all(chain, observed, starts, [state for _, state in pending], coarse)]
+        return [*run_all(arms, observed, starts, [state for _, state in pending], coarse)]
     except SimulationDivergedError:
         if len(pending) == 1:
             return [None]
-        return [_attempts(chain, [each], coarse)[0] for each in pending]
+        return [_attempts([each], coarse)[0] for each in pending]
 
 
 def report(run: Run, converged: bool) -> Replay:
     """A run as its user sees it."""
-    recording, chain = run.observed.recording, run.chain
-    q, v = run.path
-    simulation = Simulation(recording.time, q, v, q[:, chain.active], run.observed.arcs.markers(chain, q))
-    split = run.observed.markers.size
-    off = run.observed.values - run.observed.predicted(chain, q)
+    seen = run.observed
+    split = seen.markers.size
+    off = run.residual / seen.weights
     markers, angles = off[:split], off[split:]
     return Replay(
-        simulation=simulation,
+        simulation=simulation(run.arm, seen.arcs, seen.recording, run.steps),
         chi2=run.chi2,
-        count=run.observed.count,
+        count=seen.count,
         marker_rms=float(np.sqrt(np.mean(markers**2))) if markers.size else float("nan"),
         theta_rms=float(np.sqrt(np.mean(angles**2))) if angles.size else None,
         status="converged" if converged else "not converged",

@@ -7,19 +7,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vjm import dynamics
-from vjm.chain.records import Chain
+from vjm.effects.effect import Motion
 from vjm.errors import SimulationDivergedError
+from vjm.simulate.arm import Arm
 from vjm.simulate.drive import Drive
 from vjm.simulate.steps import Steps
 
 Array = NDArray[np.float64]
 
 _LARGEST_ANGLE = 1e3  # rad; beyond it a trajectory has diverged
+
+
+class Acting(NamedTuple):
+    """Effects on some of the copies.
+
+    Attributes:
+        copies: their numbers.
+        force: generalised forces; None: none.
+        rates: of change of the internal states; None: there are none.
+    """
+
+    copies: NDArray[np.intp]
+    force: Motion | None
+    rates: Motion | None
 
 
 @dataclass(frozen=True)
@@ -30,32 +46,51 @@ class System:
         mechanism: the copies as branches of one model.
         stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
         active: coordinates that torques drive.
+        acting: what acts on the copies beyond springs, dampers and torques.
+        states: number nz of each copy's internal states.
     """
 
     mechanism: dynamics.Mechanism
     stiffness: Array
     damping: Array
     active: NDArray[np.intp]
+    acting: tuple[Acting, ...] = ()
+    states: int = 0
 
     @classmethod
-    def of(cls, chains: Sequence[Chain], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
-        """The system of several chains with the same coordinates, each with its own payload [kg] on the tip.
+    def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
+        """The system of several arms with the same coordinates, each with its own payload [kg] on the tip.
 
         Args:
-            chains: one a copy.
+            arms: one a copy.
             payloads: one a copy [kg].
             gravity: in the plane, for all [m/s^2].
         """
+        chains = [arm.chain for arm in arms]
         return cls(
             dynamics.build(chains, payloads, gravity),
             np.stack([chain.stiffness for chain in chains]),
             np.stack([chain.damping for chain in chains]),
             chains[0].active,
+            _acting(arms, payloads),
+            sum(arms[0].states),
         )
 
-    def acceleration(self, q: Array, v: Array, torque: Array) -> Array:
-        """(C, nv) accelerations at q, v (C, nv) under torques (C, n_a) of the active joints [N m]."""
-        total = -self.stiffness * q - self.damping * v
+    def pushed(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
+        """Forces of the effects (C, nv) [N m] and rates of their internal states (C, nz), since the start [s]."""
+        force, rates = np.zeros(q.shape), np.zeros(z.shape)
+        for copies, push, change in self.acting:
+            rows = slice(None) if len(copies) == len(q) else copies
+            at = np.full(len(copies), time)
+            if push is not None:
+                force[rows] = push(at, q[rows], v[rows], z[rows])
+            if change is not None:
+                rates[rows] = change(at, q[rows], v[rows], z[rows])
+        return force, rates
+
+    def acceleration(self, q: Array, v: Array, torque: Array, force: Array) -> Array:
+        """(C, nv) accelerations at q, v (C, nv) under active joints' torques (C, n_a) and forces (C, nv) [N m]."""
+        total = force - self.stiffness * q - self.damping * v
         total[:, self.active] += torque
         flat = dynamics.forward_dynamics(self.mechanism, q.ravel(), v.ravel(), total.ravel())
         return flat.reshape(q.shape)
@@ -67,12 +102,25 @@ class System:
         return flat.reshape(torque.shape)
 
 
-def runge_kutta(system: System, q: Array, v: Array, drive: Drive) -> Steps:
+def _acting(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[Acting, ...]:
+    """What acts on the copies; those with the same effects and payload together."""
+    groups: dict[tuple[int, float], list[int]] = {}
+    for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
+        groups.setdefault((id(arm), payload), []).append(k)
+    found = [
+        Acting(np.array(copies), arms[copies[0]].forces(payload), arms[copies[0]].rates)
+        for (_, payload), copies in groups.items()
+    ]
+    return tuple(each for each in found if each.force is not None or each.rates is not None)
+
+
+def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Steps:
     """Classical fourth-order Runge-Kutta with fixed steps: the reference (section 6.4 takes 100 us).
 
     Args:
         system: the copies.
         q, v: (C, nv) initial angles [rad] and rates [rad/s].
+        z: (C, nz) initial internal states.
         drive: the torques over the steps.
 
     Returns:
@@ -82,40 +130,46 @@ def runge_kutta(system: System, q: Array, v: Array, drive: Drive) -> Steps:
         SimulationDivergedError: the trajectory left the finite numbers.
     """
     step, count = drive.step, len(drive.start)
-    record = Recorder(drive, q)
+    record = Recorder(drive, q, z)
     half = step / 2
+
+    def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
+        force, rates = system.pushed(time, q, v, z)
+        return system.acceleration(q, v, torque, force), rates
+
     for k in range(count):
-        now, middle, end = drive.start[k], drive.middle[k], drive.end[k]
-        a1 = system.acceleration(q, v, now)
-        record.put(k, q, v, a1)
+        time, middle = k * step, drive.middle[k]
+        a1, z1 = slopes(time, q, v, z, drive.start[k])
+        record.put(k, q, v, a1, z)
         v2 = v + half * a1
-        a2 = system.acceleration(q + half * v, v2, middle)
+        a2, z2 = slopes(time + half, q + half * v, v2, z + half * z1, middle)
         v3 = v + half * a2
-        a3 = system.acceleration(q + half * v2, v3, middle)
+        a3, z3 = slopes(time + half, q + half * v2, v3, z + half * z2, middle)
         v4 = v + step * a3
-        a4 = system.acceleration(q + step * v3, v4, end)
+        a4, z4 = slopes(time + step, q + step * v3, v4, z + step * z3, drive.end[k])
         q = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-    return record.finish(q, v, system.acceleration(q, v, drive.ends[-1]))
+        z = z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4)
+    return record.finish(q, v, slopes(count * step, q, v, z, drive.ends[-1])[0], z)
 
 
 class Recorder:
     """Keeps the steps and notices divergence."""
 
-    def __init__(self, drive: Drive, q: Array) -> None:
+    def __init__(self, drive: Drive, q: Array, z: Array) -> None:
         self.drive = drive
-        self.q, self.v, self.a = (np.empty((len(drive.ends), *q.shape)) for _ in range(3))
+        self.q, self.v, self.a, self.z = (np.empty((len(drive.ends), *like.shape)) for like in (q, q, q, z))
 
-    def put(self, k: int, q: Array, v: Array, a: Array) -> None:
+    def put(self, k: int, q: Array, v: Array, a: Array, z: Array) -> None:
         """Keep what the copies do at step k."""
-        self.q[k], self.v[k], self.a[k] = q, v, a
+        self.q[k], self.v[k], self.a[k], self.z[k] = q, v, a, z
         if not np.abs(q).max() < _LARGEST_ANGLE:
             copy = int(np.argmin((np.abs(q) < _LARGEST_ANGLE).all(axis=1)))
             time = float(self.drive.first[copy]) + self.drive.step * max(k - 1, 0)
             remedy = "take smaller steps, or check the model's masses, stiffness and torque"
             raise SimulationDivergedError(time, self.drive.step, remedy)
 
-    def finish(self, q: Array, v: Array, a: Array) -> Steps:
+    def finish(self, q: Array, v: Array, a: Array, z: Array) -> Steps:
         """Keep the last instant; the whole trajectory, from time zero."""
-        self.put(len(self.q) - 1, q, v, a)
-        return Steps(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a)
+        self.put(len(self.q) - 1, q, v, a, z)
+        return Steps(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a, self.z)

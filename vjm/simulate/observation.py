@@ -8,10 +8,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.curve import marker_positions
+from vjm.chain.curve import marker_headings, marker_positions
 from vjm.chain.records import Chain
 from vjm.experiment.records import Recording, Rig
+from vjm.simulate.arm import Arm
 from vjm.simulate.loss import LINEAR, Loss
+from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -43,11 +45,46 @@ class Arcs:
         """(..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
         return marker_positions(chain, q, self.lengths, self.in_link_frame)
 
-    def slope(self, chain: Chain, q: Array, directions: Array) -> Array:
-        """(F, 2 k, m) derivatives of the marker coordinates along directions (nv, m) of the angles, at q (F, nv)."""
-        base = self.markers(chain, q).reshape(len(q), -1)
-        moved = [self.markers(chain, q + _PERTURBATION * each).reshape(len(q), -1) for each in directions.T]
-        return np.stack([(each - base) / _PERTURBATION for each in moved], axis=-1)
+    def shown(self, arm: Arm, q: Array) -> Array:
+        """(F, k, 2) what the camera shows of the markers [m] at angles (F, nv), or (k, F, nv) of each marker's own."""
+        if q.ndim == 3:
+            return np.stack([self.shown(arm, own)[:, marker] for marker, own in enumerate(q)], axis=1)
+        positions = self.markers(arm.chain, q)
+        if arm.sensors:
+            headings = marker_headings(arm.chain, q, self.lengths, self.in_link_frame)
+            for effect in arm.sensors:
+                positions = effect.shown(positions, headings)
+        return positions
+
+    def slope(self, arm: Arm, q: Array, directions: Array) -> Array:
+        """(F, 2 k, m) derivatives of `shown` along directions (nv, m) of the angles."""
+        base = self.shown(arm, q)
+        moved = [self.shown(arm, q + _PERTURBATION * each) for each in directions.T]
+        return np.stack([((each - base) / _PERTURBATION).reshape(len(base), -1) for each in moved], axis=-1)
+
+
+def instants(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
+    """When markers were where frames with time stamps (F,) show them, (F,) or, where markers differ, (k, F) [s]."""
+    found, start = time, steps.time[0]
+    if not arm.sensors:
+        return time
+    stamps, positions = time - start, arcs.markers(arm.chain, sampled(steps, time))
+    for effect in arm.sensors:
+        seen = effect.instants(stamps, positions)
+        late = seen.T - stamps  # (F,) or (k, F)
+        found = found + late
+    return found
+
+
+def view(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
+    """(F, k, 2) what frames with time stamps (F,) [s] show of a trajectory's markers [m]."""
+    return arcs.shown(arm, sampled(steps, instants(arm, arcs, steps, time)))
+
+
+def sampled(steps: Steps, time: Array) -> Array:
+    """Angles (..., nv) [rad] of a trajectory of one copy at instants (...) [s]."""
+    flat = sample(steps, time.ravel())[0][:, 0]
+    return flat.reshape(*time.shape, -1)
 
 
 @dataclass(frozen=True)
@@ -93,14 +130,21 @@ class Observed:
         """Number of measured values."""
         return int(self.values.size)
 
-    def predicted(self, chain: Chain, q: Array) -> Array:
-        """(N_m + N_t,) what a motion q (T, nv) at the recording's instants would have shown [m, rad]."""
-        markers = self.arcs.markers(chain, q[self.frames])
-        return np.concatenate([markers.ravel()[self.markers], q[:, chain.active].ravel()[self.angles]])
+    def predicted(self, arm: Arm, steps: Steps) -> Array:
+        """(N_m + N_t,) what a trajectory of one copy would have shown [m, rad]."""
+        markers = view(arm, self.arcs, steps, self.recording.time[self.frames])
+        return np.concatenate([markers.ravel()[self.markers], self.encoders(arm, steps)])
 
-    def residual(self, chain: Chain, q: Array) -> Array:
+    def encoders(self, arm: Arm, steps: Steps) -> Array:
+        """(N_t,) what the encoders would have shown [rad]."""
+        theta = sampled(steps, self.recording.time)[:, arm.chain.active]
+        for effect in arm.sensors:
+            theta = effect.encoder(theta)
+        return theta.ravel()[self.angles]
+
+    def residual(self, arm: Arm, steps: Steps) -> Array:
         """(N_m + N_t,) measured less predicted, weighted."""
-        return self.weights * (self.values - self.predicted(chain, q))
+        return self.weights * (self.values - self.predicted(arm, steps))
 
     @property
     def instants(self) -> Indices:

@@ -12,10 +12,11 @@ from vjm.chain.records import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.records import Recording, Rig
 from vjm.modes import linearise, modes_of
+from vjm.simulate.arm import Arm
 from vjm.simulate.drive import Drive
 from vjm.simulate.exponential import exponential
 from vjm.simulate.integrators import System, runge_kutta
-from vjm.simulate.observation import Arcs
+from vjm.simulate.observation import Arcs, view
 from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]
@@ -77,10 +78,10 @@ def locked_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float
 
 
 def rollouts(
-    chains: Sequence[Chain],
+    arms: Sequence[Arm],
     recordings: Sequence[Recording],
-    q: ArrayLike,
-    v: ArrayLike,
+    q: Sequence[Array],
+    v: Sequence[Array],
     integrator: str = "exponential",
     step: float | None = None,
     coarse: float = 1.0,
@@ -89,9 +90,9 @@ def rollouts(
     """Simulate several recordings, or several copies over one, all advanced together where they are alike.
 
     Args:
-        chains: C chains with the same coordinates, one a run.
+        arms: C arms, one a run.
         recordings: C recordings: each gives instants, torque, gravity and payload.
-        q, v: (C, nv) initial angles [rad] and rates [rad/s].
+        q, v: C initial angles (nv,) [rad] and rates (nv,) [rad/s].
         integrator: `exponential` or `rk4`.
         step: [s]; None: `default_step` or, for `rk4`, 100 us.
         coarse: multiple of the default step to take.
@@ -108,35 +109,42 @@ def rollouts(
     """
     if integrator not in INTEGRATORS:
         raise ChoiceError("integrator", integrator, INTEGRATORS)
-    angles, rates = np.asarray(q, dtype=float), np.asarray(v, dtype=float)
-    found: list[Steps | None] = [None] * len(chains)
-    for group in _alike(recordings):
-        first = recordings[group[0]]
-        h = min(_step_of(chains[group[0]], first, integrator, step, coarse), longest)
-        counts = [_count(chains[k], recordings[k], h) for k in group]
-        drive = Drive.of([recordings[k] for k in group], h, max(counts))
-        system = System.of([chains[k] for k in group], [recordings[k].payload for k in group], first.gravity)
-        steps = INTEGRATORS[integrator](system, angles[group], rates[group], drive)
+    driven = [arm.inputs(recording) for arm, recording in zip(arms, recordings, strict=True)]
+    found: list[Steps | None] = [None] * len(arms)
+    for group in _alike(arms, driven):
+        first, own = driven[group[0]], [arms[k] for k in group]
+        h = min(_step_of(own[0].chain, first, integrator, step, coarse), longest, *(arm.longest_step for arm in own))
+        counts = [_count(arms[k].chain, driven[k], h) for k in group]
+        drive = Drive.of([driven[k] for k in group], h, max(counts))
+        system = System.of(own, [driven[k].payload for k in group], first.gravity)
+        angles, rates = (np.stack([np.asarray(each[k], dtype=float) for k in group]) for each in (q, v))
+        states = np.stack([arm.rest(angle) for arm, angle in zip(own, angles, strict=True)])
+        steps = INTEGRATORS[integrator](system, angles, rates, states, drive)
         for c, (k, count) in enumerate(zip(group, counts, strict=True)):
             rows = slice(count + 1)
-            time = recordings[k].time[0] + steps.time[rows]
-            found[k] = Steps(time, *(values[rows, c : c + 1] for values in (steps.q, steps.v, steps.a)))
+            time = driven[k].time[0] + steps.time[rows]
+            found[k] = Steps(time, *(values[rows, c : c + 1] for values in (steps.q, steps.v, steps.a, steps.z)))
     return [each for each in found if each is not None]
 
 
-def _alike(recordings: Sequence[Recording]) -> list[list[int]]:
-    """Indices of recordings that can be advanced together: under the same gravity, and about equally long."""
+def _alike(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[int]]:
+    """Indices of runs that can be advanced together: as many unknowns, the same gravity, about equally long."""
     groups: list[list[int]] = []
     for k in np.argsort([_duration(recording) for recording in recordings], kind="stable").tolist():
         for group in groups:
             first = recordings[group[0]]
             short = _duration(recordings[k]) <= _ABOUT_EQUAL * _duration(first)
-            if short and recordings[k].gravity == first.gravity and len(group) < _MOST_TOGETHER:
+            same = recordings[k].gravity == first.gravity and _unknowns(arms[k]) == _unknowns(arms[group[0]])
+            if short and same and len(group) < _MOST_TOGETHER:
                 group.append(k)
                 break
         else:
             groups.append([k])
     return groups
+
+
+def _unknowns(arm: Arm) -> tuple[int, int]:
+    return arm.chain.size, sum(arm.states)
 
 
 def _duration(recording: Recording) -> float:
@@ -188,13 +196,14 @@ def rollout(
     Raises:
         ChoiceError, InsufficientDataError, SimulationDivergedError: as `rollouts`.
     """
-    runs = rollouts(chains, [recording] * len(chains), q, v, integrator, step)
+    arms = [Arm(chain) for chain in chains]
+    runs = rollouts(arms, [recording] * len(arms), [*np.atleast_2d(q)], [*np.atleast_2d(v)], integrator, step)
     angles, rates = zip(*(sample(run, recording.time) for run in runs), strict=True)
     return np.concatenate(angles, axis=1), np.concatenate(rates, axis=1)
 
 
 def simulate(
-    chain: Chain,
+    arm: Chain | Arm,
     rig: Rig,
     recording: Recording,
     q: ArrayLike,
@@ -205,7 +214,7 @@ def simulate(
     """Simulate one recording open loop from a given initial state.
 
     Args:
-        chain: the arm.
+        arm: a chain, or one with effects.
         rig: says where the markers are.
         recording: gives the instants, torque, gravity and payload.
         q, v: (nv,) initial angles [rad] and rates [rad/s].
@@ -215,6 +224,16 @@ def simulate(
     Raises:
         ChoiceError, InsufficientDataError, SimulationDivergedError: as `rollout`.
     """
-    angles, rates = rollout([chain], recording, np.atleast_2d(q), np.atleast_2d(v), integrator, step)
-    path = angles[:, 0]
-    return Simulation(recording.time, path, rates[:, 0], path[:, chain.active], Arcs.of(rig).markers(chain, path))
+    whole = arm if isinstance(arm, Arm) else Arm(arm)
+    steps = rollouts([whole], [recording], [np.asarray(q)], [np.asarray(v)], integrator, step)[0]
+    return simulation(whole, Arcs.of(rig), recording, steps)
+
+
+def simulation(arm: Arm, arcs: Arcs, recording: Recording, steps: Steps) -> Simulation:
+    """A trajectory at a recording's instants, as its sensors would show it."""
+    angles, rates = (each[:, 0] for each in sample(steps, recording.time))
+    markers = view(arm, arcs, steps, recording.time)
+    theta = angles[:, arm.chain.active]
+    for effect in arm.sensors:
+        theta = effect.encoder(theta)
+    return Simulation(recording.time, angles, rates, theta, markers)

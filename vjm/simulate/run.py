@@ -13,9 +13,11 @@ from vjm.chain.curve import curvature_spline
 from vjm.chain.records import Chain
 from vjm.experiment.records import Recording
 from vjm.modes import equilibrium, linearise
+from vjm.simulate.arm import Arm
+from vjm.simulate.jacobian import jacobian
 from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import half_interval, locked_frequencies, rollouts
-from vjm.simulate.sensitivity import Basis, Moved, first_angles, jacobian
+from vjm.simulate.sensitivity import Basis, Moved, first_angles
 from vjm.simulate.steps import Steps, sample
 from vjm.simulate.triangle import Triangle
 
@@ -45,8 +47,9 @@ class Start:
     spread: float = 1.0
 
     @classmethod
-    def of(cls, chain: Chain, recording: Recording) -> Start:
-        """Of a chain at a recording's beginning."""
+    def of(cls, arm: Arm, recording: Recording) -> Start:
+        """Of an arm at a recording's beginning."""
+        chain, recording = arm.chain, arm.inputs(recording)
         theta = first_angles(recording)
         q = equilibrium(chain, recording.payload, recording.gravity, theta)
         M, _, _, _ = linearise(chain, recording.payload, recording.gravity, theta)
@@ -67,16 +70,21 @@ class Run:
     Attributes:
         observed: the measurements.
         start: what was known of the initial state.
-        chain: what was simulated.
+        arm: what was simulated.
         state: (2 nv,) initial angles and rates.
         steps: the trajectory at the integrator's instants; one copy.
     """
 
     observed: Observed
     start: Start
-    chain: Chain
+    arm: Arm
     state: Array
     steps: Steps
+
+    @property
+    def chain(self) -> Chain:
+        """The arm's chain."""
+        return self.arm.chain
 
     @cached_property
     def path(self) -> tuple[Array, Array]:
@@ -87,7 +95,7 @@ class Run:
     @cached_property
     def residual(self) -> Array:
         """(N,) measured less simulated, weighted."""
-        return self.observed.residual(self.chain, self.path[0])
+        return self.observed.residual(self.arm, self.steps)
 
     @cached_property
     def chi2(self) -> float:
@@ -115,11 +123,12 @@ class Run:
     @cached_property
     def basis(self) -> Basis:
         """The m modes that its derivatives are told in."""
-        return Basis.of(self.chain, self.observed.recording, 2 * self.stride * self.steps.step)
+        driven = self.arm.inputs(self.observed.recording)
+        return Basis.of(self.chain, driven, 2 * self.stride * self.steps.step)
 
     def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
         """Derivatives (r, 2 slow + p) of the weighted predictions, and the residuals (r,), as far as they count."""
-        parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
+        parts = jacobian(self.observed, self.arm, self.basis, moved, self.steps, self.stride)
         kept = np.sqrt(self.observed.loss.slope(self.residual**2))
         for measured, part in parts:
             yield kept[measured, None] * part, kept[measured] * self.residual[measured]
@@ -145,7 +154,7 @@ class Run:
         followed = triangle.followed(states)
         instants = self.observed.instants
         found = np.zeros((self.observed.recording.time.size, len(moved)))
-        parts = jacobian(self.observed, self.chain, self.basis, moved, self.steps, self.stride)
+        parts = jacobian(self.observed, self.arm, self.basis, moved, self.steps, self.stride)
         for measured, part in parts:
             own = part[:, states:] - part[:, :states] @ followed
             np.add.at(found, instants[measured], own * self.residual[measured, None])
@@ -169,6 +178,8 @@ def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
     links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
     turn = np.zeros((wanted.size, given.size))
     turn[wanted.active, given.active] = 1.0
+    if given.roots.size == wanted.roots.size:
+        turn[wanted.roots, given.roots] = 1.0
     for one, two, here, there in links:
         curvature = curvature_spline(one.joint_arcs, one.cells, one.length, one.distal)(two.joint_arcs)
         turn[there, here] = two.cells[:, None] * curvature
@@ -177,7 +188,7 @@ def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
 
 
 def run_all(
-    chain: Chain,
+    arms: Sequence[Arm],
     observed: Sequence[Observed],
     starts: Sequence[Start],
     states: Sequence[Array],
@@ -186,7 +197,7 @@ def run_all(
     """Simulate several recordings together.
 
     Args:
-        chain: the arm.
+        arms: one a recording.
         observed, starts: the recordings.
         states: (2 nv,) initial states.
         coarse: multiple of the default step.
@@ -195,9 +206,10 @@ def run_all(
         SimulationDivergedError: one of them diverged.
     """
     recordings = [each.recording for each in observed]
-    q, v = np.hsplit(np.stack(states), 2)
-    steps = rollouts([chain] * len(q), recordings, q, v, coarse=coarse, longest=_longest_step(chain, recordings))
+    q, v = zip(*(np.split(state, 2) for state in states), strict=True)
+    longest = _longest_step(arms[0].chain, recordings)
+    steps = rollouts(arms, recordings, q, v, coarse=coarse, longest=longest)
     return [
-        Run(seen, start, chain, state, path)
-        for seen, start, state, path in zip(observed, starts, states, steps, strict=True)
+        Run(seen, start, arm, state, path)
+        for seen, start, arm, state, path in zip(observed, starts, arms, states, steps, strict=True)
     ]

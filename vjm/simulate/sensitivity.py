@@ -8,7 +8,7 @@ come from a few batched calls of RNEA, so all derivatives together cost about as
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,14 +19,15 @@ from vjm import dynamics
 from vjm.chain.records import Chain
 from vjm.experiment.records import Recording
 from vjm.modes import linearise
-from vjm.simulate.observation import Observed
+from vjm.simulate.arm import Arm
+from vjm.simulate.drive import measured_torque
 from vjm.simulate.phi import phi_functions, rate_scale
-from vjm.simulate.steps import Steps, sample
+from vjm.simulate.steps import Steps
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _RIGID = ("lengths", "masses", "mass_centers", "inertias")
+_RIGID_NUMBERS = ("hub_inertia", "root_inertia", "payload", "rest_curvature")
 _ANGLE = 1e-6  # rad, perturbation
 _RATE = 1e-5  # rad/s
 _NUMBERS_A_CHUNK = 400_000  # of coefficients held at once
@@ -35,14 +36,14 @@ _MOST_MODES = 16
 
 
 class Moved(NamedTuple):
-    """The chain with one parameter moved.
+    """The arm with one parameter moved.
 
     Attributes:
-        chain: with the same coordinates.
+        arm: with the same coordinates.
         by: how far the parameter was moved, in its unit.
     """
 
-    chain: Chain
+    arm: Arm
     by: float
 
 
@@ -83,63 +84,154 @@ def first_angles(recording: Recording) -> Array:
 
 
 @dataclass(frozen=True)
-class Coefficients:
-    """d/dt of modal coordinates and rates (z, z') = state (z, z') + forcing, at several instants.
+class Path:
+    """A trajectory of one copy at I instants.
 
     Attributes:
-        state: (I, m, 2 m) acceleration by coordinates and rates.
-        forcing: (I, m, p) acceleration by the parameters.
+        time: (I,) since the recording's start [s].
+        q, v, a: (I, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
+        z: (I, nz) internal states of the effects.
+    """
+
+    time: Array
+    q: Array
+    v: Array
+    a: Array
+    z: Array
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """The variational equations at several instants: d/dt of small changes of modal rates and internal states.
+
+    The unknowns are m modal coordinates, m modal rates and nz internal states.
+
+    Attributes:
+        state: (I, m + nz, 2 m + nz) by the unknowns.
+        forcing: (I, m + nz, p) by the parameters.
     """
 
     state: Array
     forcing: Array
 
 
-def coefficients(
-    chain: Chain, basis: Basis, moved: Sequence[Moved], recording: Recording, q: Array, v: Array, a: Array
-) -> Coefficients:
-    """The variational equations' coefficients at instants q, v, a (I, nv) of a trajectory."""
-    mechanism = dynamics.build(chain, recording.payload, recording.gravity)
-    base = dynamics.inverse_dynamics(mechanism, q, v, a)
-    count = basis.shapes.shape[1]
-    columns = np.empty((len(q), chain.size, 3 * count + len(moved)))
+class _Balance:
+    """An arm's equations of motion along a path: what its bodies, springs and effects ask for, less what drives it."""
+
+    def __init__(self, arm: Arm, recording: Recording) -> None:
+        self.arm = arm
+        self.driven = arm.inputs(recording)
+        self.mechanism = dynamics.build(arm.chain, self.driven.payload, self.driven.gravity)
+        self.force = arm.forces(self.driven.payload)
+
+    def bodies(self, path: Path) -> Array:
+        """M a + h (I, nv)."""
+        return dynamics.inverse_dynamics(self.mechanism, path.q, path.v, path.a)
+
+    def effects(self, path: Path) -> Array:
+        """Less the effects' forces (I, nv)."""
+        return -self.force(path.time, path.q, path.v, path.z) if self.force else np.zeros(path.q.shape)
+
+    def rates(self, path: Path) -> Array:
+        """Of the internal states (I, nz)."""
+        return np.zeros(path.z.shape) if self.arm.rates is None else self.arm.rates(path.time, path.q, path.v, path.z)
+
+    def torque(self, path: Path) -> Array:
+        """Measured torques (I, n_a)."""
+        knots, torque = measured_torque(self.driven)
+        at = self.driven.time[0] + path.time
+        columns = [np.interp(at, knots, column) for column in torque.T]
+        return np.stack(columns, axis=-1) if columns else np.zeros((path.time.size, 0))
+
+
+def coefficients(arm: Arm, basis: Basis, moved: Sequence[Moved], recording: Recording, path: Path) -> Coefficients:
+    """The variational equations' coefficients along a trajectory."""
+    here, chain = _Balance(arm, recording), arm.chain
+    at = here.bodies(path), here.effects(path), here.rates(path)
+    m, nz = basis.shapes.shape[1], path.z.shape[1]
+    forces = np.zeros((len(path.q), chain.size, 2 * m + nz + len(moved)))
+    rates = np.zeros((len(path.q), nz, 2 * m + nz + len(moved)))
+    inertia = np.empty((len(path.q), chain.size, m))
     for j, shape in enumerate(basis.shapes.T):
-        turned = dynamics.inverse_dynamics(mechanism, q + _ANGLE * shape, v, a)
-        sped = dynamics.inverse_dynamics(mechanism, q, v + _RATE * shape, a)
-        columns[:, :, j] = (turned - base) / _ANGLE + chain.stiffness * shape
-        columns[:, :, count + j] = (sped - base) / _RATE + chain.damping * shape
-        columns[:, :, 2 * count + j] = dynamics.inverse_dynamics(mechanism, q, v, a + shape) - base
-    for k, (other, by) in enumerate(moved):
-        change = q * (other.stiffness - chain.stiffness) + v * (other.damping - chain.damping)
-        if not _same_bodies(chain, other):
-            changed = dynamics.build(other, recording.payload, recording.gravity)
-            change = change + dynamics.inverse_dynamics(changed, q, v, a) - base
-        columns[:, :, 3 * count + k] = change / by
-    modal = basis.shapes.T @ columns
-    inertia = modal[:, :, 2 * count : 3 * count]
-    forces = np.concatenate([modal[:, :, : 2 * count], modal[:, :, 3 * count :]], axis=2)
-    solved = -np.linalg.solve(inertia, forces)
-    return Coefficients(solved[:, :, : 2 * count], solved[:, :, 2 * count :])
+        turned, sped = replace(path, q=path.q + _ANGLE * shape), replace(path, v=path.v + _RATE * shape)
+        for column, other, by, linear in (
+            (j, turned, _ANGLE, chain.stiffness),
+            (m + j, sped, _RATE, chain.damping),
+        ):
+            forces[:, :, column] = (here.bodies(other) - at[0]) / by + linear * shape
+            if here.force:
+                forces[:, :, column] += (here.effects(other) - at[1]) / by
+            if nz:
+                rates[:, :, column] = (here.rates(other) - at[2]) / by
+        inertia[:, :, j] = here.bodies(replace(path, a=path.a + shape)) - at[0]
+    for k, unit in enumerate(_ANGLE * np.eye(nz)):
+        other = replace(path, z=path.z + unit)
+        forces[:, :, 2 * m + k] = (here.effects(other) - at[1]) / _ANGLE
+        rates[:, :, 2 * m + k] = (here.rates(other) - at[2]) / _ANGLE
+    for k, each in enumerate(moved):
+        forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = _change(here, each, recording, path, at)
+    modal = basis.shapes.T @ forces
+    solved = -np.linalg.solve(basis.shapes.T @ inertia, modal)
+    lower = np.concatenate([solved, rates], axis=1)
+    return Coefficients(lower[:, :, : 2 * m + nz], lower[:, :, 2 * m + nz :])
+
+
+def _change(
+    here: _Balance, moved: Moved, recording: Recording, path: Path, at: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """By a moved parameter, what the equations ask for (I, nv) and the internal states' rates (I, nz)."""
+    chain, other, by = here.arm.chain, moved.arm.chain, moved.by
+    forces = path.q * (other.stiffness - chain.stiffness) + path.v * (other.damping - chain.damping)
+    rates = np.zeros(path.z.shape)
+    if moved.arm.effects == here.arm.effects and _same_bodies(chain, other):
+        if here.force and not np.array_equal(other.stiffness, chain.stiffness):
+            forces = forces + _Balance(moved.arm, recording).effects(path) - at[1]
+        return forces / by, rates
+    there, nz = _Balance(moved.arm, recording), path.z.shape[1]
+    if there.driven.gravity != here.driven.gravity or not _same_bodies(chain, other):
+        forces = forces + there.bodies(path) - at[0]
+    # What the arm has no internal states for yet follows the path as it is.
+    wide = replace(path, z=followed(there.arm, path)) if sum(there.arm.states) > nz else path
+    if here.force or there.force:
+        forces = forces + there.effects(wide) - at[1]
+    if nz:
+        rates = there.rates(wide)[:, :nz] - at[2]
+    if not np.array_equal(there.driven.tau, here.driven.tau, equal_nan=True):
+        forces[:, chain.active] -= there.torque(path) - here.torque(path)
+    return forces / by, rates / by
+
+
+def followed(arm: Arm, path: Path) -> Array:
+    """(I, nz) internal states of an arm's effects along a path, by Heun's method."""
+    z = np.empty((len(path.q), sum(arm.states)))
+    z[0] = arm.rest(path.q[0])
+    if arm.rates is None:
+        return np.broadcast_to(z[0], z.shape)
+    for k, step in enumerate(np.diff(path.time)):
+        now, later = ((path.time[i], path.q[i], path.v[i]) for i in (k, k + 1))
+        first = arm.rates(*now, z[k])
+        z[k + 1] = z[k] + step / 2 * (first + arm.rates(*later, z[k] + step * first))
+    return z
 
 
 def _same_bodies(chain: Chain, other: Chain) -> bool:
-    """Whether two chains differ in springs and dampers only."""
+    """Whether two chains differ in springs and dampers at most."""
     return all(
-        one.hub_inertia == two.hub_inertia
+        all(getattr(one, field) == getattr(two, field) for field in _RIGID_NUMBERS)
         and all(np.array_equal(getattr(one, field), getattr(two, field)) for field in _RIGID)
         for one, two in zip(chain.links, other.links, strict=True)
     )
 
 
 def sensitivities(
-    chain: Chain, basis: Basis, moved: Sequence[Moved], recording: Recording, steps: Steps, stride: int
+    arm: Arm, basis: Basis, moved: Sequence[Moved], recording: Recording, steps: Steps, stride: int
 ) -> Iterator[Steps]:
     """Derivatives of a trajectory in modal coordinates, one stretch of time after another.
 
     Args:
-        chain: the arm.
+        arm: what was simulated.
         basis: m modes.
-        moved: p chains, each with one parameter moved.
+        moved: p arms, each with one parameter moved.
         recording: what drove the trajectory.
         steps: the trajectory, of one copy.
         stride: steps in half an interval; their number is a multiple of two strides.
@@ -148,98 +240,57 @@ def sensitivities(
         For each stretch, trajectories of 2 slow + p copies with m coordinates: the derivatives by the slow modes'
         initial coordinates, initial rates, and by the parameters.
     """
-    size, slow = basis.shapes.shape[1], 2 * basis.slow
+    size, slow, nz = basis.shapes.shape[1], 2 * basis.slow, steps.z.shape[2]
     count = slow + len(moved)
     rows = np.arange(0, len(steps.time), stride)
-    state = np.zeros((2 * size, count))
+    state = np.zeros((2 * size + nz, count))
     state[: basis.slow, : basis.slow] = state[size : size + basis.slow, basis.slow : slow] = np.eye(basis.slow)
+    if nz:
+        state[2 * size :] = _first_states(arm, basis, moved, steps.q[0, 0])
     interval = 2 * stride * steps.step
-    most = 2 * max(20, _NUMBERS_A_CHUNK // (2 * size) ** 2)
+    most = 2 * max(20, _NUMBERS_A_CHUNK // (2 * size + nz) ** 2)
+    if any(sum(each.arm.states) > nz for each in moved):
+        most = rows.size  # internal states that only these have are followed from the start
     for first in range(0, rows.size - 1, most):
         part = rows[first : first + most + 1]
-        found = coefficients(chain, basis, moved, recording, *(x[part, 0] for x in (steps.q, steps.v, steps.a)))
+        path = Path(steps.time[part] - steps.time[0], *(x[part, 0] for x in (steps.q, steps.v, steps.a, steps.z)))
+        found = coefficients(arm, basis, moved, recording, path)
         flow, pushed = _propagators(found, interval)
-        states = np.empty((len(flow) + 1, 2 * size, count))
+        states = np.empty((len(flow) + 1, 2 * size + nz, count))
         states[0] = state
         for k in range(len(flow)):
             state = flow[k] @ state
             state[:, slow:] += pushed[k]
             states[k + 1] = state
-        a = found.state[::2] @ states
-        a[:, :, slow:] += found.forcing[::2]
-        q, v = states[:, :size], states[:, size:]
-        yield Steps(steps.time[part[::2]], *(np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in (q, v, a)))
+        a = found.state[::2, :size] @ states
+        a[:, :, slow:] += found.forcing[::2, :size]
+        told = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
+        yield Steps(steps.time[part[::2]], *(np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in told))
+
+
+def _first_states(arm: Arm, basis: Basis, moved: Sequence[Moved], q: Array) -> Array:
+    """(nz, 2 slow + p) derivatives of the internal states at the start."""
+    at = arm.rest(q)
+    by_angles = [(arm.rest(q + _ANGLE * shape) - at) / _ANGLE for shape in basis.shapes[:, : basis.slow].T]
+    by_rates = [np.zeros(at.size)] * basis.slow
+    by_parameters = [(each.arm.rest(q)[: at.size] - at) / each.by for each in moved]
+    return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
 
 def _propagators(found: Coefficients, interval: float) -> tuple[Array, Array]:
-    """Over K intervals of three instants each, the flow (K, 2 m, 2 m) and what the forcing adds (K, 2 m, p)."""
-    size = found.state.shape[1]
-    scale = rate_scale(found.state)  # rates in units of this
-    L = np.zeros((len(found.state), 2 * size, 2 * size))
-    L[:, :size, size:] = scale * np.eye(size)
-    L[:, size:, :size] = found.state[:, :, :size] / scale
-    L[:, size:, size:] = found.state[:, :, size:]
-    F = np.zeros((len(L), 2 * size, found.forcing.shape[2]))
-    F[:, size:] = found.forcing / scale
+    """Over K intervals of three instants each, the flow (K, d, d) and what the forcing adds (K, d, p)."""
+    lower, size = found.state.shape[1:]
+    upper = size - lower  # coordinates, whose rates are unknowns themselves
+    scale = rate_scale(found.state[:, :upper, : 2 * upper])  # rates in units of this
+    units = np.r_[np.ones(upper), np.full(upper, scale), np.ones(lower - upper)]
+    L = np.zeros((len(found.state), size, size))
+    L[:, :upper, upper : 2 * upper] = np.eye(upper)
+    L[:, upper:] = found.state
+    L *= units / units[:, None]
+    F = np.zeros((len(L), size, found.forcing.shape[2]))
+    F[:, upper:] = found.forcing / units[upper:, None]
     L1, L2, L3 = (L[k : len(L) - 2 + k : 2] for k in (0, 1, 2))
     F1, F2, F3 = (F[k : len(F) - 2 + k : 2] for k in (0, 1, 2))
     flow, phi1, phi2, phi3 = phi_functions(interval / 6 * (L1 + 4 * L2 + L3))
     added = phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3)
-    units = np.r_[np.ones(size), np.full(size, scale)]
     return flow * units[:, None] / units, interval * added * units[:, None]
-
-
-def jacobian(
-    observed: Observed, chain: Chain, basis: Basis, moved: Sequence[Moved], steps: Steps, stride: int
-) -> Iterator[tuple[Indices, Array]]:
-    """Weighted derivatives of what was measured, one stretch of time after another.
-
-    Args:
-        observed: what was measured.
-        chain, basis, moved, steps, stride: as in `sensitivities`.
-
-    Yields:
-        What was measured in the stretch, (r,) indices of `observed.values`, and the derivatives (r, 2 slow + p) of its
-        predictions, times their weights.
-    """
-    recording, active = observed.recording, chain.active
-    time = recording.time
-    first = 0
-    for part in sensitivities(chain, basis, moved, recording, steps, stride):
-        ends_here = part.time[-1] >= steps.time[-1]
-        last = time.size if ends_here else int(np.searchsorted(time, part.time[-1], side="left"))
-        if last <= first:
-            continue
-        frames, markers, angles = observed.between(first, last)
-        slope = sample(part, time[first:last])[0]
-        rows, joints = np.divmod(observed.angles[_shifted(angles, observed.markers.size)], max(active.size, 1))
-        by_angles = np.einsum("rcm,rm->rc", slope[rows - first], basis.shapes[active[joints]])
-        path = sample(steps, time[frames])[0][:, 0]
-        by_markers = observed.arcs.slope(chain, path, basis.shapes) @ np.swapaxes(slope[frames - first], 1, 2)
-        _add_direct(by_markers[:, :, slope.shape[1] - len(moved) :], observed, chain, moved, path)
-        begin = int(np.searchsorted(observed.frames, first)) * by_markers.shape[1]
-        flat = by_markers.reshape(-1, slope.shape[1])
-        derivatives = np.concatenate([flat[observed.markers[markers] - begin], by_angles])
-        measured = np.r_[markers, angles]
-        yield measured, observed.weights[measured, None] * derivatives
-        first = last
-
-
-def _shifted(part: slice, offset: int) -> slice:
-    return slice(part.start - offset, part.stop - offset)
-
-
-def _add_direct(by_markers: Array, observed: Observed, chain: Chain, moved: Sequence[Moved], path: Array) -> None:
-    """Where a parameter moves the markers at the same angles, as lengths do."""
-    base: Array | None = None
-    for k, (other, by) in enumerate(moved):
-        same = all(
-            np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells)
-            for one, two in zip(chain.links, other.links, strict=True)
-        )
-        if same:
-            continue
-        if base is None:
-            base = observed.arcs.markers(chain, path)
-        change = (observed.arcs.markers(other, path) - base) / by
-        by_markers[:, :, k] += change.reshape(len(path), -1)

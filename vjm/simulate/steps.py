@@ -17,12 +17,14 @@ class Steps:
     Attributes:
         time: (S + 1,) evenly spaced [s].
         q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
+        z: (S + 1, C, nz) internal states of the effects.
     """
 
     time: Array
     q: Array
     v: Array
     a: Array
+    z: Array
 
     @property
     def step(self) -> float:
@@ -51,3 +53,10 @@ def sample(steps: Steps, time: Array) -> tuple[Array, Array]:
     q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
     v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
     return q, v
+
+
+def still(time: Array, q: Array) -> Steps:
+    """An arm that stays at angles (nv,) [rad] from the first of the instants [s] to the last."""
+    ends = np.array([time[0], time[-1]])
+    each = (np.broadcast_to(x, (2, 1, x.size)) for x in (q, 0 * q, 0 * q, np.zeros(0)))
+    return Steps(ends, *each)

@@ -1,0 +1,253 @@
+"""What an effect is: parameters with null values, and hooks that default to nothing.
+
+An effect is something that a model of an arm may lack: a mass on its tip, friction, a clock that runs ahead. It is a
+frozen dataclass whose fields are its parameters; the instance with the default values changes nothing, exactly. The
+hooks say what it changes: the chain, what drives it, the forces on it, what its sensors show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import product
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.records import Chain
+from vjm.experiment.records import Recording, Rig
+
+Array = NDArray[np.float64]
+# From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
+Motion = Callable[[Array, Array, Array, Array], Array]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
+
+    Attributes:
+        name: as in the class.
+        unit: SI; empty where it has none.
+        null: value at which the effect is absent; NaN for an inner parameter, which means nothing then.
+        usual: an everyday size of the difference from `null` (of the value itself, where that is reciprocal or inner).
+        lower, upper: bounds of the value.
+        grid: of an inner parameter, the values from which searches start.
+        reciprocal: whether the effect grows with one over the value, whose null is infinite.
+        whole: whether it is a whole number, which is never varied in a fit.
+    """
+
+    name: str
+    unit: str
+    null: float
+    usual: float
+    lower: float
+    upper: float
+    grid: tuple[float, ...]
+    reciprocal: bool
+    whole: bool
+
+    @property
+    def inner(self) -> bool:
+        """Whether it says how the effect is, not how large."""
+        return bool(np.isnan(self.null))
+
+    def coordinate(self, value: float) -> float:
+        """The number that a search varies: zero at the null, one at an everyday size; inner: a logarithm."""
+        if self.reciprocal:
+            return self.usual / value
+        return float(np.log(value / self.usual)) if self.inner else (value - self.null) / self.usual
+
+    def value(self, coordinate: float) -> float:
+        """The value at a coordinate."""
+        if self.reciprocal:
+            return self.usual / coordinate if coordinate > 0 else np.inf
+        return float(self.usual * np.exp(coordinate)) if self.inner else self.null + self.usual * coordinate
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of the coordinate."""
+        if self.reciprocal:
+            return 0.0, self.usual / self.lower if self.lower > 0 else np.inf
+        if self.inner:
+            return (self.coordinate(self.lower) if self.lower > 0 else -np.inf), self.coordinate(self.upper)
+        return tuple(sorted((self.coordinate(self.lower), self.coordinate(self.upper))))  # type: ignore[return-value]
+
+
+def size(
+    unit: str,
+    usual: float,
+    null: float = 0.0,
+    lower: float = -np.inf,
+    upper: float = np.inf,
+    reciprocal: bool = False,
+) -> Any:
+    """A field that says how large an effect is; its default is the null value.
+
+    Args:
+        unit: SI; empty where it has none.
+        usual: an everyday size of the difference from the null (reciprocal: an everyday value).
+        null: value at which the effect is absent.
+        lower, upper: bounds.
+        reciprocal: whether the effect grows with one over the value.
+    """
+    kept = Parameter("", unit, null, usual, lower, upper, (), reciprocal, False)
+    return field(default=null, metadata={_KEY: kept})
+
+
+def inner(
+    unit: str, usual: float, lower: float = 0.0, upper: float = np.inf, grid: Sequence[float] = (), whole: bool = False
+) -> Any:
+    """A field that says how an effect is, which means nothing where its size is null.
+
+    Args:
+        unit: SI; empty where it has none.
+        usual: an everyday value, the default.
+        lower, upper: bounds.
+        grid: values from which searches start; the everyday value where empty.
+        whole: whether it is a whole number.
+    """
+    kept = Parameter("", unit, np.nan, usual, lower, upper, tuple(grid) or (usual,), False, whole)
+    return field(default=int(usual) if whole else usual, metadata={_KEY: kept})
+
+
+_KEY = "vjm"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """Something that a model may lack. Subclasses add parameters and override hooks.
+
+    Attributes:
+        link: index of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
+    """
+
+    link: int | None = field(default=None, kw_only=True)
+
+    id: ClassVar[str] = ""
+    # In the words of a mechanical engineer, as in "the data say: ...".
+    says: ClassVar[str] = ""
+    # Where the model is described.
+    reference: ClassVar[str] = ""
+    # Which recording tells it from what it looks like.
+    apart_by: ClassVar[str] = ""
+    # Whether it can only take energy out of the arm.
+    dissipative: ClassVar[bool] = False
+    # Whether it is in the sensors, not in the arm.
+    sensor: ClassVar[bool] = False
+    # Whether a URDF can carry it.
+    in_urdf: ClassVar[bool] = False
+
+    @classmethod
+    def parameters(cls) -> tuple[Parameter, ...]:
+        """Its parameters, in order."""
+        return tuple(replace(each.metadata[_KEY], name=each.name) for each in fields(cls) if _KEY in each.metadata)
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Its parameters' values."""
+        return {each.name: getattr(self, each.name) for each in self.parameters()}
+
+    @cached_property
+    def is_null(self) -> bool:
+        """Whether it is absent."""
+        return all(getattr(self, each.name) == each.null for each in self.parameters() if not each.inner)
+
+    @property
+    def coordinates(self) -> Array:
+        """(p,) numbers that a search varies: of sizes, zero at the null and one at an everyday size; then inner ones."""
+        return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied()])
+
+    def at(self, coordinates: Array) -> Self:
+        """The same effect at other coordinates (p,)."""
+        varied = zip(self._varied(), np.asarray(coordinates, dtype=float).tolist(), strict=True)
+        changes: dict[str, Any] = {each.name: each.value(value) for each, value in varied}
+        return replace(self, **changes)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), (p,) of the coordinates."""
+        found = np.array([each.bounds for each in self._varied()]).reshape(-1, 2)
+        return found[:, 0], found[:, 1]
+
+    @property
+    def sizes(self) -> int:
+        """Number of coordinates, the first ones, that say how large it is."""
+        return sum(not each.inner for each in self.parameters())
+
+    @classmethod
+    def _varied(cls) -> tuple[Parameter, ...]:
+        found = [each for each in cls.parameters() if not each.whole]
+        return tuple(sorted(found, key=lambda each: each.inner))
+
+    def places(self, rig: Rig) -> tuple[int | None, ...]:
+        """Links on which it can act; None alone for what is camera-wide."""
+        return (None,)
+
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """Absent instances from which searches start: one for each place and each combination of inner values."""
+        grids = [[(each.name, value) for value in each.grid] for each in self.parameters() if each.inner]
+        return tuple(
+            replace(self, link=link, **dict(chosen)) for link in self.places(rig) for chosen in product(*grids)
+        )
+
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        """Why recordings cannot show it, whatever its size, as a clause; empty where they may."""
+        return ""
+
+    # Hooks. They must return what they were given, exactly, where the effect is absent.
+
+    def chain(self, chain: Chain) -> Chain:
+        """The chain that it makes of a chain."""
+        return chain
+
+    def inputs(self, recording: Recording) -> Recording:
+        """What really drove the arm, given what was recorded: torque and gravity."""
+        return recording
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Its generalised forces on the joints of a chain with a payload [kg] on the tip [N m].
+
+        The function returned is given the time since the recording's start [s], angles [rad], rates [rad/s] and the
+        internal states, with any leading axes.
+        """
+        return None
+
+    def states(self, chain: Chain) -> int:
+        """Number of its internal states."""
+        return 0
+
+    def rates(self, chain: Chain) -> Motion | None:
+        """Their rates of change; needed where there are any."""
+        return None
+
+    def rest(self, chain: Chain, q: Array) -> Array:
+        """(..., nz) internal states at a recording's start, at angles (..., nv) [rad]."""
+        return np.zeros((*q.shape[:-1], self.states(chain)))
+
+    @property
+    def longest_step(self) -> float:
+        """Time step that a simulation may take [s]."""
+        return np.inf
+
+    def instants(self, time: Array, positions: Array) -> Array:
+        """When markers were where a frame shows them.
+
+        Args:
+            time: (F,) the frames' time stamps since the recording's start [s].
+            positions: (F, k, 2) where the markers truly were at these instants [m].
+
+        Returns:
+            (F,), or (F, k) where markers differ, since the recording's start [s].
+        """
+        return time
+
+    def shown(self, positions: Array, headings: Array) -> Array:
+        """What the camera shows of markers at positions (F, k, 2) [m] where the link has headings (F, k) [rad]."""
+        return positions
+
+    def encoder(self, theta: Array) -> Array:
+        """What the encoders show of active joint angles (T, n_a) [rad]."""
+        return theta

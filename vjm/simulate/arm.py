@@ -1,0 +1,100 @@
+"""What is simulated: a chain, and what acts on it and on its sensors beyond it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.records import Chain
+from vjm.effects.effect import Effect, Motion
+from vjm.experiment.records import Recording
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A chain with effects.
+
+    Attributes:
+        chain: with all that the effects change of it.
+        effects: those present, in the order in which they were added.
+    """
+
+    chain: Chain
+    effects: tuple[Effect, ...] = ()
+
+    @classmethod
+    def of(cls, chain: Chain, effects: Sequence[Effect] = ()) -> Arm:
+        """A chain with effects added; those at their null are left out."""
+        present = tuple(effect for effect in effects if not effect.is_null)
+        for effect in present:
+            chain = effect.chain(chain)
+        return cls(chain, present)
+
+    def inputs(self, recording: Recording) -> Recording:
+        """The recording with what really drove the arm."""
+        for effect in self.effects:
+            recording = effect.inputs(recording)
+        return recording
+
+    @cached_property
+    def states(self) -> tuple[int, ...]:
+        """Number of each effect's internal states."""
+        return tuple(effect.states(self.chain) for effect in self.effects)
+
+    def rest(self, q: Array) -> Array:
+        """(..., nz) internal states at a recording's start, at angles q (..., nv) [rad]."""
+        parts = [effect.rest(self.chain, q) for effect in self.effects]
+        return np.concatenate([np.zeros((*q.shape[:-1], 0)), *parts], axis=-1)
+
+    def forces(self, payload: float) -> Motion | None:
+        """The effects' generalised forces together; None where there are none."""
+        found = [
+            (effect.force(self.chain, payload), part) for effect, part in zip(self.effects, self._parts, strict=True)
+        ]
+        acting = [(force, part) for force, part in found if force is not None]
+        if not acting:
+            return None
+        if len(acting) == 1 and len(self.effects) == 1:
+            return acting[0][0]
+
+        def total(time: Array, q: Array, v: Array, z: Array) -> Array:
+            summed = acting[0][0](time, q, v, z[..., acting[0][1]])
+            for force, part in acting[1:]:
+                summed = summed + force(time, q, v, z[..., part])
+            return summed
+
+        return total
+
+    @cached_property
+    def rates(self) -> Motion | None:
+        """Rates of change of all internal states; None where there are none."""
+        found = [(effect.rates(self.chain), part) for effect, part in zip(self.effects, self._parts, strict=True)]
+        changing = [(rates, part) for rates, part in found if rates is not None]
+        if not changing:
+            return None
+
+        def together(time: Array, q: Array, v: Array, z: Array) -> Array:
+            return np.concatenate([rates(time, q, v, z[..., part]) for rates, part in changing], axis=-1)
+
+        return together
+
+    @property
+    def longest_step(self) -> float:
+        """Time step that the effects allow [s]."""
+        return min((effect.longest_step for effect in self.effects), default=np.inf)
+
+    @cached_property
+    def sensors(self) -> tuple[Effect, ...]:
+        """The effects that are in the sensors."""
+        return tuple(effect for effect in self.effects if effect.sensor)
+
+    @cached_property
+    def _parts(self) -> list[slice]:
+        stops = np.cumsum(self.states, dtype=int).tolist()
+        return [slice(stop - count, stop) for stop, count in zip(stops, self.states, strict=True)]
