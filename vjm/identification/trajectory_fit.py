@@ -53,6 +53,7 @@ def fit_trajectory(
     states: Sequence[Array] | None = None,
     known: float = np.inf,
     rough: bool = False,
+    hopeless: Callable[[Point, float], bool] | None = None,
 ) -> TrajectoryFit:
     """Find the coordinates and initial states that explain the measurements best.
 
@@ -63,15 +64,17 @@ def fit_trajectory(
         states: (2 nv,) initial states near the minimum; None: the search begins with the recordings' first periods.
         known: how long `start` and `states` are known to follow the recordings [s].
         rough: whether the minimum is only a start for another search.
+        hopeless: told where the search is and by how much its next step is expected to lower the cost; it may end it.
     """
-    lower, upper = problem.parametrisation.bounds
+    lower, upper = problem.varied.bounds
     x = np.clip(start, lower + 1e-6, upper)
     horizons = _horizons(problem, x, 0.0 if states is None else known)
     count = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
         part = problem if last else problem.until(horizon)
-        fit = _search(part, x, states, _Progress(progress, k, len(horizons)), final=last and not rough)
+        tell = _Progress(progress, k, len(horizons))
+        fit = _search(part, x, states, tell, last and not rough, hopeless if last else None)
         count += fit.iterations
         x, states = fit.point.x, [run.state for run in fit.point.runs]
     return replace(fit, iterations=count)
@@ -90,7 +93,7 @@ def _horizons(problem: TrajectoryProblem, x: Array, known: float) -> list[float]
 
 def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
     """A few periods of the slowest vibration [s]: so short that a wrong frequency has not yet cost a cycle."""
-    chain = problem.parametrisation.chain(x)
+    chain = problem.varied.chain(x)
     return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in problem.observed)
 
 
@@ -109,7 +112,12 @@ class _Progress:
 
 
 def _search(
-    problem: TrajectoryProblem, x: Array, states: Sequence[Array] | None, tell: _Progress, final: bool
+    problem: TrajectoryProblem,
+    x: Array,
+    states: Sequence[Array] | None,
+    tell: _Progress,
+    final: bool,
+    hopeless: Callable[[Point, float], bool] | None,
 ) -> TrajectoryFit:
     if states is None:
         found = most_likely(problem.arms(x), problem.observed, coarse=problem.coarse)
@@ -124,6 +132,8 @@ def _search(
         least = _NEGLIGIBLE * max(point.misfit, 1.0) ** 2
         if predicted < (least if final else max(least, _COARSE * point.chi2)):
             done = True
+            break
+        if hopeless is not None and hopeless(point, predicted):
             break
         trial = _attempt(point, change, state_changes)
         if trial is not None and trial.cost < point.cost:
@@ -150,7 +160,7 @@ def _point(
 def _step(point: Point, damping: float) -> tuple[Array, list[Array], float]:
     """Change of the coordinates and of the initial states, and the decrease of the cost that they promise."""
     together, parts = point.gathered(damping)
-    lower, upper = point.problem.parametrisation.bounds
+    lower, upper = point.problem.varied.bounds
     change = together.best()
     if ((point.x + change < lower) | (point.x + change > upper)).any():
         R = together.R[:, :-1]

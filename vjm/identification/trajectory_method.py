@@ -71,17 +71,8 @@ def by_trajectory(
         InsufficientDataError: no recording can be simulated.
         SimulationDivergedError: no start can be simulated.
     """
-    recordings, problems = _simulated(data.recordings)
-    noise = (data.settings.marker_noise, data.settings.encoder_noise)
-    observed = tuple(Observed.of(experiment.rig, each, noise, LOSSES[loss]) for each in recordings)
-    torque = fit_uniform(experiment, data, progress) if data.prepared else None
-    search = _Search(experiment, data, observed, driven_hubs(experiment, recordings), progress)
+    search, fit, torque, problems = first_fit(experiment, data, loss, progress)
     counts = search.candidates()
-    fit = search.far(counts[0], torque)
-    observed = _without_outliers(experiment.rig, fit)
-    if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
-        search = replace(search, observed=observed)
-        fit = search.near(counts[0], fit)
     fit, joints, notes = search.enough_joints(counts, fit)
     choices = tuple(
         replace(choose_virtual_joints(link, order, n), asked=len(counts) == 1 and search.asked)
@@ -90,7 +81,37 @@ def by_trajectory(
     return ByTrajectory(fit, choices, torque, problems, notes)
 
 
-def _simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
+def first_fit(
+    experiment: Experiment, data: Data, loss: str = "linear", progress: Progress | None = None
+) -> tuple[Search, TrajectoryFit, tuple[TorqueProblem, TorqueFit] | None, tuple[str, ...]]:
+    """Uniform links with few joints, from far away, to recordings without their outliers.
+
+    Args:
+        experiment, data, loss, progress: as of `by_trajectory`.
+
+    Returns:
+        What further fits start with, the fit, what the torque method found (None where there was nothing for it to
+        find), and why recordings were not used, a sentence each.
+
+    Raises:
+        InsufficientDataError: no recording can be simulated.
+        SimulationDivergedError: no start can be simulated.
+    """
+    recordings, problems = simulated(data.recordings)
+    noise = (data.settings.marker_noise, data.settings.encoder_noise)
+    observed = tuple(Observed.of(experiment.rig, each, noise, LOSSES[loss]) for each in recordings)
+    torque = fit_uniform(experiment, data, progress) if data.prepared else None
+    search = Search(experiment, data, observed, driven_hubs(experiment, recordings), progress)
+    joints = search.candidates()[0]
+    fit = search.far(joints, torque)
+    observed = _without_outliers(experiment.rig, fit)
+    if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
+        search = replace(search, observed=observed)
+        fit = search.near(joints, fit)
+    return search, fit, torque, problems
+
+
+def simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
     """Recordings whose torques are known, and what is wrong with the others.
 
     Raises:
@@ -123,8 +144,15 @@ def _without_outliers(rig: Rig, fit: TrajectoryFit) -> tuple[Observed, ...]:
 
 
 @dataclass(frozen=True)
-class _Search:
-    """Fits of one experiment with different numbers of joints."""
+class Search:
+    """Fits of one experiment with different numbers of joints.
+
+    Attributes:
+        experiment, data: what is fitted.
+        observed: the recordings, as they are fitted.
+        hubs: indices of the links whose hub inertia is identified.
+        progress: told (text, done, total) now and then.
+    """
 
     experiment: Experiment
     data: Data

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
+from vjm.experiment.records import Recording
 from vjm.identification.parametrisation import Parametrisation
 from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Observed
@@ -19,6 +22,20 @@ from vjm.simulate.triangle import Triangle
 Array = NDArray[np.float64]
 
 _DERIVATIVE_STEP = 1e-6
+
+
+class Coordinates(Protocol):
+    """What a search varies."""
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), (p,)."""
+
+    def chain(self, x: Array) -> Chain:
+        """The chain at coordinates x (p,), without effects."""
+
+    def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
+        """What moves in each of the recordings."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +64,7 @@ class TrajectoryProblem:
         preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
         spread: size of the weighted residuals that counts as one standard deviation beside the preference.
         hold: a parameter that is not free; None: all are.
+        extension: what is varied where that is more than the parametrisation, whose coordinates come first.
     """
 
     parametrisation: Parametrisation
@@ -55,6 +73,12 @@ class TrajectoryProblem:
     preference: tuple[Array, Array] | None = None
     spread: float = 1.0
     hold: Hold | None = None
+    extension: Coordinates | None = None
+
+    @property
+    def varied(self) -> Coordinates:
+        """What the search varies."""
+        return self.parametrisation if self.extension is None else self.extension
 
     def until(self, duration: float) -> TrajectoryProblem:
         """The same with the recordings' first seconds only."""
@@ -63,12 +87,12 @@ class TrajectoryProblem:
 
     def arms(self, x: Array) -> tuple[Arm, ...]:
         """What moves in each recording."""
-        return self.parametrisation.arms(x, [each.recording for each in self.observed])
+        return self.varied.arms(x, [each.recording for each in self.observed])
 
     def moved(self, x: Array) -> tuple[tuple[Moved, ...], ...]:
         """For each recording, its arm with each coordinate moved a little."""
         found = []
-        upper = self.parametrisation.bounds[1]
+        upper = self.varied.bounds[1]
         for k, value in enumerate(x):
             by = _DERIVATIVE_STEP * max(abs(value), 1e-2)
             by = by if value + by <= upper[k] else -by
@@ -112,7 +136,7 @@ class Point:
     @cached_property
     def chain(self) -> Chain:
         """The chain at x."""
-        return self.problem.parametrisation.chain(self.x)
+        return self.problem.varied.chain(self.x)
 
     @cached_property
     def cost(self) -> float:

@@ -150,7 +150,7 @@ def report(run: Run, converged: bool) -> Replay:
     """A run as its user sees it."""
     seen = run.observed
     split = seen.markers.size
-    off = run.residual / seen.weights
+    off = seen.values - seen.predicted(run.arm, run.steps)
     markers, angles = off[:split], off[split:]
     return Replay(
         simulation=simulation(run.arm, seen.arcs, seen.recording, run.steps),

@@ -107,10 +107,14 @@ def _encoder_slopes(
     offset = observed.markers.size
     flat = observed.angles[angles.start - offset : angles.stop - offset]
     rows, joints = np.divmod(flat, max(active.size, 1))
-    slope = sample(part, observed.recording.time[rows])[0]
-    found: Array = np.einsum("rcm,rm->rc", slope, basis.shapes[active[joints]])
+    if not flat.size:
+        return np.zeros((0, part.q.shape[1]))
+    by_active = basis.shapes[active].T
+    told = (getattr(part, name) @ by_active for name in ("q", "v", "a"))
+    slope = sample(Steps(part.time, *told, part.z), observed.recording.time[rows])[0]
+    found: Array = np.take_along_axis(slope, joints[:, None, None], axis=2)[:, :, 0]
     for k, (other, by) in enumerate(moved):
-        if other.sensors != arm.sensors and flat.size:
+        if other.sensors != arm.sensors:
             change = (observed.encoders(other, steps) - observed.encoders(arm, steps)) / by
             found[:, found.shape[1] - len(moved) + k] += change[angles.start - offset : angles.stop - offset]
     return found

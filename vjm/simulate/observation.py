@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from vjm.chain.curve import marker_headings, marker_positions
 from vjm.chain.records import Chain
@@ -100,6 +101,7 @@ class Observed:
         values: (N_m + N_t,) what was measured [m, rad].
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
+        whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
     """
 
     recording: Recording
@@ -110,6 +112,7 @@ class Observed:
     values: Array
     noise: tuple[float, float]
     loss: Loss = LINEAR
+    whitening: sparse.csr_array | None = None
 
     @classmethod
     def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:
@@ -143,8 +146,12 @@ class Observed:
         return theta.ravel()[self.angles]
 
     def residual(self, arm: Arm, steps: Steps) -> Array:
-        """(N_m + N_t,) measured less predicted, weighted."""
-        return self.weights * (self.values - self.predicted(arm, steps))
+        """(N_m + N_t,) measured less predicted, weighted and whitened."""
+        return self.whitened(self.weights * (self.values - self.predicted(arm, steps)))
+
+    def whitened(self, weighted: Array) -> Array:
+        """Weighted values (N_m + N_t, ...), so that their noise is white."""
+        return weighted if self.whitening is None else np.asarray(self.whitening @ weighted)
 
     @property
     def instants(self) -> Indices:
@@ -178,6 +185,7 @@ class Observed:
         kept_angles = self.angles < rows * recording.theta.shape[1]
         kept = np.concatenate([kept_markers, kept_angles])
         markers, angles = self.markers[kept_markers], self.angles[kept_angles]
+        whitening = None if self.whitening is None else self.whitening[kept][:, kept]
         return replace(
             self,
             recording=part,
@@ -185,6 +193,7 @@ class Observed:
             markers=markers,
             angles=angles,
             values=self.values[kept],
+            whitening=whitening,
         )
 
     def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:

@@ -38,6 +38,7 @@ _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
 _HALF_INTERVAL_ELBOW = 1 / 600  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
 _MOST_TOGETHER = 64
+_MOST_COARSE = 2.0  # times the step that effects ask for
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def rollouts(
     found: list[Steps | None] = [None] * len(arms)
     for group in _alike(arms, driven):
         first, own = driven[group[0]], [arms[k] for k in group]
-        h = min(_step_of(own[0].chain, first, integrator, step, coarse), longest, *(arm.longest_step for arm in own))
+        h = min(_step_of(own[0].chain, first, integrator, step, coarse), longest, _allowed(own, coarse))
         counts = [_count(arms[k].chain, driven[k], h) for k in group]
         drive = Drive.of([driven[k] for k in group], h, max(counts))
         system = System.of(own, [driven[k].payload for k in group], first.gravity)
@@ -141,6 +142,11 @@ def _alike(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[in
         else:
             groups.append([k])
     return groups
+
+
+def _allowed(arms: Sequence[Arm], coarse: float) -> float:
+    """Step that the effects allow [s]."""
+    return min(arm.longest_step for arm in arms) * min(coarse, _MOST_COARSE)
 
 
 def _unknowns(arm: Arm) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from vjm.simulate.steps import Steps, sample
 from vjm.simulate.triangle import Triangle
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 _USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
 _USUAL_TURN = 1.0  # rad of an active joint
@@ -94,7 +95,7 @@ class Run:
 
     @cached_property
     def residual(self) -> Array:
-        """(N,) measured less simulated, weighted."""
+        """(N,) measured less simulated, weighted and whitened."""
         return self.observed.residual(self.arm, self.steps)
 
     @cached_property
@@ -128,20 +129,34 @@ class Run:
 
     def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
         """Derivatives (r, 2 slow + p) of the weighted predictions, and the residuals (r,), as far as they count."""
-        parts = jacobian(self.observed, self.arm, self.basis, moved, self.steps, self.stride)
         kept = np.sqrt(self.observed.loss.slope(self.residual**2))
-        for measured, part in parts:
+        for measured, part in self.slopes(moved):
             yield kept[measured, None] * part, kept[measured] * self.residual[measured]
+
+    def slopes(self, moved: Sequence[Moved]) -> Iterator[tuple[Indices, Array]]:
+        """Derivatives (r, 2 slow + p) of the weighted and whitened predictions that indices (r,) name."""
+        parts = jacobian(self.observed, self.arm, self.basis, moved, self.steps, self.stride)
+        if self.observed.whitening is None:
+            yield from parts
+            return
+        gathered = [*parts]
+        measured = np.concatenate([each for each, _ in gathered])
+        whole = np.empty((measured.size, gathered[0][1].shape[1]))
+        whole[measured] = np.concatenate([part for _, part in gathered])
+        yield np.arange(measured.size), self.observed.whitened(whole)
 
     def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
         """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters."""
+        columns = 2 * self.basis.slow + len(moved)
+        return Triangle.of(self.rows(moved), columns).with_rows(*self.preferred(columns))
+
+    def preferred(self, columns: int) -> tuple[Array, Array]:
+        """Rows (2 nv, columns) and what they want (2 nv,) that stand for what was known of the initial state."""
         states = self.basis.states
-        columns = states.shape[1] + len(moved)
         root = np.zeros((self.state.size, columns))
         preference = self.start.spread * self.start.root
         root[:, : states.shape[1]] = preference @ states
-        gathered = Triangle.of(self.rows(moved), columns)
-        return gathered.with_rows(root, preference @ (self.start.rest - self.state))
+        return root, preference @ (self.start.rest - self.state)
 
     def scores(self, moved: Sequence[Moved], triangle: Triangle) -> Array:
         """(T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated.
@@ -154,8 +169,7 @@ class Run:
         followed = triangle.followed(states)
         instants = self.observed.instants
         found = np.zeros((self.observed.recording.time.size, len(moved)))
-        parts = jacobian(self.observed, self.arm, self.basis, moved, self.steps, self.stride)
-        for measured, part in parts:
+        for measured, part in self.slopes(moved):
             own = part[:, states:] - part[:, :states] @ followed
             np.add.at(found, instants[measured], own * self.residual[measured, None])
         return found
@@ -174,15 +188,23 @@ def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
 
 
 def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
-    """An initial state (2 nv,) told in the joints of another chain of the same arm: with the same curvatures."""
+    """An initial state (2 nv,) told in the joints of another chain of the same arm: with the same curvatures.
+
+    A root joint that the given chain lacks is turned by the moment that the link's curvature there exerts on it.
+    """
     links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
     turn = np.zeros((wanted.size, given.size))
     turn[wanted.active, given.active] = 1.0
-    if given.roots.size == wanted.roots.size:
-        turn[wanted.roots, given.roots] = 1.0
     for one, two, here, there in links:
-        curvature = curvature_spline(one.joint_arcs, one.cells, one.length, one.distal)(two.joint_arcs)
-        turn[there, here] = two.cells[:, None] * curvature
+        curvature = curvature_spline(one.joint_arcs, one.cells, one.length, one.distal)
+        turn[there, here] = two.cells[:, None] * curvature(two.joint_arcs)
+        if two.root_stiffness is None:
+            continue
+        if one.root_stiffness is not None:
+            turn[there.start - 1, here.start - 1] = 1.0
+        else:
+            stiffness = float(np.mean(one.stiffness * one.cells))
+            turn[there.start - 1, here] = stiffness / max(two.root_stiffness, 1e-300) * curvature(0.0)
     q, v = np.split(state, 2)
     return np.concatenate([turn @ q, turn @ v])
 

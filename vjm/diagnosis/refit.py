@@ -1,0 +1,93 @@
+"""Fits of models with effects: all parameters, the effects' and the chain's, at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.extension import Extension
+from vjm.effects.effect import Effect
+from vjm.errors import SimulationDivergedError
+from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
+from vjm.simulate.run import transferred
+
+Array = NDArray[np.float64]
+
+_LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A model with effects, fitted.
+
+    Attributes:
+        effects: with their estimated parameters; none: the model without effects.
+        fit: the minimum.
+    """
+
+    effects: tuple[Effect, ...]
+    fit: TrajectoryFit
+
+    @property
+    def point(self) -> Point:
+        """Where the fit is."""
+        return self.fit.point
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared weighted residuals."""
+        return self.fit.point.chi2
+
+    @cached_property
+    def names(self) -> frozenset[tuple[str, int | None]]:
+        """Which effects, and where."""
+        return frozenset((effect.id, effect.link) for effect in self.effects)
+
+
+def refit(
+    start: Explanation,
+    effects: Sequence[Effect],
+    sizes: Sequence[Array],
+    everywhere: Sequence[bool] | None = None,
+    hopeless: Callable[[Point, float], bool] | None = None,
+) -> Explanation | None:
+    """Fit a model with other effects, from a fit with some of them or with none.
+
+    Args:
+        start: where to begin.
+        effects: those wanted, with the inner parameters from which their search starts.
+        sizes: (s,) guessed size of each, in everyday sizes.
+        everywhere: hmm.
+        hopeless: may end the search, as of `fit_trajectory`.
+
+    Returns:
+        The fit; None where it cannot be simulated.
+    """
+    base = start.point.problem.parametrisation
+    extension = Extension(base, tuple(effects))
+    first = [_sized(effect, guess) for effect, guess in zip(effects, sizes, strict=True)]
+    x = np.concatenate([start.point.x[: len(base.coordinates)], *first])
+    lower, upper = extension.bounds
+    x = np.clip(x, lower, upper)
+    problem = replace(start.point.problem, extension=extension)
+    arms = problem.arms(x)
+    states = [
+        transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)
+    ]
+    try:
+        fit = fit_trajectory(problem, x, None, states, hopeless=hopeless)
+    except SimulationDivergedError:
+        return None
+    return Explanation(extension.present(fit.point.x), fit)
+
+
+def _sized(effect: Effect, guess: Array) -> Array:
+    """(p,) coordinates of an effect of a guessed size."""
+    found = effect.coordinates.copy()
+    found[: effect.sizes] = np.clip(guess, -_LARGEST_START, _LARGEST_START)
+    return found
