@@ -26,9 +26,12 @@ def sizes(count: int, least: float, most: float) -> st.SearchStrategy[Array]:
 @st.composite
 def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
     n = draw(st.integers(1, 4))
+    joint = draw(st.sampled_from(["revolute", "clamped"]))
+    active = draw(st.booleans()) and joint == "revolute"
+    rooted = draw(st.booleans())
     return LinkChain(
         name=name,
-        joint=draw(st.sampled_from(["revolute", "clamped"])),
+        joint=joint,
         lengths=draw(sizes(n + 1, 0.05, 1.0)),
         masses=draw(sizes(n + 1, 0.01, 3.0)),
         mass_centers=draw(sizes(n + 1, 0.0, 1.0)),
@@ -39,6 +42,12 @@ def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
         hub_inertia=draw(st.sampled_from([0.0, 0.02, 1.7])),
         payload=draw(st.sampled_from([0.0, 0.015, 2.5])),
         distal=draw(st.sampled_from(["free", "joined"])),
+        joint_stiffness=draw(positive(0.0, 2.0)) if active else 0.0,
+        joint_damping=draw(positive(0.0, 0.1)) if active else 0.0,
+        root_stiffness=draw(positive(0.0, 1e5)) if rooted else None,
+        root_damping=draw(positive(0.0, 0.1)) if rooted else 0.0,
+        root_inertia=draw(st.sampled_from([0.0, 0.003])),
+        rest_curvature=draw(st.just(0.0) | positive(-2.0, 2.0)),
         width=draw(st.none() | positive(1e-3, 0.1)),
         thickness=draw(st.none() | positive(1e-4, 0.1)),
     )
@@ -77,6 +86,14 @@ def plain_chain() -> Chain:
     return Chain("arm", (plain_link(distal="joined"), second), (0.0, -9.81))
 
 
+def extended_chain() -> Chain:
+    """Two links with everything that can be at a joint, the second one clamped."""
+    root: dict[str, object] = {"root_stiffness": 60.0, "root_damping": 0.07, "root_inertia": 0.004}
+    bent = plain_link(**root, joint_stiffness=0.05, joint_damping=0.006, rest_curvature=-0.2)
+    clamped = plain_link("fore", joint="clamped", hub_inertia=0.0, root_stiffness=200.0, rest_curvature=0.3)
+    return Chain("arm", (bent, clamped), (0.0, -9.81))
+
+
 def contents(chain: Chain) -> dict[str, object]:
     """Everything a chain holds, comparable by == to the last bit."""
     links = [
@@ -109,11 +126,20 @@ class Plane:
         return self.point + distance * np.array([np.cos(self.angle), np.sin(self.angle)])
 
     def _add_link(self, link: LinkChain) -> None:
+        hub = link.hub_inertia
+        if link.joint == "revolute":
+            self._turn()
+        if link.root_stiffness is not None:
+            self.places[f"{link.name}_hub"] = (self.point, self.angle)
+            self.bodies.append((0.0, hub, self.point, len(self.pivots)))
+            hub = 0.0
+            self._turn()
         for j in range(link.virtual_joints + 1):
-            if j or link.joint == "revolute":
+            if j:
+                self.angle += link.rest_curvature * link.cells[j - 1]
                 self._turn()
             self.places[f"{link.name}_virtual_{j}_link"] = (self.point, self.angle)
-            turning = link.inertias[j] + (link.hub_inertia if j == 0 else 0.0)
+            turning = link.inertias[j] + (hub + link.root_inertia if j == 0 else 0.0)
             center = self._ahead(link.mass_centers[j])
             self.bodies.append((link.masses[j], turning, center, len(self.pivots)))
             self.point = self._ahead(link.lengths[j])

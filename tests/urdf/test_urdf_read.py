@@ -8,10 +8,10 @@ import pytest
 import yourdfpy
 from hypothesis import given, settings
 
-from tests.urdf.chains import HOSTILE, chains, contents, plain_chain, plain_link
+from tests.urdf.chains import HOSTILE, chains, contents, extended_chain, plain_chain, plain_link
 from vjm.chain.records import Chain
 from vjm.errors import ModelFileError
-from vjm.urdf import chain_from_urdf, chain_to_urdf
+from vjm.urdf import chain_from_urdf, chain_to_urdf, friction_from_urdf
 from vjm.urdf.check import check_urdf
 
 
@@ -50,6 +50,50 @@ def test_edits_in_standard_elements_count() -> None:
     link = chain_from_urdf(text).links[0]
     assert link.masses.tolist() == [0.1, 0.5, 0.19]
     assert link.damping.tolist() == [9.0, 0.003]
+
+
+def test_damping_and_friction_at_an_active_joint_count() -> None:
+    dynamics = '<dynamics damping="0.3" friction="0.02"/>'
+    text = one_link().replace('<axis xyz="0 0 1"/>', f'<axis xyz="0 0 1"/>{dynamics}', 1)
+    assert chain_from_urdf(text).links[0].joint_damping == 0.3
+    assert friction_from_urdf(text) == {"beam": 0.02}
+    assert friction_from_urdf(one_link()) == {}
+
+
+def test_friction_comes_back_beside_the_chain() -> None:
+    two = Chain("arm", (*extended_chain().links, plain_link("hand")))
+    for friction in ({"beam": 0.1 + 0.2, "hand": 1e-3}, {"hand": 1e-3}, {"beam": 0.0}, {}):
+        text = chain_to_urdf(two, friction)
+        assert friction_from_urdf(text) == {name: value for name, value in friction.items() if value}
+        assert contents(chain_from_urdf(text)) == contents(two)
+
+
+HUB = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.02"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ('rest_curvature="-0.2"', 'rest_curvature="-0.3"', "'beam_virtual_1' is off the line or turned"),
+        ('rpy="0 0 -0.066"', 'rpy="0 0 0"', "'beam_virtual_1' is off the line or turned by 0.0; .*-0.066"),
+        ('rpy="0 0 -0.066"', 'rpy="0 0.1 -0.066"', "off the line or turned"),
+        ('rest_curvature="-0.2"', 'rest_curvature="inf"', "a finite number"),
+        ('root_inertia="0.004"', 'root_inertia="0.005"', "first_inertia [+] root_inertia"),
+        ('joint_stiffness="0.05"', 'joint_stiffness="-0.05"', "zero or a positive number"),
+        (HUB, HUB.replace("0.02", "0.03"), "izz of 'beam_hub' is 0.03; expected hub_inertia"),
+        ('root_joint name="beam_root"', 'root_joint name="beam_tip_mount"', "'beam_root'"),
+        ('root_joint name="beam_root"', 'root_joint name="other"', "no joint 'other'"),
+        ('stiffness="60.0"/>', 'stiffness="60.0" damping="1"/>', "unknown attribute damping"),
+        ('<joint name="beam_root" type="revolute">', '<joint name="beam_root" type="fixed">', "expected revolute"),
+        ('<vjm:root_joint name="beam_root" stiffness="60.0"/>', "", "first_inertia [+] hub_inertia"),
+        ('damping="0.07" friction="0"', 'damping="0.07" friction="0.1"', "'beam_root' has friction"),
+    ],
+)
+def test_faults_at_extended_chains_are_found(tmp_path: Path, old: str, new: str, fault: str) -> None:
+    text = chain_to_urdf(extended_chain())
+    assert text.count(old) == 1
+    with pytest.raises(ModelFileError, match=fault):
+        chain_from_urdf(saved(tmp_path, text.replace(old, new)))
 
 
 def test_elements_of_other_programs_are_passed_over() -> None:
@@ -101,7 +145,7 @@ INERTIA = 'ixx="1" iyy="1" izz="1"'
         ('<link name="beam_tip"/>', "", "no link 'beam_tip'"),
         ('ixx="0.0" ixy="0" ixz="0" iyy="0.0" iyz="0" izz="0.0"', INERTIA, "no point mass"),
         ('<vjm:virtual_joint name="beam_virtual_2"', '<vjm:virtual_joint name="other"', "no joint 'other'"),
-        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 1"/><dynamics damping="1"/>', "<joint> 'beam_joint' is damped"),
+        ('<child link="beam_tip"/>', '<child link="beam_tip"/><dynamics damping="1"/>', "'beam_tip_mount' is damped"),
     ],
 )
 def test_what_makes_no_chain_is_refused(tmp_path: Path, old: str, new: str, fault: str) -> None:

@@ -6,6 +6,7 @@ import io
 import logging
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,7 +14,8 @@ import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.urdf.chains import HOSTILE, Plane, chains, plain_chain, plain_link
+from tests.urdf.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
+from vjm import dynamics
 from vjm.chain.records import Array, Chain
 from vjm.errors import ShapeError, VjmError
 from vjm.urdf import chain_to_urdf, templates
@@ -66,9 +68,22 @@ def test_pinocchio_finds_joints_frames_damping_and_mass(chain: Chain, seed: int)
     for name, place in Plane(chain, q).places.items():
         pose = data.oMf[model.getFrameId(name)]
         assert_pose(pose.rotation, pose.translation, place)
-    clamped = chain.links[0].masses[0] if chain.links[0].joint == "clamped" else 0.0
+    still = chain.links[0].joint == "clamped" and chain.links[0].root_stiffness is None
+    clamped = chain.links[0].masses[0] if still else 0.0
     moving = sum(link.masses.sum() + link.payload for link in chain.links) - clamped
     assert pin.computeTotalMass(model) == pytest.approx(moving)
+
+
+@settings(deadline=None)
+@given(chains(), SEEDS)
+def test_pinocchio_makes_of_it_what_dynamics_makes_of_the_chain(chain: Chain, seed: int) -> None:
+    q = posture(chain, seed)
+    model, data, configuration = pinocchio_at(chain, q)
+    mechanism = dynamics.build(chain)
+    assert tuple(model.names) == tuple(mechanism.model.names)
+    expected = dynamics.mass_matrix(mechanism, q[None])[0]
+    upper = np.triu(pin.crba(model, data, configuration))
+    np.testing.assert_allclose(upper, np.triu(expected), rtol=1e-9, atol=1e-12 * expected.max())
 
 
 @settings(max_examples=30, deadline=None)
@@ -128,6 +143,71 @@ def test_hub_turns_with_the_active_joint_only() -> None:
     assert np.abs(added).sum() == pytest.approx(0.5)
 
 
+def test_hub_before_a_root_joint_is_a_body_of_its_own() -> None:
+    chain = extended_chain()
+    links = robot_of(chain).link_map
+    assert links["beam_hub"].inertial.inertia[2, 2] == 0.02
+    assert links["beam_virtual_0_link"].inertial.inertia[2, 2] == pytest.approx(1e-3 + 0.004)
+    assert [shape.material.name for shape in links["beam_hub"].visuals] == ["vjm_hub"]
+    assert [shape.material.name for shape in links["beam_virtual_0_link"].visuals] == ["vjm_even"]
+    assert links["fore_hub"].inertial is None  # nothing turns there
+    joints = robot_of(chain).joint_map
+    assert (joints["beam_root"].parent, joints["beam_root"].child) == ("beam_hub", "beam_virtual_0_link")
+    assert (joints["fore_joint"].type, joints["fore_joint"].parent) == ("fixed", "beam_tip")
+
+
+def test_mujoco_takes_it_and_finds_the_same_mass_matrix() -> None:
+    chain = extended_chain()
+    q = posture(chain, 5)
+    model = mujoco.MjModel.from_xml_string(chain_to_urdf(chain, {"beam": 0.008}))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    full = np.zeros((model.nv, model.nv))
+    for column, unit in zip(full, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, column, unit)
+    np.testing.assert_allclose(full, dynamics.mass_matrix(dynamics.build(chain), q[None])[0], rtol=1e-9)
+    assert tuple(model.joint(i).name for i in range(model.njnt)) == chain.joint_names
+    assert model.dof_damping == pytest.approx(chain.damping)
+    assert model.dof_frictionloss == pytest.approx([0.008, *[0.0] * (model.nv - 1)])
+
+
+def test_friction_and_damping_are_where_other_programs_look_for_them() -> None:
+    chain = extended_chain()
+    model = pin.buildModelFromXML(chain_to_urdf(chain, {"beam": 0.008}))
+    assert model.damping == pytest.approx(chain.damping)
+    assert model.damping[:2] == pytest.approx([0.006, 0.07])
+    friction = model.lowerDryFrictionLimit if hasattr(model, "lowerDryFrictionLimit") else -model.friction
+    assert np.abs(friction) == pytest.approx([0.008, *[0.0] * (model.nv - 1)])
+
+
+@pytest.mark.parametrize("friction", [{"boom": 0.1}, {"fore": 0.1}, {"beam": -0.1}, {"beam": np.inf}])
+def test_friction_is_at_active_joints_and_not_negative(friction: dict[str, float]) -> None:
+    with pytest.raises(ShapeError, match="friction"):
+        chain_to_urdf(extended_chain(), friction)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"joint": "clamped", "joint_damping": 0.1}, "beam.joint"),
+        ({"joint": "clamped", "joint_stiffness": 0.1}, "beam.joint"),
+        ({"root_damping": 0.1}, "beam.root_damping"),
+        ({"rest_curvature": np.nan}, "beam.rest_curvature"),
+    ],
+)
+def test_what_is_at_no_joint_is_refused(changes: dict[str, object], fault: str) -> None:
+    with pytest.raises(ShapeError, match=fault):
+        chain_to_urdf(Chain("arm", (plain_link(**changes),)))
+
+
+def test_plain_chains_are_written_as_ever() -> None:
+    text = chain_to_urdf(plain_chain())
+    for word in ("vjm:root_joint", "_root", 'joint_stiffness="', 'root_inertia="', 'rest_curvature="', "_hub<"):
+        assert word not in text
+    assert text.count("<dynamics") == plain_chain().passive.size
+
+
 def test_extension_is_passed_over_in_silence(
     caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -168,8 +248,8 @@ def test_links_need_names_of_their_own() -> None:
 
 
 def test_names_made_for_one_link_never_meet_those_of_another() -> None:
-    names = ("x", "x_tip", "x_virtual", "x_virtual_1", "x_payload", "x_tip_mount", "base")
-    chain = Chain("arm", tuple(plain_link(name) for name in names))
+    names = ("x", "x_tip", "x_hub", "x_root", "x_virtual", "x_virtual_1", "x_payload", "x_tip_mount", "base")
+    chain = Chain("arm", tuple(plain_link(name, root_stiffness=9.0) for name in names))
     robot = robot_of(chain).robot
     for made in ([joint.name for joint in robot.joints], [link.name for link in robot.links]):
         assert len(set(made)) == len(made)

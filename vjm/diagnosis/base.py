@@ -16,7 +16,7 @@ from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import Experiment, Recording
 from vjm.identification.data import Options, read_data
 from vjm.identification.torque_fit import Progress
-from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import Search, first_fit, simulated
 from vjm.identification.trajectory_problem import Point
 from vjm.simulate.initial_state import most_likely
@@ -26,6 +26,7 @@ from vjm.simulate.run import Run
 Array = NDArray[np.float64]
 
 LEAST_JOINTS = 8
+_ROUGH = 1.5  # misfit from which the model lacks so much that its parameters need not be found exactly
 _LARGER = 1.1  # times the noise given, from which the noise measured is believed instead
 _RUN_UP = 0.1  # s at either end of a driven recording in which frames may show the arm outside of it, if delayed
 
@@ -77,7 +78,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     observed = tuple(_prepared(run.observed, size, noise) for run in runs)
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     search = replace(search, observed=observed)
-    fit = search.near(joints, fit)
+    fit = search.near(joints, fit, rough=fit.point.misfit > _ROUGH)
     others = tuple(_prepared(each, size, noise) for each in others)
     return Base(fit, search, noise, others, (*problems, *more))
 
@@ -90,7 +91,7 @@ def _further(experiment: Experiment, search: Search) -> tuple[list[Observed], li
     for recording in train:
         try:
             usable += simulated([recording])[0]
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:
             problems.append(str(error))
     referenced = any(each.condition == REFERENCE for each in experiment.with_role("train"))
     noise = search.observed[0].noise

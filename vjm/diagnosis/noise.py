@@ -53,7 +53,9 @@ def camera_noise(runs: Sequence[Run]) -> Noise:
     found = [part for part in map(_outside, chosen) if part is not None]
     if not found:
         return Noise(None, np.zeros(0), "taken as white: too few markers to tell noise from motion")
-    where = "the quiet recording" + "s" * (len(quiet) > 1) if quiet else "the moving recordings, there being no quiet one"
+    where = (
+        "the quiet recording" + "s" * (len(quiet) > 1) if quiet else "the moving recordings, there being no quiet one"
+    )
     size, correlation, count = _correlation(found)
     colour = _autoregression(correlation, count)
     kind = "white" if not colour.size else f"coloured (lag-one correlation {correlation[1]:.2f})"

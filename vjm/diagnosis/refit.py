@@ -13,7 +13,7 @@ from vjm.diagnosis.extension import Extension
 from vjm.effects.effect import Effect
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
-from vjm.identification.trajectory_problem import Point, TrajectoryProblem
+from vjm.identification.trajectory_problem import Point
 from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
@@ -53,7 +53,6 @@ def refit(
     start: Explanation,
     effects: Sequence[Effect],
     sizes: Sequence[Array],
-    everywhere: Sequence[bool] | None = None,
     hopeless: Callable[[Point, float], bool] | None = None,
 ) -> Explanation | None:
     """Fit a model with other effects, from a fit with some of them or with none.
@@ -62,7 +61,6 @@ def refit(
         start: where to begin.
         effects: those wanted, with the inner parameters from which their search starts.
         sizes: (s,) guessed size of each, in everyday sizes.
-        everywhere: hmm.
         hopeless: may end the search, as of `fit_trajectory`.
 
     Returns:
@@ -76,9 +74,7 @@ def refit(
     x = np.clip(x, lower, upper)
     problem = replace(start.point.problem, extension=extension)
     arms = problem.arms(x)
-    states = [
-        transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)
-    ]
+    states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
     try:
         fit = fit_trajectory(problem, x, None, states, hopeless=hopeless)
     except SimulationDivergedError:

@@ -59,7 +59,7 @@ class Screen:
 
     @cached_property
     def statistics(self) -> Array:
-        """(V,) by how much each effect alone would lower chi^2; zero where absorbed, or on the wrong side of a bound."""
+        """(V,) by how much each alone would lower chi^2; zero where absorbed, or on the wrong side of a bound."""
         return np.array([self._gain([k]) for k in range(len(self.effects))])
 
     @cached_property

@@ -219,14 +219,14 @@ class Search:
             return [with_frequencies(*torque, self.data)[1].x, torque[1].x]
         return [torque[1].x]
 
-    def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
+    def near(self, joints: Sequence[int], fit: TrajectoryFit, rough: bool = False) -> TrajectoryFit:
         """Uniform links with so many joints, from a fit with about as many."""
         chain = self.template(joints)
         states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
         problem = self.problem(joints)
         chain = problem.parametrisation.chain(fit.point.x)
         problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, fit.point.misfit**2))
-        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.only_a_start)
+        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=rough or self.only_a_start)
 
     def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
         """The same with the parameters asked for, the uniform links being where they start and what they prefer."""

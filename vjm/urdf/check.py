@@ -55,10 +55,10 @@ def _tips(chain: Chain, q: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """(x, y) of each link's distal end [m] at q (nv,) [rad]."""
     angle, place, tips, start = 0.0, np.zeros(2), [], 0
     for link in chain.links:
-        turns = np.zeros(link.virtual_joints + 1)
-        first = 0 if link.joint == "revolute" else 1
-        turns[first:] = q[start : start + turns.size - first]
-        start += turns.size - first
+        own = q[start : start + link.coordinates]
+        start += link.coordinates
+        n = link.virtual_joints
+        turns = np.r_[own[:-n].sum(), own[-n:] + link.rest_curvature * link.cells]
         angles = angle + np.cumsum(turns)
         place = place + link.lengths @ np.column_stack((np.cos(angles), np.sin(angles)))
         angle = angles[-1]

@@ -2,13 +2,14 @@
 
     base -NAME_joint-> NAME_virtual_0_link -NAME_virtual_1-> ... NAME_virtual_n_link -NAME_tip_mount-> NAME_tip
 
-The payload hangs on the tip as NAME_payload; the next flexible link's NAME_joint starts from the tip.
+With a root joint: base -NAME_joint-> NAME_hub -NAME_root-> NAME_virtual_0_link ... The payload hangs on the tip as
+NAME_payload; the next flexible link's NAME_joint starts from the tip.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +21,9 @@ JointType = Literal["continuous", "revolute", "fixed"]
 # For pictures, and for the out-of-plane inertia no planar motion can tell: width and thickness where unknown.
 _DEFAULT_SECTION = 0.02  # of the link's length
 _STEEL = 7850.0  # [kg/m^3], for the payload's radius
+
+# [kg]; a hub before a root joint has none, but MuJoCo takes no moving body of less than 1e-15 kg.
+_HUB_MASS = 1e-14
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ class Joint:
         x: where, on the parent's x axis [m].
         body: the body it carries.
         damping: viscous [N m s/rad]; None for a joint without any.
+        yaw: angle of the body against the parent at zero [rad].
+        friction: dry [N m].
     """
 
     name: str
@@ -78,6 +84,8 @@ class Joint:
     x: float
     body: Body
     damping: float | None = None
+    yaw: float = 0.0
+    friction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +100,16 @@ class Spring:
 def joint_name(link: str) -> str:
     """The joint at the proximal end of flexible link `link`, active or fixed."""
     return f"{link}_joint"
+
+
+def root_name(link: str) -> str:
+    """The passive joint between the hub, or the ground, and virtual link 0."""
+    return f"{link}_root"
+
+
+def hub_name(link: str) -> str:
+    """The body before a root joint; a bare frame where nothing turns."""
+    return f"{link}_hub"
 
 
 def virtual_joint_name(link: str, j: int) -> str:
@@ -130,12 +148,11 @@ def base_body(chain: Chain) -> Body:
     return Body(BASE, shapes=(Shape("cylinder", (0.04 * length, 0.02 * length), 0.0, "vjm_base"),))
 
 
-def joints(chain: Chain) -> Iterator[Joint]:
-    """All joints with their bodies, from the base outwards."""
+def joints(chain: Chain, friction: Mapping[str, float] | None = None) -> Iterator[Joint]:
+    """All joints with their bodies, from the base outwards; with dry friction [N m] at links' active joints."""
     parent = BASE
     for link in chain.links:
-        kind: JointType = "continuous" if link.joint == "revolute" else "fixed"
-        yield Joint(joint_name(link.name), kind, parent, 0.0, virtual_link(link, 0))
+        yield from _proximal_joints(link, parent, (friction or {}).get(link.name, 0.0))
         for j in range(1, link.virtual_joints + 1):
             yield Joint(
                 virtual_joint_name(link.name, j),
@@ -144,12 +161,31 @@ def joints(chain: Chain) -> Iterator[Joint]:
                 float(link.lengths[j - 1]),
                 virtual_link(link, j),
                 damping=float(link.damping[j - 1]),
+                yaw=yaw(link.rest_curvature, float(link.cells[j - 1])),
             )
         last = virtual_link_name(link.name, link.virtual_joints)
         parent = tip_name(link.name)
         yield Joint(tip_mount_name(link.name), "fixed", last, float(link.lengths[-1]), Body(parent))
         if link.payload:
             yield Joint(payload_mount_name(link.name), "fixed", parent, 0.0, payload(link))
+
+
+def _proximal_joints(link: LinkChain, parent: str, friction: float) -> Iterator[Joint]:
+    """What carries virtual link 0: the active or fixed joint, then the root joint where there is one."""
+    first = virtual_link(link, 0)
+    carried = first if link.root_stiffness is None else hub(link)
+    if link.joint == "revolute":
+        damping = link.joint_damping if link.joint_damping or friction else None
+        yield Joint(joint_name(link.name), "continuous", parent, 0.0, carried, damping, friction=friction)
+    else:
+        yield Joint(joint_name(link.name), "fixed", parent, 0.0, carried)
+    if link.root_stiffness is not None:
+        yield Joint(root_name(link.name), "revolute", carried.name, 0.0, first, link.root_damping)
+
+
+def yaw(rest_curvature: float, cell: float) -> float:
+    """Angle between the virtual links at a joint of an unloaded link [rad]."""
+    return float(rest_curvature * cell)
 
 
 def springs(link: LinkChain) -> tuple[Spring, ...]:
@@ -161,8 +197,17 @@ def springs(link: LinkChain) -> tuple[Spring, ...]:
 
 
 def virtual_link(link: LinkChain, j: int) -> Body:
-    """Virtual link j, from 0, as a body; the hub is part of virtual link 0."""
+    """Virtual link j, from 0, as a body; what turns with virtual link 0 about the joint's axis is part of it."""
     return Body(virtual_link_name(link.name, j), inertial(link, j), _shapes(link, j))
+
+
+def hub(link: LinkChain) -> Body:
+    """What is between the active joint and the root joint."""
+    if link.joint == "clamped" and not link.hub_inertia:
+        return Body(hub_name(link.name))
+    turning = float(link.hub_inertia)
+    disc = Inertial(_HUB_MASS, 0.0, turning / 2, turning / 2, turning)
+    return Body(hub_name(link.name), disc, (_hub_shape(link),) if link.joint == "revolute" else ())
 
 
 def payload(link: LinkChain) -> Body:
@@ -175,19 +220,24 @@ def payload(link: LinkChain) -> Body:
 def inertial(link: LinkChain, j: int) -> Inertial:
     """Inertia of virtual link j with a third dimension.
 
-    izz is the chain's moment of inertia, plus the hub's for virtual link 0: the hub carries no mass here, so its
-    inertia is the same about every point. ixx and iyy follow from second moments of mass along x, y and z, none
+    izz is the chain's moment of inertia, plus that of hub and root for virtual link 0: these carry no mass here, so
+    their inertia is the same about every point. ixx and iyy follow from second moments of mass along x, y and z, none
     negative, which is what makes the tensor physically valid: along z the link's width, along y its thickness as far
-    as izz allows, along x the rest; the hub counts half along x and half along y, like a disc.
+    as izz allows, along x the rest; hub and root count half along x and half along y, like a disc.
     """
     width, thickness = section(link)
     mass, turning = float(link.masses[j]), float(link.inertias[j])
     along_z = mass * width**2 / 12
     along_y = min(mass * thickness**2 / 12, turning / 2)
     along_x = turning - along_y
-    hub = float(link.hub_inertia) if j == 0 else 0.0
+    disc = beyond_joint(link.hub_inertia, link.root_stiffness, link.root_inertia) if j == 0 else 0.0
     center = float(link.mass_centers[j])
-    return Inertial(mass, center, along_y + along_z + hub / 2, along_x + along_z + hub / 2, turning + hub)
+    return Inertial(mass, center, along_y + along_z + disc / 2, along_x + along_z + disc / 2, turning + disc)
+
+
+def beyond_joint(hub_inertia: float, root_stiffness: float | None, root_inertia: float) -> float:
+    """Inertia of what turns with virtual link 0 [kg m^2]: the root's, and the hub's where no joint is between."""
+    return float(root_inertia + hub_inertia if root_stiffness is None else root_inertia)
 
 
 def section(link: LinkChain) -> tuple[float, float]:
@@ -204,6 +254,9 @@ def _shapes(link: LinkChain, j: int) -> tuple[Shape, ...]:
     if j:
         radius = max(0.6 * thickness, 0.008 * link.length)
         return rod, Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint")
-    if link.joint == "revolute":
-        return rod, Shape("cylinder", (0.025 * link.length, 1.3 * width), 0.0, "vjm_hub")
-    return (rod,)
+    hub_here = link.joint == "revolute" and link.root_stiffness is None
+    return (rod, _hub_shape(link)) if hub_here else (rod,)
+
+
+def _hub_shape(link: LinkChain) -> Shape:
+    return Shape("cylinder", (0.025 * link.length, 1.3 * section(link)[0]), 0.0, "vjm_hub")

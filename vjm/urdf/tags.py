@@ -78,15 +78,23 @@ def vector(element: Element, attribute: str, size: int) -> tuple[float, ...]:
 
 
 def along_x(element: Element) -> float:
-    """The x of the child `origin` [m], zero where there is none; the chain has no other offsets and no rotations."""
-    origin = element.find("origin")
-    if origin is None:
-        return 0.0
-    x, y, z = vector(origin, "xyz", 3) if "xyz" in origin.attrib else (0.0, 0.0, 0.0)
-    turned = vector(origin, "rpy", 3) if "rpy" in origin.attrib else (0.0, 0.0, 0.0)
-    if y or z or any(turned):
+    """The x of the child `origin` [m], zero where there is none; there must be no other offset and no rotation."""
+    x, yaw = place(element)
+    if yaw:
         raise FaultError(f"{described(element)} is off the line or turned", 'xyz="X 0 0" rpy="0 0 0"')
     return x
+
+
+def place(element: Element) -> tuple[float, float]:
+    """The x [m] and the yaw [rad] of the child `origin`; the chain has no other offsets and rotations."""
+    origin = element.find("origin")
+    if origin is None:
+        return 0.0, 0.0
+    x, y, z = vector(origin, "xyz", 3) if "xyz" in origin.attrib else (0.0, 0.0, 0.0)
+    roll, pitch, yaw = vector(origin, "rpy", 3) if "rpy" in origin.attrib else (0.0, 0.0, 0.0)
+    if y or z or roll or pitch:
+        raise FaultError(f"{described(element)} is off the line or turned", 'xyz="X 0 0" rpy="0 0 YAW"')
+    return x, yaw
 
 
 def known(element: Element, *attributes: str) -> None:

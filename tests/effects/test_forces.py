@@ -1,0 +1,200 @@
+"""Forces of effects where theory says what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.dynamics.arms import random_motion
+from tests.effects.setups import FORE, LINK, POST, PRESENT, chain_of, placed_first, recording_of, revolute_arms
+from vjm.chain.records import Array, Chain
+from vjm.effects import (
+    CoulombFriction,
+    CubicStiffness,
+    Effect,
+    ExternalTone,
+    InPlaneGravity,
+    JointSpring,
+    LinearDrag,
+    QuadraticDrag,
+    RestCurvature,
+    StiffnessDrift,
+    StructuralDamping,
+    TipPayload,
+    ViscousFriction,
+)
+from vjm.experiment.records import Rig
+from vjm.modes import linearise, modes, modes_of
+
+HUB = chain_of(LINK)
+NONE = np.zeros(0)
+
+
+def force(effect: Effect, chain: Chain, q: Array, v: Array, time: float = 0.0) -> Array:
+    motion = effect.force(chain, 0.0)
+    assert motion is not None
+    return motion(np.array(time), q, v, NONE)
+
+
+def turning(chain: Chain, rate: float) -> tuple[Array, Array]:
+    """A straight arm that turns about its first joint."""
+    v = np.zeros(chain.size)
+    v[0] = rate
+    return np.zeros(chain.size), v
+
+
+def test_drag_of_a_straight_link_is_that_of_a_turning_rod() -> None:
+    rate, length = 1.7, LINK.length
+    linear = force(LinearDrag(coefficient=0.3), HUB, *turning(HUB, rate))
+    assert linear[0] == pytest.approx(-0.3 * rate * length**3 / 3)
+    quadratic = force(QuadraticDrag(coefficient=0.3), HUB, *turning(HUB, rate))
+    assert quadratic[0] == pytest.approx(-0.3 * rate**2 * length**4 / 4, rel=1e-4)
+    # Beyond a joint at s the moment is that of what lies beyond.
+    s = HUB.links[0].joint_arcs
+    assert linear[1:] == pytest.approx(-0.3 * rate * ((length**3 - s**3) / 3 - s * (length**2 - s**2) / 2))
+
+
+def test_drag_on_one_of_two_links_is_the_difference() -> None:
+    chain = chain_of(LINK, FORE)
+    q, v = turning(chain, 2.0)
+    reach, length = LINK.length + FORE.length, LINK.length
+    shares = [force(LinearDrag(coefficient=0.3, link=i), chain, q, v)[0] for i in (0, 1)]
+    assert shares == pytest.approx([-0.2 * length**3, -0.2 * (reach**3 - length**3)])
+
+
+@pytest.mark.parametrize("shift", [0.0, 3.7])
+def test_drag_takes_nothing_from_a_link_that_does_not_move_or_moves_along_itself(shift: float) -> None:
+    chain = chain_of(LINK, FORE)
+    q, v = np.zeros((2, chain.size))
+    assert force(LinearDrag(coefficient=0.3), chain, q + shift, v) == pytest.approx(0.0)
+    # The second link at a right angle to a first one that turns, turning back as fast, moves along itself only.
+    elbow = int(chain.active[1])
+    q[elbow], v[0], v[elbow] = np.pi / 2, 1.0, -1.0
+    assert force(LinearDrag(coefficient=0.3, link=1), chain, q, v) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_dry_friction_is_constant_in_motion_and_proportional_to_the_torque_everywhere() -> None:
+    q, v = turning(HUB, 0.1)
+    for sign in (1, -1):
+        found = force(CoulombFriction(torque=0.008), HUB, q, sign * v)
+        assert found[0] == pytest.approx(-sign * 0.008)
+        assert not found[1:].any()
+    slow = np.array([force(CoulombFriction(torque=torque), HUB, q, v * torque)[0] / torque for torque in (1e-6, 0.1)])
+    assert slow[0] == pytest.approx(slow[1])
+    # Below half a milliradian a second a joint sticks, and steps follow that on a light hub.
+    effect, light = CoulombFriction(torque=0.008), 0.005
+    slope = -force(effect, HUB, q, turning(HUB, 1e-7)[1])[0] / 1e-7
+    assert force(effect, HUB, q, turning(HUB, 5e-4)[1])[0] == pytest.approx(-0.008 * np.tanh(1.0))
+    assert slope / light * effect.longest_step < 2.5
+
+
+def test_joints_get_dampers_and_springs() -> None:
+    chain = chain_of(POST, LINK)
+    joint = chain.active[0]
+    damped = ViscousFriction(coefficient=0.004, link=1).chain(ViscousFriction(coefficient=0.001, link=1).chain(chain))
+    sprung = JointSpring(stiffness=0.05, link=1).chain(JointSpring(stiffness=0.02, link=1).chain(chain))
+    assert damped.damping - chain.damping == pytest.approx(0.005 * (np.arange(chain.size) == joint))
+    assert sprung.stiffness - chain.stiffness == pytest.approx(0.07 * (np.arange(chain.size) == joint))
+
+
+def test_a_mass_on_the_tip_joins_the_one_that_is_there() -> None:
+    chain = chain_of(POST, replace(LINK, payload=0.02))
+    assert [link.payload for link in TipPayload(mass=0.01).chain(chain).links] == pytest.approx([0.0, 0.03])
+    assert modes(TipPayload(mass=0.03).chain(HUB)).frequencies == pytest.approx(modes(HUB, payload=0.03).frequencies)
+
+
+def test_gravity_adds_up() -> None:
+    recording = recording_of(Rig("arm", (LINK,)))
+    tilted = InPlaneGravity(gx=0.2, gy=-0.3).inputs(recording)
+    assert tilted.gravity == pytest.approx((recording.gravity[0] + 0.2, recording.gravity[1] - 0.3))
+    assert tilted.markers is recording.markers
+
+
+def test_curvature_at_rest_adds_up() -> None:
+    once = RestCurvature(curvature=0.02, link=0).chain(HUB)
+    twice = RestCurvature(curvature=-0.05, link=0).chain(once)
+    assert [chain.links[0].rest_curvature for chain in (once, twice)] == pytest.approx([0.02, -0.03])
+
+
+@pytest.mark.parametrize("links", [(LINK,), (POST,), (LINK, FORE)])
+def test_structural_damping_gives_every_mode_half_the_loss_factor(links: Sequence) -> None:  # type: ignore[type-arg]
+    chain = chain_of(*links, n=3, kelvin_voigt=0.0)
+    effects = [StructuralDamping(loss_factor=0.02, link=i) for i in range(len(links))]
+    M, _, K, rest = linearise(chain, 0.05)
+    C = sum(effect.matrix(chain, 0.05) for effect in effects)
+    assert modes_of(M, C, K, rest).damping_ratios == pytest.approx(0.01)
+    # No loss without bending: a rigid turn, or a link with none of the strain energy.
+    if links == (LINK,):
+        v = np.eye(chain.size)[0]
+        motion = effects[0].force(chain, 0.05)
+        assert motion is not None
+        drift = v - modes_of(M, C, K, rest).shapes @ (modes_of(M, C, K, rest).shapes.T @ M @ v)
+        assert motion(np.array(0.0), v, drift, NONE) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_structural_damping_of_one_link_follows_its_share_of_the_energy() -> None:
+    stiff = chain_of(replace(LINK, bending_stiffness=1e5), replace(FORE, bending_stiffness=0.5), n=3, kelvin_voigt=0.0)
+    M, _, K, rest = linearise(stiff)
+    ratios = [
+        modes_of(M, StructuralDamping(loss_factor=0.02, link=i).matrix(stiff, 0.0), K, rest).damping_ratios[0]
+        for i in (0, 1)
+    ]
+    assert ratios[0] < 1e-6
+    assert ratios[1] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_cubic_stiffness_is_a_moment_of_the_curvature() -> None:
+    link, rng = HUB.links[0], np.random.default_rng(1)
+    q = 0.1 * rng.normal(size=HUB.size)
+    found = force(CubicStiffness(coefficient=-0.3), HUB, q, q)
+    curvature = q[1:] / link.cells
+    assert found == pytest.approx(np.r_[0.0, 0.3 * LINK.bending_stiffness * curvature**3])
+
+
+def test_drift_is_stiffness_in_proportion_to_time() -> None:
+    q = 0.1 * np.random.default_rng(1).normal(size=HUB.size)
+    found = force(StiffnessDrift(rate=0.002), HUB, q, q, time=3.0)
+    assert found == pytest.approx(-0.006 * HUB.stiffness * q)
+
+
+def test_a_tone_pushes_the_tip_sideways() -> None:
+    effect = ExternalTone(amplitude=0.5, frequency=2.0, phase=0.3)
+    still = np.zeros(HUB.size)
+    arms = LINK.length - np.r_[0.0, HUB.links[0].joint_arcs]
+    for time in (0.0, 0.1, 0.37):
+        push = 0.5 * np.sin(4 * np.pi * time + 0.3)
+        assert force(effect, HUB, still, still, time) == pytest.approx(push * arms)
+    folded = still.copy()
+    folded[-1] = np.pi / 2  # the last virtual link stands upright: the force is along the others
+    assert force(effect, HUB, folded, still)[0] == pytest.approx(0.5 * np.sin(0.3) * HUB.links[0].lengths[-1])
+
+
+def test_a_tone_is_searched_in_cosine_and_sine() -> None:
+    effect = ExternalTone(amplitude=0.02, frequency=3.0, phase=-2.5, link=0)
+    assert effect.coordinates == pytest.approx([2 * np.cos(2.5), -2 * np.sin(2.5), np.log(3 / 5)])
+    again = effect.at(effect.coordinates)
+    assert again.values == pytest.approx(effect.values)
+    assert effect.at(-effect.coordinates).amplitude == pytest.approx(0.02)
+    assert effect.at(np.array([0.0, 0.0, 0.5])).is_null
+    assert effect.sizes == 2
+
+
+@settings(max_examples=25)
+@given(revolute_arms(), st.integers(0, 99), st.sampled_from([effect for effect in PRESENT if effect.dissipative]))
+def test_dissipative_effects_never_do_positive_work(chain: Chain, seed: int, effect: Effect) -> None:
+    q, v, _ = random_motion(chain, 30, seed)
+    v *= np.logspace(-6, 1, 30)[:, None]
+    present = placed_first(effect)
+    extended = present.chain(chain)
+    total = -v * v * (extended.damping - chain.damping)
+    motion = present.force(extended, 0.0)
+    if motion is not None:
+        total = total + v * motion(np.zeros(30), q, v, np.zeros((30, 0)))
+    power = total.sum(axis=-1)
+    assert (power <= 1e-12 * np.abs(total).sum(axis=-1)).all()
+    assert (power < 0).any()

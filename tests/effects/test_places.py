@@ -1,0 +1,110 @@
+"""Where effects are sought, and where they cannot be seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
+from vjm.effects import BUILTIN, ExternalTone, Hysteresis, ViscoelasticCreep, by_id
+from vjm.experiment.records import Recording, Rig
+
+CLAMPED, HUB = Rig("post", (POST,)), Rig("hub", (LINK,))
+JOINT = {
+    "coulomb_friction",
+    "viscous_friction",
+    "joint_spring",
+    "torque_gain",
+    "torque_offset",
+    "gear_elasticity",
+    "backlash",
+    "encoder_offset",
+}
+LINKS = {
+    "clamp_compliance",
+    "linear_drag",
+    "quadratic_drag",
+    "structural_damping",
+    "viscoelastic_creep",
+    "hysteresis",
+    "cubic_stiffness",
+    "stiffness_drift",
+    "rest_curvature",
+    "marker_offset",
+}
+TIP = {"tip_payload", "external_tone"}
+
+
+def test_each_is_sought_where_it_can_act() -> None:
+    for effect in BUILTIN:
+        wanted: tuple[int | None, ...] = (None,)
+        wanted = (1, 2) if effect.id in JOINT else wanted
+        wanted = (0, 1, 2) if effect.id in LINKS else wanted
+        wanted = (2,) if effect.id in TIP else wanted
+        assert effect.places(RIG) == wanted, effect.id
+        assert {each.link for each in effect.variants(RIG, [])} == set(wanted), effect.id
+
+
+def test_inner_values_are_tried_in_turn() -> None:
+    for effect, name, count in ((ViscoelasticCreep(), "time_constant", 5), (Hysteresis(), "yield_angle", 4)):
+        values = [each.values[name] for each in effect.variants(HUB, [])]
+        assert len(values) == count
+        assert np.diff(np.log(values)) == pytest.approx(np.log(values[1] / values[0]), rel=0.05)
+
+
+def test_tones_are_tried_up_to_what_the_camera_shows() -> None:
+    slow = replace(recording_of(HUB), time=0.02 * np.arange(12))
+    tried = [each.frequency for each in ExternalTone().variants(HUB, [recording_of(HUB), slow])]
+    assert max(tried) == pytest.approx(50.0)
+    assert len(tried) == 12
+    blind = replace(slow, markers=np.full_like(slow.markers, np.nan))
+    assert ExternalTone().variants(HUB, [blind])
+
+
+def without(recording: Recording, *names: str) -> Recording:
+    return replace(recording, **{name: np.full_like(getattr(recording, name), np.nan) for name in names})
+
+
+def blind_effects(rig: Rig, recording: Recording) -> dict[str, str]:
+    found = {effect.id: effect.untestable(rig, [recording]) for effect in BUILTIN}
+    return {identifier: reason for identifier, reason in found.items() if reason}
+
+
+def test_everything_shows_where_everything_is_measured() -> None:
+    assert blind_effects(RIG, recording_of(RIG)) == {}
+    assert blind_effects(HUB, recording_of(HUB)) == {}
+
+
+def test_without_a_torque_there_is_none_that_is_wrong() -> None:
+    assert set(blind_effects(HUB, without(recording_of(HUB), "tau"))) == {"torque_gain", "torque_offset"}
+
+
+def test_without_an_encoder_there_is_none_that_is_wrong() -> None:
+    pulled = without(recording_of(HUB), "theta")
+    assert set(blind_effects(HUB, pulled)) == {"encoder_offset"}
+    # In free space the arm may as well point elsewhere.
+    floating = replace(pulled, gravity=(0.0, 0.0))
+    assert set(blind_effects(HUB, floating)) == {"encoder_offset", "camera_rotation"}
+
+
+def test_a_camera_alone_has_no_clock_to_compare_with() -> None:
+    found = blind_effects(HUB, without(recording_of(HUB), "theta", "tau"))
+    assert {"time_offset", "clock_scale"} <= set(found)
+    assert "clock" in found["time_offset"]
+    assert set(blind_effects(CLAMPED, recording_of(CLAMPED))) == JOINT | {"time_offset", "clock_scale"}
+
+
+def test_the_camera_s_own_faults_do_not_show_in_a_link_s_frame() -> None:
+    turning = Rig("hub", (replace(LINK, markers_frame="link"),))
+    assert set(blind_effects(turning, recording_of(turning))) == {
+        "camera_rotation",
+        "lens_distortion",
+        "rolling_shutter",
+    }
+    # A clamped link's frame is the base's; a link without markers has none to speak of.
+    post = replace(POST, markers_frame="link")
+    assert by_id("camera_rotation").untestable(Rig("post", (post,)), []) == ""
+    bare = Rig("arm", (post, replace(FORE, markers_frame="link", markers=())))
+    assert by_id("camera_rotation").untestable(bare, []) == ""

@@ -1,0 +1,99 @@
+"""What is soft or loose at a link's root."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.effects.setups import LINK, POST, chain_of
+from vjm.chain.records import Array
+from vjm.effects import Backlash, ClampCompliance, GearElasticity
+from vjm.modes import modes
+
+HUB, CLAMPED = chain_of(LINK), chain_of(POST)
+GAP = 0.01
+
+
+def test_a_clamp_that_gives_way_is_a_spring_at_the_root() -> None:
+    link = ClampCompliance(compliance=0.005).chain(CLAMPED).links[0]
+    assert (link.root_stiffness, link.root_damping, link.root_inertia) == (200.0, 0.0, 0.0)
+
+
+def test_frequencies_of_a_beam_on_a_spring_are_those_of_the_textbook() -> None:
+    """Roots of 1 + cos z cosh z = c z (sin z cosh z - cos z sinh z), with c = EI compliance / L."""
+    compliance = 0.2 / LINK.bending_stiffness
+    found = modes(ClampCompliance(compliance=compliance).chain(chain_of(POST, n=10))).frequencies[:2]
+    z = np.sqrt(2 * np.pi * found * LINK.length**2 * np.sqrt(LINK.mass / LINK.length / LINK.bending_stiffness))
+    left = 1 + np.cos(z) * np.cosh(z)
+    right = 0.2 * z * (np.sin(z) * np.cosh(z) - np.cos(z) * np.sinh(z))
+    assert left == pytest.approx(right, rel=0.01)
+
+
+def test_a_gear_splits_the_hub() -> None:
+    link = GearElasticity(stiffness=60.0).chain(HUB).links[0]
+    assert link.root_stiffness == 60.0
+    assert (link.hub_inertia, link.root_inertia) == pytest.approx((0.01, 0.01))
+    stiff = modes(GearElasticity(stiffness=1e6).chain(HUB)).frequencies[:3]
+    assert stiff == pytest.approx(modes(HUB).frequencies[:3], rel=1e-4)
+
+
+def test_springs_at_one_root_are_in_series_in_any_order() -> None:
+    effects = [GearElasticity(stiffness=60.0), ClampCompliance(compliance=0.02), Backlash(gap=GAP)]
+    chains = []
+    for order in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
+        chain = HUB
+        for k in order:
+            chain = effects[k].chain(chain)
+        chains.append(chain.links[0])
+    for link in chains:
+        assert link.root_stiffness == pytest.approx(1 / (1 / 60 + 0.02 + 1 / 2000))
+        assert link.root_damping == pytest.approx(chains[0].root_damping)
+        assert (link.hub_inertia, link.root_inertia) == pytest.approx((0.01, 0.01))
+
+
+def flank_torque(twist: Array, rate: float = 0.0, gap: float = GAP) -> Array:
+    """Torque of motor on hub: the chain's spring and damper with the effect's force."""
+    effect = Backlash(gap=gap)
+    chain = effect.chain(HUB)
+    motion, root = effect.force(chain, 0.0), chain.roots[0]
+    assert motion is not None
+    q, v = np.zeros((2, twist.size, chain.size))
+    q[:, root], v[:, root] = twist, rate
+    total = motion(np.zeros(twist.size), q, v, np.zeros((twist.size, 0))) - chain.stiffness * q - chain.damping * v
+    others = np.delete(total - (-chain.stiffness * q - chain.damping * v), root, axis=1)
+    assert not others.any()
+    return total[:, root]
+
+
+def test_nothing_is_passed_on_inside_the_gap() -> None:
+    inside = np.linspace(-0.35, 0.35, 31) * GAP
+    assert flank_torque(inside, rate=0.3) == pytest.approx(0.0, abs=0.01)
+    assert flank_torque(0.1 * inside, rate=0.3) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_flanks_are_stiff_and_damped_beyond_the_gap() -> None:
+    beyond = np.array([0.75, 1.0, 3.0]) * GAP
+    for side in (1, -1):
+        found = flank_torque(side * beyond)
+        assert found == pytest.approx(-side * 2000.0 * (beyond - GAP / 2), rel=1e-3)
+        assert flank_torque(side * beyond, rate=0.3) - found == pytest.approx(-0.3 * 2.0, rel=1e-3)
+
+
+def test_the_torque_is_smooth_odd_and_falls_with_the_twist() -> None:
+    twist = np.linspace(-GAP, GAP, 4001)
+    found = flank_torque(twist)
+    assert found == pytest.approx(-found[::-1], abs=1e-9)
+    assert (np.diff(found) <= 1e-9).all()
+    curvature = np.abs(np.diff(found, 2)).max() / (twist[1] - twist[0]) ** 2
+    assert curvature < 2000 / (0.1 * GAP)  # the slope changes over no less than a tenth of the gap
+
+
+def test_a_huge_twist_does_not_overflow() -> None:
+    with np.errstate(over="raise", invalid="raise"):
+        assert np.isfinite(flank_torque(np.array([-50.0, 50.0]), gap=1e-6)).all()
+
+
+def test_steps_resolve_the_flanks_on_a_light_hub() -> None:
+    light = 0.005
+    pulsation = np.sqrt(2000 / (light / 4))  # both halves against each other
+    assert Backlash(gap=GAP).longest_step * pulsation < 1.0

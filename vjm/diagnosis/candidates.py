@@ -1,0 +1,203 @@
+"""Which effects are looked for, where, and how sure one must be: p-values of the whole search."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.records import Candidate
+from vjm.diagnosis.screen import Screen
+from vjm.effects import BUILTIN, Effect, ExternalTone
+from vjm.errors import ChoiceError, ShapeError
+from vjm.experiment.records import Recording, Rig
+from vjm.identification.trajectory_problem import Point
+from vjm.simulate.run import Run
+
+Array = NDArray[np.float64]
+
+COARSENESS = "unmodelled_mode"
+_DRAWS = 4000
+_POWER = 1.2816  # standard deviations: nine times in ten
+_TONES = 3  # peaks of the residuals' spectrum that are looked at
+_FINER = 8  # points of the spectrum a bin
+_APART = 2.0  # bins between peaks
+
+
+def chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
+    """The effects to look for.
+
+    Args:
+        effects: ids of built-in ones, or instances; None: all that are built in.
+
+    Raises:
+        ChoiceError: an id that is not known.
+        ShapeError: the same effect twice, or something that is no effect.
+    """
+    known = {effect.id: effect for effect in BUILTIN}
+    found: list[Effect] = []
+    for each in BUILTIN if effects is None else effects:
+        if isinstance(each, str) and each not in known:
+            raise ChoiceError("effect", each, known)
+        effect = known[each] if isinstance(each, str) else each
+        if not isinstance(effect, Effect):
+            raise ShapeError("effects", repr(effect), "ids, or instances of vjm.effects.Effect")
+        found.append(effect)
+    names = [effect.id for effect in found]
+    if len(set(names)) < len(names) or not names:
+        raise ShapeError("effects", ", ".join(names) or "none", "at least one, each once")
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What is looked for.
+
+    Attributes:
+        variants: absent effects, one a place and choice of inner parameters.
+        times: (V,) as how many independent looks each counts.
+        untestable: effects that the recordings cannot show, with the reason.
+    """
+
+    variants: tuple[Effect, ...]
+    times: Array
+    untestable: tuple[tuple[Effect, str], ...]
+
+
+def looked_for(effects: Sequence[Effect], rig: Rig, point: Point) -> Looked:
+    """The variants of effects that a fit's recordings can show."""
+    recordings: list[Recording] = [run.observed.recording for run in point.runs]
+    variants: list[Effect] = []
+    times: list[float] = []
+    untestable = []
+    for effect in effects:
+        if effect.id == COARSENESS:
+            continue
+        reason = effect.untestable(rig, recordings)
+        if reason or not effect.places(rig):
+            untestable.append((effect, reason or "the rig has no place for it"))
+            continue
+        if isinstance(effect, ExternalTone):
+            tones, looks = _tones(effect, rig, point.runs)
+            variants += tones
+            times += [looks] * len(tones)
+            continue
+        own = effect.variants(rig, recordings)
+        variants += own
+        times += [1.0] * len(own)
+    return Looked(tuple(variants), np.array(times), tuple(untestable))
+
+
+def _tones(effect: ExternalTone, rig: Rig, runs: Sequence[Run]) -> tuple[list[Effect], float]:
+    """Tones at the peaks of the residuals' spectrum, and how many independent frequencies there were to look at."""
+    quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
+    chosen = quiet or list(runs)
+    time = max((run.observed.recording.time[run.observed.frames] for run in chosen), key=lambda t: float(np.ptp(t)))
+    duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
+    frequencies = np.arange(1 / duration, 0.45 / step, 1 / (_FINER * duration))
+    power = np.zeros(frequencies.size)
+    for run in chosen:
+        seen = run.observed
+        residual, _ = seen.spread(run.residual)
+        instants = seen.recording.time[seen.frames] - seen.recording.time[0]
+        waves = np.exp(-2j * np.pi * np.outer(frequencies, instants))
+        power += np.sum(np.abs(waves @ np.nan_to_num(residual)) ** 2, axis=1) / max(len(instants), 1)
+    peaks: list[float] = []
+    for k in np.argsort(power)[::-1].tolist():
+        if all(abs(frequencies[k] - other) > _APART / duration for other in peaks):
+            peaks.append(float(frequencies[k]))
+        if len(peaks) == _TONES:
+            break
+    places = effect.places(rig)
+    found = [replace(effect, link=link, frequency=peak) for link in places for peak in peaks]
+    return [*found], duration * 0.45 / step / max(len(found), 1)
+
+
+@dataclass(frozen=True)
+class Family:
+    """How p-values of single looks become those of the whole search.
+
+    Attributes:
+        looks: number of independent looks that the search amounts to.
+        times: (V,) as of `Looked`.
+        seen: the screen.
+    """
+
+    looks: float
+    times: Array
+    seen: Screen
+
+    @classmethod
+    def of(cls, seen: Screen, times: Array, alpha: float, seed: int) -> Family:
+        """From the smallest p-values that noise alone gives, candidates being alike as they are (maximum statistic)."""
+        from vjm.diagnosis.screen import tail
+
+        if not seen.effects:
+            return cls(1.0, times, seen)
+        draws = seen.draws(_DRAWS, seed)
+        sizes, one_sided = seen.kinds
+        smallest = np.min(_several(tail(draws, sizes, one_sided), times), axis=1)
+        level = max(float(np.quantile(smallest, alpha)), 1e-12)
+        return cls(max(1.0, float(np.log1p(-alpha) / np.log1p(-level))), times, seen)
+
+    @property
+    def p_values(self) -> Array:
+        """(V,) of the whole search."""
+        return _several(_several(self.seen.p_values, self.times), np.full(len(self.times), self.looks))
+
+    def threshold(self, alpha: float) -> Array:
+        """(V,) z that a candidate must reach to be below alpha."""
+        from scipy import stats
+
+        single = -np.expm1(np.log1p(-alpha) / (self.looks * self.times))
+        sizes, one_sided = self.seen.kinds
+        return np.asarray(np.sqrt(stats.chi2.isf(np.where(one_sided, 2 * single, single), sizes)))
+
+
+def _several(p: Array, looks: Array) -> Array:
+    """Probability that the smallest of several independent p-values is as small."""
+    result: Array = -np.expm1(looks * np.log1p(-np.minimum(p, 1 - 1e-16)))
+    return result
+
+
+def candidates(looked: Looked, family: Family, alpha: float, floor: float) -> tuple[Candidate, ...]:
+    """Every effect that was looked for, the most needed first, those that cannot be tested last.
+
+    Args:
+        looked: the variants.
+        family: p-values.
+        alpha: of the whole search.
+        floor: fall of chi^2 below which an effect does not matter, whatever its p-value.
+    """
+    seen, p = family.seen, family.p_values
+    best: dict[tuple[str, int | None], int] = {}
+    for k, effect in enumerate(seen.effects):
+        key = (effect.id, effect.link)
+        if key not in best or seen.statistics[k] > seen.statistics[best[key]]:
+            best[key] = k
+    wanted = np.maximum(family.threshold(alpha), np.sqrt(floor)) + _POWER
+    found = []
+    for k in sorted(best.values(), key=lambda k: -seen.statistics[k]):
+        effect = seen.effects[k]
+        if seen.absorbed[k]:
+            reason = "whatever its size, other parameters explain these recordings as well"
+            found.append(Candidate(effect, None, None, {}, {}, reason))
+            continue
+        guess = effect.at(np.r_[seen.guess([k]), effect.coordinates[effect.sizes :]])
+        sizes = {each.name: float(guess.values[each.name]) for each in effect.parameters() if not each.inner}
+        std = 1 / np.sqrt(np.maximum(np.diag(seen.products)[seen.parts[k]], 1e-300))
+        least = _least(effect, wanted[k] * std)
+        found.append(Candidate(effect, float(np.sqrt(seen.statistics[k])), float(p[k]), sizes, least))
+    return (*found, *(Candidate(effect, None, None, {}, {}, reason) for effect, reason in looked.untestable))
+
+
+def _least(effect: Effect, coordinates: Array) -> dict[str, float]:
+    """Sizes at coordinates (s,), as differences from the null (reciprocal ones as values)."""
+    named = [each for each in effect.parameters() if not each.inner]
+    found = {}
+    for each, coordinate in zip(named, coordinates.tolist(), strict=False):
+        value = each.value(coordinate)
+        found[each.name] = value if each.reciprocal else abs(value - each.null)
+    return found

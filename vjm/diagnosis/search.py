@@ -1,0 +1,228 @@
+"""The search for what is missing: screens, refits of the best few, pairs as well as single steps, drops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.candidates import Family, Looked
+from vjm.diagnosis.refit import Explanation, refit
+from vjm.diagnosis.screen import Screen, screen
+from vjm.effects import Effect
+from vjm.identification.trajectory_problem import Point
+
+Array = NDArray[np.float64]
+Tell = Callable[[str], None]
+Key = tuple[str, int | None]
+Job = tuple[Explanation, list[Effect], list[Array]]
+
+_BEST = 8  # candidates refitted a round
+_FIRST_STEPS = 2  # of each of them, before the most promising are followed to the end
+_PAIRS = 4  # pairs refitted that no single step leads to
+_MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
+ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
+
+
+@dataclass(frozen=True)
+class Rules:
+    """When a search goes on.
+
+    Attributes:
+        alpha: chance that any effect is found where there is none.
+        matters: share of chi^2 that an effect must explain to matter.
+        most: number of effects at most.
+        seed: of what is drawn.
+    """
+
+    alpha: float = 0.01
+    matters: float = 0.003
+    most: int = 3
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Found:
+    """Where a search ended.
+
+    Attributes:
+        best: the explanation.
+        tried: every explanation that was fitted to its end, by what is in it.
+        first: the screen beside the model without effects, and its p-values.
+        last: the same beside the best explanation.
+        p_values: of each effect of the best explanation, when it was added.
+    """
+
+    best: Explanation
+    tried: dict[frozenset[Key], Explanation]
+    first: Family
+    last: Family
+    p_values: dict[Key, float] = field(default_factory=dict)
+
+
+class Search:
+    """One search, with all that it has fitted."""
+
+    def __init__(
+        self,
+        start: Explanation,
+        looked: Looked,
+        rules: Rules,
+        tell: Tell,
+        executor: Executor | None = None,
+        workers: int = 1,
+    ) -> None:
+        self.looked = looked
+        self.rules = rules
+        self.tell = tell
+        self.executor = executor
+        self.workers = workers
+        self.tried: dict[frozenset[Key], Explanation] = {start.names: start}
+        self.start = start
+
+    def run(self) -> Found:
+        """Add effects while they are needed."""
+        best, p_values = self.start, dict[Key, float]()
+        first = family = self.judged(best)
+        while len(best.effects) < self.rules.most:
+            needed = self._needed(best, family)
+            if not needed:
+                break
+            steps: list[tuple[Explanation, Sequence[int]]] = [(best, [k]) for k in needed[:_BEST]]
+            if len(best.effects) == 1:
+                steps += self._pairs(first, best)
+            self.race(best, family, first, steps)
+            trial = self._best(len(best.effects) + 1)
+            if trial is None or not self._worth(best, trial):
+                break
+            best = self._without_idle(trial)
+            p_values |= {key: float(family.p_values[needed[0]]) for key in best.names if key not in p_values}
+            family = self.judged(best)
+        return Found(best, self.tried, first, family, p_values)
+
+    def judged(self, explanation: Explanation) -> Family:
+        """Candidates beside an explanation."""
+        self.tell("looking for what is missing")
+        names = explanation.names
+        kept = [k for k, variant in enumerate(self.looked.variants) if _key(variant) not in names]
+        variants = [self.looked.variants[k] for k in kept]
+        seen = screen(explanation.point, explanation.effects, variants)
+        return Family.of(seen, self.looked.times[kept], self.rules.alpha, self.rules.seed)
+
+    def race(
+        self, best: Explanation, family: Family, first: Family, steps: Sequence[tuple[Explanation, Sequence[int]]]
+    ) -> None:
+        """Refit explanations, giving up those that will not come near the best."""
+        jobs = []
+        for start, chosen in steps:
+            seen = family.seen if start is best else first.seen
+            job = proposal(start, seen, chosen)
+            names = frozenset(_key(effect) for effect in job[1])
+            if names not in self.tried and len(names) == len(job[1]):
+                jobs.append((names, job))
+        self._fit(jobs)
+
+    def _fit(self, jobs: Sequence[tuple[frozenset[Key], Job]]) -> None:
+        """A few steps for each; then to the end for those that may be the best, the most promising first."""
+        self.tell("trying " + ", ".join(sorted({name for names, _ in jobs for name, _ in names})))
+        begun = [found for found in self._map(_begun, [job for _, job in jobs]) if found is not None]
+        begun.sort(key=lambda each: each.chi2)
+        record = np.inf
+        for first in range(0, len(begun), self.workers):
+            together = begun[first : first + self.workers]
+            self.tell("fitting " + " and ".join(sorted({name for each in together for name, _ in each.names})))
+            for found in self._map(partial(finished, record=record), together):
+                if found is not None:
+                    self.tried[found.names] = found
+                    record = min(record, found.chi2)
+
+    def _map(self, work: Callable[..., Explanation | None], jobs: Sequence[object]) -> list[Explanation | None]:
+        if self.executor is None or len(jobs) < 2:
+            return [work(job) for job in jobs]
+        return [*self.executor.map(work, jobs)]
+
+    def _needed(self, best: Explanation, family: Family) -> list[int]:
+        """Candidates that are needed beside an explanation, one variant each, the most needed first."""
+        seen = family.seen
+        matters = self.rules.matters * best.chi2
+        needed = [
+            k
+            for k in range(len(seen.effects))
+            if family.p_values[k] < self.rules.alpha and seen.statistics[k] > matters
+        ]
+        return one_each(seen, needed) if needed else []
+
+    def _pairs(self, first: Family, best: Explanation) -> list[tuple[Explanation, Sequence[int]]]:
+        """Pairs that explain most by the first screen, without the best single effect."""
+        seen = first.seen
+        alone = [k for k in one_each(seen, range(len(seen.effects))) if _key(seen.effects[k]) not in best.names]
+        scored = [(seen.pair(i, j), i, j) for n, i in enumerate(alone) for j in alone[:n]]
+        scored.sort(reverse=True)
+        return [(self.start, [i, j]) for _, i, j in scored[:_PAIRS]]
+
+    def _best(self, count: int) -> Explanation | None:
+        found = [each for each in self.tried.values() if len(each.effects) == count]
+        return min(found, key=lambda each: each.chi2, default=None)
+
+    def _worth(self, fewer: Explanation, more: Explanation) -> bool:
+        return fewer.chi2 - more.chi2 > self.rules.matters * more.chi2
+
+    def _without_idle(self, explanation: Explanation) -> Explanation:
+        """Without effects that the others make needless."""
+        for effect in explanation.effects:
+            names = explanation.names - {_key(effect)}
+            fewer = self.tried.get(names)
+            if fewer is not None and len(names) and not self._worth(fewer, explanation):
+                return self._without_idle(fewer)
+        return explanation
+
+
+def _key(effect: Effect) -> Key:
+    return effect.id, effect.link
+
+
+def one_each(seen: Screen, chosen: Sequence[int]) -> list[int]:
+    """Of several variants of one effect at one place the one that explains most; the most needed first."""
+    best: dict[Key, int] = {}
+    for k in sorted(chosen, key=lambda k: -seen.statistics[k]):
+        best.setdefault(_key(seen.effects[k]), k)
+    return list(best.values())
+
+
+def proposal(start: Explanation, seen: Screen, chosen: Sequence[int]) -> Job:
+    """What to fit: an explanation with further effects, of sizes that a screen guesses."""
+    added = [seen.effects[k] for k in chosen]
+    guess = seen.guess(chosen)
+    stops = np.cumsum([effect.sizes for effect in added])
+    sizes = [guess[stop - effect.sizes : stop] for stop, effect in zip(stops, added, strict=True)]
+    known = [effect.coordinates[: effect.sizes] for effect in start.effects]
+    return start, [*start.effects, *added], [*known, *sizes]
+
+
+def _begun(job: Job) -> Explanation | None:
+    """A refit's first steps."""
+    return refit(*job, _Patience(_FIRST_STEPS))
+
+
+def finished(begun: Explanation, record: float = np.inf) -> Explanation | None:
+    """A refit to its end; given up once it will not come near the record."""
+    if begun.fit.converged:
+        return begun
+    own = [effect.coordinates[: effect.sizes] for effect in begun.effects]
+    return refit(begun, begun.effects, own, _Patience(np.inf, record))
+
+
+class _Patience:
+    """Ends a fit after some steps, or when it will not come near a record."""
+
+    def __init__(self, steps: float, record: float = np.inf) -> None:
+        self.left = steps
+        self.record = record
+
+    def __call__(self, point: Point, predicted: float) -> bool:
+        self.left -= 1
+        return self.left < 0 or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE

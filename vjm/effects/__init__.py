@@ -1,0 +1,99 @@
+"""What a model may lack: candidate physics and sensor faults, one small class each."""
+
+from vjm.effects.bending import CubicStiffness, RestCurvature, StiffnessDrift, StructuralDamping, UnmodelledMode
+from vjm.effects.camera import CameraRotation, CameraScale, LensDistortion, MarkerOffset
+from vjm.effects.clock import ClockScale, RollingShutter, TimeOffset
+from vjm.effects.drag import LinearDrag, QuadraticDrag
+from vjm.effects.effect import Effect, Motion, Parameter, inner, size
+from vjm.effects.encoder import EncoderOffset
+from vjm.effects.gravity import InPlaneGravity
+from vjm.effects.joint import CoulombFriction, JointSpring, ViscousFriction
+from vjm.effects.memory import Hysteresis, ViscoelasticCreep
+from vjm.effects.root import Backlash, ClampCompliance, GearElasticity
+from vjm.effects.tip import TipPayload
+from vjm.effects.tone import ExternalTone
+from vjm.effects.torque import TorqueGain, TorqueOffset
+from vjm.errors import ChoiceError
+
+# All that comes with vjm, absent: mechanics first, then sensors.
+BUILTIN: tuple[Effect, ...] = (
+    TipPayload(),
+    InPlaneGravity(),
+    CoulombFriction(),
+    ViscousFriction(),
+    JointSpring(),
+    TorqueGain(),
+    TorqueOffset(),
+    GearElasticity(),
+    Backlash(),
+    ClampCompliance(),
+    LinearDrag(),
+    QuadraticDrag(),
+    StructuralDamping(),
+    ViscoelasticCreep(),
+    Hysteresis(),
+    CubicStiffness(),
+    StiffnessDrift(),
+    RestCurvature(),
+    ExternalTone(),
+    UnmodelledMode(),
+    TimeOffset(),
+    ClockScale(),
+    CameraScale(),
+    CameraRotation(),
+    EncoderOffset(),
+    LensDistortion(),
+    RollingShutter(),
+    MarkerOffset(),
+)
+_KNOWN = {effect.id: effect for effect in BUILTIN}
+
+
+def by_id(identifier: str) -> Effect:
+    """The built-in effect with an id, absent.
+
+    Raises:
+        ChoiceError: there is none.
+    """
+    if identifier not in _KNOWN:
+        raise ChoiceError("effect", identifier, _KNOWN)
+    return _KNOWN[identifier]
+
+
+__all__ = [
+    "BUILTIN",
+    "Backlash",
+    "CameraRotation",
+    "CameraScale",
+    "ClampCompliance",
+    "ClockScale",
+    "CoulombFriction",
+    "CubicStiffness",
+    "Effect",
+    "EncoderOffset",
+    "ExternalTone",
+    "GearElasticity",
+    "Hysteresis",
+    "InPlaneGravity",
+    "JointSpring",
+    "LensDistortion",
+    "LinearDrag",
+    "MarkerOffset",
+    "Motion",
+    "Parameter",
+    "QuadraticDrag",
+    "RestCurvature",
+    "RollingShutter",
+    "StiffnessDrift",
+    "StructuralDamping",
+    "TimeOffset",
+    "TipPayload",
+    "TorqueGain",
+    "TorqueOffset",
+    "UnmodelledMode",
+    "ViscoelasticCreep",
+    "ViscousFriction",
+    "by_id",
+    "inner",
+    "size",
+]

@@ -1,0 +1,163 @@
+"""How a link's bending differs from a linear spring and damper."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.records import Chain
+from vjm.effects.effect import Effect, Motion, size
+from vjm.effects.places import LinkEffect, changed_link
+from vjm.modes import linearise, modes_of
+
+Array = NDArray[np.float64]
+
+# Modes above are damped no faster than one here [rad/s]: no camera shows them, and steps need not follow them.
+_FASTEST = 1000.0
+_LIGHT = 0.03  # loss factor up to which an explicit step is stable however long
+_STEP_FOR_HEAVY = 1.5 / _FASTEST  # s
+
+
+@dataclass(frozen=True)
+class StructuralDamping(LinkEffect):
+    """A rate-independent loss in bending: every mode gets the same damping ratio, half the loss factor.
+
+    With several links, a mode gets each link's loss by the share of its strain energy there.
+
+    Attributes:
+        loss_factor: energy lost in a radian over the strain energy.
+    """
+
+    loss_factor: float = size("", 0.01, lower=0.0, upper=0.3)
+
+    id = "structural_damping"
+    says = "structural damping: a loss in bending that does not depend on the rate"
+    reference = "S. H. Crandall, The role of damping in vibration theory, Journal of Sound and Vibration 11(1), 1970"
+    apart_by = "two or more modes in free decay"
+    dissipative = True
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Proportional to the rates."""
+        if self.is_null:
+            return None
+        matrix = self.matrix(chain, payload)
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            result: Array = -v @ matrix
+            return result
+
+        return force
+
+    def matrix(self, chain: Chain, payload: float) -> Array:
+        """(nv, nv) C = M Phi diag(loss_factor omega) Phi^T M of the chain's modes at rest [N m s/rad]."""
+        M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
+        found = modes_of(M, D, K, rest)
+        pulsations, part = 2 * np.pi * found.frequencies, chain.passive_slices[self.index]
+        energies = np.diag(K)[:, None] * found.shapes**2
+        shares = energies[part].sum(axis=0) / energies.sum(axis=0)
+        carried = M @ found.shapes
+        result: Array = (carried * (self.loss_factor * shares * np.minimum(pulsations, _FASTEST))) @ carried.T
+        return (result + result.T) / 2
+
+    @property
+    def longest_step(self) -> float:
+        """At which the damping of fast modes is stable."""
+        return np.inf if self.loss_factor <= _LIGHT else _STEP_FOR_HEAVY
+
+
+@dataclass(frozen=True)
+class CubicStiffness(LinkEffect):
+    """The bending moment is EI kappa (1 + coefficient kappa^2).
+
+    Attributes:
+        coefficient: positive: hardening, negative: softening [m^2].
+    """
+
+    coefficient: float = size("m^2", 0.05)
+
+    id = "cubic_stiffness"
+    says = "a bending stiffness that changes with the curvature"
+    reference = "A. H. Nayfeh and P. F. Pai, Linear and Nonlinear Structural Mechanics, Wiley, 2004"
+    apart_by = "recordings at two amplitudes"
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Proportional to the angles' cubes."""
+        if self.is_null:
+            return None
+        link, part = chain.links[self.index], chain.passive_slices[self.index]
+        factor = -self.coefficient * link.stiffness / link.cells**2
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            phi, found = q[..., part], np.zeros(q.shape)
+            found[..., part] = factor * phi * phi * phi
+            return found
+
+        return force
+
+
+@dataclass(frozen=True)
+class StiffnessDrift(LinkEffect):
+    """The bending stiffness is (1 + rate t) times what it is at the start of each recording.
+
+    Attributes:
+        rate: [1/s].
+    """
+
+    rate: float = size("1/s", 0.002)
+
+    id = "stiffness_drift"
+    says = "a bending stiffness that drifts during each recording"
+    reference = (
+        "H. Sohn, Effects of environmental and operational variability on structural health monitoring, Philosophical "
+        "Transactions of the Royal Society A 365, 2007"
+    )
+    apart_by = "recordings at two amplitudes, or one that starts again when the link has warmed up"
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Proportional to time and angles."""
+        if self.is_null:
+            return None
+        part = chain.passive_slices[self.index]
+        factor = -self.rate * chain.links[self.index].stiffness
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            found = np.zeros(q.shape)
+            found[..., part] = np.asarray(time)[..., None] * q[..., part] * factor
+            return found
+
+        return force
+
+
+@dataclass(frozen=True)
+class RestCurvature(LinkEffect):
+    """The unloaded link is an arc.
+
+    Attributes:
+        curvature: [1/m].
+    """
+
+    curvature: float = size("1/m", 0.02)
+
+    id = "rest_curvature"
+    says = "a link that is bent at rest"
+    reference = "S. P. Timoshenko and J. M. Gere, Theory of Elastic Stability, 2nd edition, McGraw-Hill, 1961"
+    apart_by = "a fixed fiducial beside the base in the camera's view"
+
+    def chain(self, chain: Chain) -> Chain:
+        """With an arc for the link."""
+        if self.is_null:
+            return chain
+        curvature = chain.links[self.index].rest_curvature + self.curvature
+        return changed_link(chain, self.index, rest_curvature=curvature)
+
+
+@dataclass(frozen=True)
+class UnmodelledMode(Effect):
+    """The chain has too few virtual joints for what the recordings show: a reason to refit, no physics."""
+
+    id = "unmodelled_mode"
+    says = "a bending mode for which the model has too few virtual joints"
+    reference = "M. J. Balas, Feedback control of flexible systems, IEEE Transactions on Automatic Control 23(4), 1978"
+    apart_by = "the same fit with two virtual joints more"

@@ -1,0 +1,103 @@
+"""A sinusoidal force on the tip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.records import Chain
+from vjm.effects.effect import Motion, inner, size
+from vjm.effects.places import TipEffect
+from vjm.effects.rods import Rods
+from vjm.experiment.records import Recording, Rig
+
+Array = NDArray[np.float64]
+
+_LOWEST = 0.2  # Hz
+_FREQUENCIES = 12
+_USUAL_RATE = 100.0  # frames a second, where none is known
+
+
+@dataclass(frozen=True)
+class ExternalTone(TipEffect):
+    """A lateral force on the tip, amplitude sin(2 pi frequency t + phase), normal to the last virtual link.
+
+    A search varies amplitude cos(phase) and amplitude sin(phase), in which the motion is about linear.
+
+    Attributes:
+        amplitude: [N].
+        frequency: [Hz].
+        phase: at the start of each recording [rad].
+    """
+
+    amplitude: float = size("N", 0.01, lower=0.0)
+    frequency: float = inner("Hz", 5.0, lower=1e-2, upper=1e4)
+    phase: float = inner("rad", 0.0, lower=-np.pi, upper=np.pi)
+
+    id = "external_tone"
+    says = "a sinusoidal force on the tip from outside"
+    reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
+    apart_by = "a quiet recording, in which nothing drives the arm"
+
+    @property
+    def coordinates(self) -> Array:
+        """(3,) cosine's and sine's amplitude over an everyday one, logarithm of the frequency over an everyday one."""
+        amplitude, frequency, _ = self.parameters()
+        radius = amplitude.coordinate(self.amplitude)
+        return np.array(
+            [radius * np.cos(self.phase), radius * np.sin(self.phase), frequency.coordinate(self.frequency)]
+        )
+
+    def at(self, coordinates: Array) -> Self:
+        """The same at other coordinates (3,); without amplitude, at phase zero."""
+        amplitude, frequency, _ = self.parameters()
+        cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
+        return replace(
+            self,
+            amplitude=amplitude.value(float(np.hypot(cosine, sine))),
+            frequency=frequency.value(tone),
+            phase=float(np.arctan2(sine, cosine)),
+        )
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Of the frequency only."""
+        lower, upper = self.parameters()[1].bounds
+        return np.array([-np.inf, -np.inf, lower]), np.array([np.inf, np.inf, upper])
+
+    @property
+    def sizes(self) -> int:
+        """Cosine and sine."""
+        return 2
+
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """At frequencies up to what a camera shows, coarsely: the recordings' spectra know better."""
+        rates = [_rate(recording) for recording in recordings if recording.frames.size > 1]
+        highest = max(max(rates, default=_USUAL_RATE) / 2, 2 * _LOWEST)
+        frequencies = np.geomspace(_LOWEST, highest, _FREQUENCIES).tolist()
+        return tuple(replace(self, link=link, frequency=each) for link in self.places(rig) for each in frequencies)
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """On the end of the last virtual link."""
+        if self.is_null:
+            return None
+        rods, still = Rods(chain), np.zeros(chain.size)
+        amplitude, pulsation, phase = self.amplitude, 2 * np.pi * self.frequency, self.phase
+        reach = float(rods.lengths[-1])
+        last = np.zeros(rods.lengths.size)
+        last[-1] = 1.0
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            push = amplitude * np.sin(pulsation * np.asarray(time) + phase)[..., None] * last
+            return rods.torques(rods.motion(q, still).direction, push, reach * push)
+
+        return force
+
+
+def _rate(recording: Recording) -> float:
+    """Frames a second."""
+    return 1 / float(np.median(np.diff(recording.time[recording.frames])))
