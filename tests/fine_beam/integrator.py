@@ -77,8 +77,8 @@ class ExponentialRungeKutta:
     def _step(self, length: float) -> _Step:
         """Matrices for a step of `length` s."""
         if length not in self._steps:
-            whole, phi_1, phi_2, phi_3 = _phi_functions(self.linear * length)
-            half, half_phi, _, _ = _phi_functions(self.linear * (0.5 * length))
+            whole, phi_1, phi_2, phi_3 = phi_functions(self.linear * length)
+            half, half_phi, _, _ = phi_functions(self.linear * (0.5 * length))
             self._steps[length] = _Step(
                 whole=whole,
                 half=half,
@@ -90,7 +90,7 @@ class ExponentialRungeKutta:
         return self._steps[length]
 
 
-def _phi_functions(matrix: Array) -> tuple[Array, Array, Array, Array]:
+def phi_functions(matrix: Array) -> tuple[Array, Array, Array, Array]:
     """exp(A) and phi_1..phi_3(A), (d, d) each, from one exponential of an augmented matrix.
 
     No division by A: the hub's free rotation makes it singular.

@@ -65,7 +65,11 @@ def observe(
 ) -> Frames:
     """Film markers at arc lengths (m) from the trajectory's start to its end; the same seed sees the same noise."""
     time = _sample_times(trajectory, camera.rate)
-    markers = trajectory.at(time).positions(arc_lengths, frame)
+    return film(time, trajectory.at(time).positions(arc_lengths, frame), camera, seed)
+
+
+def film(time: Array, markers: Array, camera: Camera, seed: int) -> Frames:
+    """What a camera makes of markers (f, k, 2) in m at instants (f,) in s; the same seed sees the same noise."""
     shape = markers.shape
     # One random stream per imperfection: switching one on leaves the others as they were.
     markers = markers + camera.noise * _coloured(_stream(seed, 0).standard_normal(shape), camera.noise_correlation)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.extension import REFERENCE
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
-from vjm.errors import SimulationDivergedError
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import Experiment, Recording
 from vjm.identification.data import Options, read_data
@@ -68,7 +68,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     """
     data = read_data(experiment, Options("uniform", None, DEFAULT_LAYOUT, "cantilever", None, "smoothing"))
     search, fit, _, problems = first_fit(experiment, data, progress=progress)
-    resting, others, more = _further(experiment, search)
+    resting, changed, more = _further(experiment, search)
     runs = [*fit.point.runs, *_followed(fit.point, resting)]
     noise = camera_noise(runs)
     size = search.observed[0].noise
@@ -79,7 +79,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     search = replace(search, observed=observed)
     fit = search.near(joints, fit, rough=fit.point.misfit > _ROUGH)
-    others = tuple(_prepared(each, size, noise) for each in others)
+    others = tuple(_prepared(each, size, noise) for each in changed)
     return Base(fit, search, noise, others, (*problems, *more))
 
 
@@ -87,11 +87,12 @@ def _further(experiment: Experiment, search: Search) -> tuple[list[Observed], li
     """Training recordings that the first fit has not: those at rest, and those in which something may have changed."""
     known = {each.recording.file for each in search.observed}
     train = [each for each in experiment.with_role("train") if each.file not in known]
-    usable, problems = [], []
+    usable: list[Recording] = []
+    problems: list[str] = []
     for recording in train:
         try:
             usable += simulated([recording])[0]
-        except Exception as error:
+        except InsufficientDataError as error:
             problems.append(str(error))
     referenced = any(each.condition == REFERENCE for each in experiment.with_role("train"))
     noise = search.observed[0].noise

@@ -18,6 +18,7 @@ from vjm.simulate.observation import Observed, sampled
 from vjm.simulate.run import Run
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int_]
 
 _LAGS = 8  # frames
 _MOST_ORDER = 4
@@ -160,7 +161,9 @@ def _covariance(colour: Array) -> Array:
     return result
 
 
-def _predictors(own: Array, ticks: Array, order: int, covariance: Array) -> Iterator[tuple[Array, Array, Array]]:
+def _predictors(
+    own: Indices, ticks: Indices, order: int, covariance: Array
+) -> Iterator[tuple[Indices, Indices, Array]]:
     """Entries (row, column, value) of the whitening of one coordinate, for each pattern of frames before."""
     count = own.size
     before = np.full((count, order), -1)

@@ -25,6 +25,8 @@ _BEST = 8  # candidates refitted a round
 _FIRST_STEPS = 2  # of each of them, before the most promising are followed to the end
 _PAIRS = 4  # pairs refitted that no single step leads to
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
+_WRONG = 1.5  # misfit of an explanation that lacks so much that its best parameters do not matter,
+_LITTLE = 0.01  # once a step would lower its chi^2 by no more than this
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
 
 
@@ -131,7 +133,7 @@ class Search:
         self.tell("trying " + ", ".join(sorted({name for names, _ in jobs for name, _ in names})))
         begun = [found for found in self._map(_begun, [job for _, job in jobs]) if found is not None]
         begun.sort(key=lambda each: each.chi2)
-        record = np.inf
+        record = min((each.chi2 for each in begun), default=np.inf)
         for first in range(0, len(begun), self.workers):
             together = begun[first : first + self.workers]
             self.tell("fitting " + " and ".join(sorted({name for each in together for name, _ in each.names})))
@@ -217,7 +219,7 @@ def finished(begun: Explanation, record: float = np.inf) -> Explanation | None:
 
 
 class _Patience:
-    """Ends a fit after some steps, or when it will not come near a record."""
+    """Ends a fit after some steps, or when it will not come near a record, or when it is wrong and as good as done."""
 
     def __init__(self, steps: float, record: float = np.inf) -> None:
         self.left = steps
@@ -225,4 +227,5 @@ class _Patience:
 
     def __call__(self, point: Point, predicted: float) -> bool:
         self.left -= 1
-        return self.left < 0 or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
+        wrong = point.misfit > _WRONG and predicted < _LITTLE * point.chi2
+        return self.left < 0 or wrong or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE

@@ -12,9 +12,14 @@ from vjm.experiment.records import Array, Recording, Rig
 
 Mask = NDArray[np.bool_]
 
+# A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found, not to
+# be left out. As a share of the distance, and at least [m].
+_SLACK = 0.04
+_SHORT = 0.01
+
 
 def cleaned(rig: Rig, recording: Recording) -> Recording:
-    """The recording without markers farther apart than their link allows, and without clipped coordinates.
+    """The recording without markers much farther apart than their link allows, and without clipped coordinates.
 
     Both are told of when the experiment is loaded. A frame in which leaving out one marker of a link makes the others
     possible loses that marker, any other such frame all markers of the link.
@@ -46,7 +51,8 @@ def impossible(markers: Array, arcs: Array, noise: float) -> Mask:
         noise: 1-sigma of a coordinate [m].
     """
     offset = np.nan_to_num(markers[:, :, None] - markers[:, None])
-    beyond = np.hypot(offset[..., 0], offset[..., 1]) > distance_limits(arcs, noise)
+    limits = distance_limits(arcs, noise) + np.maximum(_SLACK * np.abs(arcs[:, None] - arcs), _SHORT)
+    beyond = np.hypot(offset[..., 0], offset[..., 1]) > limits
     count = beyond.sum(axis=(1, 2)) // 2
     # All the impossible pairs are this marker's.
     culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)

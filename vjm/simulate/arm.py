@@ -28,6 +28,9 @@ class Arm:
     chain: Chain
     effects: tuple[Effect, ...] = ()
 
+    def __reduce__(self) -> tuple[type[Arm], tuple[Chain, tuple[Effect, ...]]]:
+        return Arm, (self.chain, self.effects)  # without functions that were kept
+
     @classmethod
     def of(cls, chain: Chain, effects: Sequence[Effect] = ()) -> Arm:
         """A chain with effects added; those at their null are left out."""

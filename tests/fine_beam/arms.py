@@ -1,0 +1,50 @@
+"""The arms that hidden physics are tried on, and what is asked of their motions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.fine_beam.beam import Beam
+from tests.fine_beam.hidden import Physics
+from tests.fine_beam.motion import Motion, Run, simulate_runs
+
+Array = NDArray[np.float64]
+
+MARKERS = [0.2, 0.4, 0.6, 0.8, 1.0]
+HUB = Beam(length=1.0, mass=0.44, bending_stiffness=1.97, kelvin_voigt_time=5e-4, joint="revolute", hub_inertia=0.02)
+CLAMPED = replace(HUB, joint="clamped", hub_inertia=0.0)
+RIGID = replace(HUB, bending_stiffness=2e4, kelvin_voigt_time=1e-5)
+INERTIA = 0.02 + 0.44 / 3.0  # of the rigid arm about its joint, kg m^2
+TIME = np.arange(501) / 500.0
+
+
+def drive(time: Array) -> Array:
+    """A hub torque, N m, with corners."""
+    return np.asarray(0.15 * np.sin(5.0 * time) + 0.05 * np.sign(np.sin(12.0 * time)))
+
+
+def alone(beam: Beam, physics: Physics, run: Run, time: Array = TIME, step: float | None = None) -> Motion:
+    """A run by itself."""
+    return simulate_runs(beam, physics, time, [run], step)[0]
+
+
+def rms(first: Motion, second: Motion) -> float:
+    """Between the markers of two motions, m."""
+    return float(np.sqrt(np.mean((first.positions(MARKERS) - second.positions(MARKERS)) ** 2)))
+
+
+def energy(motion: Motion) -> Array:
+    """Kinetic and elastic energy without gravity, J, (T,)."""
+    heading, rate = motion.coordinates @ motion.beam.heading.T, motion.rates @ motion.beam.heading.T
+    normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+    basis, beam = motion.beam.basis, motion.beam.beam
+    velocity = np.vstack([basis.cumulative, basis.weights]) @ (rate[..., None] * normal)
+    masses = np.append(beam.mass / beam.length * basis.weights, motion.beam.tip_masses[0])
+    kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ masses
+    shares = [0.5 if motion.beam.motor else 1.0] * (int(motion.beam.revolute) + int(motion.beam.motor))
+    hubs = 0.5 * beam.hub_inertia * motion.rates[:, : len(shares)] ** 2 @ np.array(shares)
+    elastic = 0.5 * np.sum(motion.coordinates @ motion.beam.stiffness * motion.coordinates, axis=-1)
+    return np.asarray(kinetic + hubs + elastic)

@@ -1,0 +1,237 @@
+"""Equations of motion of the beam with hidden physics, for a batch of recordings at once.
+
+The same heading psi(s, t) = sum_m q_m(t) H_m(s) as in `mechanics`, written with the kernel
+G(s, s') = integral of the mass beyond both s and s', which makes a whole batch a few array operations:
+M = H^T (G cos(psi - psi')) H. Coordinates: motor, hub, root of the link (each only where it moves), bending functions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eigh
+
+from tests.fine_beam.basis import Basis, make_basis
+from tests.fine_beam.beam import Beam
+from tests.fine_beam.hidden import Physics, slip_rate, transmission_torque
+
+Array = NDArray[np.float64]
+
+
+class Fields(NamedTuple):
+    """Along the beams of a batch, at N nodes: cosine and sine of the heading, its rate (rad/s); (B, N) each."""
+
+    cosine: Array
+    sine: Array
+    rate: Array
+
+
+class Parts(NamedTuple):
+    """Where in a state y (B, d) the coordinates, rates, Maxwell arms' coordinates and slips are."""
+
+    coordinates: slice
+    rates: slice
+    maxwell: slice
+    slip: slice
+
+
+class Extended:
+    """A beam with hidden physics and B payloads (kg, on the tip, on top of its own)."""
+
+    def __init__(self, beam: Beam, physics: Physics, payloads: Array, size: int = 8, nodes: int = 16) -> None:
+        basis: Basis = make_basis(beam.length, size, nodes)
+        self.beam, self.physics, self.basis = beam, physics, basis
+        self.revolute = beam.joint == "revolute"
+        self.motor = self.revolute and physics.has_motor
+        self.root = physics.clamp_compliance_compliance > 0.0
+        turning = int(self.revolute) + int(self.root)
+        still = np.zeros((nodes, int(self.motor)))
+        self.heading: Array = np.hstack([still, np.ones((nodes, turning)), basis.heading])
+        self.curvature: Array = np.hstack([still, np.zeros((nodes, turning)), basis.curvature])
+        self.bending = slice(turning + int(self.motor), None)
+        self.size: int = self.heading.shape[1]
+        self.arc: Array = physics.rest_curvature_curvature * basis.nodes
+        self.tip_heading: Array = self._tip_heading()
+        self.parts = self._parts(size, nodes)
+        self.dimension: int = self.parts.slip.stop
+        self.gravity: Array = np.add(beam.gravity, (physics.in_plane_gravity_gx, physics.in_plane_gravity_gy))
+        tips = beam.payload + physics.tip_payload_mass + np.asarray(payloads, dtype=float)
+        self.tip_masses, self.group = np.unique(tips, return_inverse=True)
+        self._set_masses()
+        self.stiffness, self.bending_stiffness = self._stiffness()
+        self.damping: Array = np.stack([self._damping(k) for k in range(len(self.tip_masses))])
+
+    def _tip_heading(self) -> Array:
+        """Heading of each coordinate at the tip, (n,)."""
+        values = np.ones(self.size)
+        values[: int(self.motor)] = 0.0
+        values[self.bending] = self.basis.weights @ self.basis.curvature
+        return values
+
+    def _parts(self, size: int, nodes: int) -> Parts:
+        n = self.size
+        maxwell = 2 * n + (size if self.physics.viscoelastic_creep_ratio != 0.0 else 0)
+        slip = maxwell + (nodes if self.physics.hysteresis_ratio != 0.0 else 0)
+        return Parts(slice(0, n), slice(n, 2 * n), slice(2 * n, maxwell), slice(maxwell, slip))
+
+    def _set_masses(self) -> None:
+        """Kernels (N, N) and masses beyond each node (N,) of the distinct payloads; one for each member."""
+        basis, line = self.basis, self.beam.mass / self.beam.length
+        bare = line * (basis.cumulative.T * basis.weights) @ basis.cumulative
+        tips = self.tip_masses[:, None]
+        kernels = bare + tips[..., None] * np.outer(basis.weights, basis.weights)
+        beyond = line * basis.weights @ basis.cumulative + tips * basis.weights
+        self._hub: Array = np.zeros((self.size, self.size))
+        if self.revolute:
+            share = 0.5 if self.motor else 1.0
+            for k in range(1 + int(self.motor)):
+                self._hub[k, k] = share * self.beam.hub_inertia
+        self.mass: Array = self.heading.T @ kernels @ self.heading + self._hub
+        single = len(self.tip_masses) == 1
+        self._kernel: Array = kernels if single else kernels[self.group]
+        self._beyond: Array = beyond if single else beyond[self.group]
+
+    def _stiffness(self) -> tuple[Array, Array]:
+        """Linear stiffness, all of it and that of bending alone, (n, n) each."""
+        weighted = self.curvature.T * self.basis.weights
+        bending = self.beam.bending_stiffness * weighted @ self.curvature
+        whole = bending.copy()
+        if self.root:
+            root = self.bending.start - 1
+            whole[root, root] += 1.0 / self.physics.clamp_compliance_compliance
+        if self.motor and self.physics.backlash_gap == 0.0:
+            whole[:2, :2] += self.physics.gear_elasticity_stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        return whole, bending
+
+    def _damping(self, k: int) -> Array:
+        """Kelvin-Voigt damping and the modes' structural damping with distinct payload k, (n, n)."""
+        viscous = self.beam.kelvin_voigt_time * self.bending_stiffness
+        loss = self.physics.structural_damping_loss_factor
+        if loss == 0.0:
+            return np.asarray(viscous)
+        pulsations, shapes = self.modes(k)
+        carried = self.mass[k] @ shapes
+        return np.asarray(viscous + loss * (carried * pulsations) @ carried.T)
+
+    def modes(self, k: int = 0) -> tuple[Array, Array]:
+        """Pulsations, rad/s, (m,) and mass-normalised shapes (n, m) of the vibrations with distinct payload k."""
+        squared, shapes = eigh(self.stiffness, self.mass[k])
+        free = int(self.revolute) + int(self.motor and self.physics.backlash_gap > 0.0)
+        return np.sqrt(squared[free:]), shapes[:, free:]
+
+    def linear(self, k: int) -> Array:
+        """The linear first-order system's matrix, (d, d), with distinct payload k."""
+        n, parts = self.size, self.parts
+        matrix = np.zeros((self.dimension, self.dimension))
+        matrix[parts.coordinates, parts.rates] = np.eye(n)
+        matrix[parts.rates, parts.coordinates] = -np.linalg.solve(self.mass[k], self.stiffness)
+        matrix[parts.rates, parts.rates] = -np.linalg.solve(self.mass[k], self.damping[k])
+        if parts.maxwell.stop > parts.maxwell.start:
+            arms = self.physics.viscoelastic_creep_ratio * self.bending_stiffness[:, self.bending]
+            matrix[parts.rates, parts.maxwell] = -np.linalg.solve(self.mass[k], arms)
+            matrix[parts.maxwell, parts.rates][:, self.bending] = np.eye(arms.shape[1])
+            matrix[parts.maxwell, parts.maxwell] = -np.eye(arms.shape[1]) / (
+                self.physics.viscoelastic_creep_time_constant
+            )
+        return matrix
+
+    def fields(self, state: Array) -> Fields:
+        """Heading and its rate along the beams for states (B, d)."""
+        angle = state[:, self.parts.coordinates] @ self.heading.T + self.arc
+        return Fields(np.cos(angle), np.sin(angle), state[:, self.parts.rates] @ self.heading.T)
+
+    def accelerations(self, state: Array, time: float, torque: Array) -> Array:
+        """Second derivatives (B, n) of the coordinates for torques (B,) at the joint, N m."""
+        along = self.fields(state)
+        kernel = self._kernel * (
+            along.cosine[:, :, None] * along.cosine[:, None, :] + along.sine[:, :, None] * along.sine[:, None, :]
+        )
+        mass = self.heading.T @ (kernel @ self.heading) + self._hub
+        force = self.forces(state, time, torque, along)
+        return np.asarray(np.linalg.solve(mass, force[..., None])[..., 0])
+
+    def forces(self, state: Array, time: float, torque: Array, along: Fields) -> Array:
+        """All generalised forces (B, n) but the inertia of accelerating."""
+        coordinates, rates = state[:, self.parts.coordinates], state[:, self.parts.rates]
+        force = (self._centrifugal(along) + self._loads(along, coordinates, time)) @ self.heading
+        force -= coordinates @ self.stiffness
+        force -= rates @ self.damping[0] if len(self.damping) == 1 else _rows(self.damping[self.group], rates)
+        if self.parts.maxwell.stop > self.parts.maxwell.start:
+            arms = self.physics.viscoelastic_creep_ratio * self.bending_stiffness[self.bending]
+            force -= state[:, self.parts.maxwell] @ arms
+        moment = self._moment(state, time)
+        if moment is not None:
+            force -= (self.basis.weights * moment) @ self.curvature
+        if self.revolute:
+            self._add_joint(force, coordinates, rates, torque)
+        return np.asarray(force)
+
+    def _centrifugal(self, along: Fields) -> Array:
+        """Force on the heading at each node, N m, (B, N)."""
+        squared = along.rate**2
+        if len(self._kernel) == 1:
+            lifted = (squared * along.sine) @ self._kernel[0], (squared * along.cosine) @ self._kernel[0]
+        else:
+            lifted = _rows(self._kernel, squared * along.sine), _rows(self._kernel, squared * along.cosine)
+        return np.asarray(along.cosine * lifted[0] - along.sine * lifted[1])
+
+    def _loads(self, along: Fields, coordinates: Array, time: float) -> Array | float:
+        """What gravity, the air and the tone do to the heading at each node, N m, (B, N)."""
+        physics, loads = self.physics, np.zeros_like(along.rate)
+        if np.any(self.gravity):
+            loads += self._beyond * (self.gravity[1] * along.cosine - self.gravity[0] * along.sine)
+        linear, quadratic = physics.linear_drag_coefficient, physics.quadratic_drag_coefficient
+        if linear or quadratic:
+            loads += self._drag(along, linear, quadratic)
+        if physics.external_tone_amplitude:
+            phase = 2.0 * np.pi * physics.external_tone_frequency * time + physics.external_tone_phase
+            tip = coordinates @ self.tip_heading + physics.rest_curvature_curvature * self.beam.length
+            turned = along.cosine * np.cos(tip)[:, None] + along.sine * np.sin(tip)[:, None]
+            loads += physics.external_tone_amplitude * np.sin(phase) * self.basis.weights * turned
+        return loads
+
+    def _drag(self, along: Fields, linear: float, quadratic: float) -> Array:
+        """The air's resistance to the normal velocity."""
+        integrals, cosine, sine = self.basis.cumulative, along.cosine, along.sine
+        normal = cosine * ((cosine * along.rate) @ integrals.T) + sine * ((sine * along.rate) @ integrals.T)
+        pushed = -self.basis.weights * (linear + quadratic * np.abs(normal)) * normal
+        return np.asarray(cosine * ((pushed * cosine) @ integrals) + sine * ((pushed * sine) @ integrals))
+
+    def _moment(self, state: Array, time: float) -> Array | None:
+        """Bending moment beyond the linear one at each node, N m, (B, N); None where there is none."""
+        physics, share = self.physics, self.physics.hysteresis_ratio
+        cubic, drift = physics.cubic_stiffness_coefficient, physics.stiffness_drift_rate * time
+        if not (share or cubic or physics.stiffness_drift_rate):
+            return None
+        bend = state[:, self.parts.coordinates] @ self.curvature.T
+        extra = cubic * bend**3
+        if share:
+            extra += share * (state[:, self.parts.slip] - bend)
+        if drift:
+            speed = state[:, self.parts.rates] @ self.curvature.T
+            extra += drift * (bend + extra + self.beam.kelvin_voigt_time * speed)
+        return np.asarray(self.beam.bending_stiffness * extra)
+
+    def _add_joint(self, force: Array, coordinates: Array, rates: Array, torque: Array) -> None:
+        """Torque, spring and viscous friction at the joint, and the play behind it."""
+        physics = self.physics
+        force[:, 0] += torque - physics.joint_spring_stiffness * coordinates[:, 0]
+        force[:, 0] -= physics.viscous_friction_coefficient * rates[:, 0]
+        if self.motor and physics.backlash_gap > 0.0:
+            twist, twist_rate = coordinates[:, 0] - coordinates[:, 1], rates[:, 0] - rates[:, 1]
+            passed = transmission_torque(physics, self.beam.hub_inertia, twist, twist_rate)
+            force[:, 0] -= passed
+            force[:, 1] += passed
+
+    def slip_rates(self, state: Array) -> Array:
+        """Rates of the Bouc-Wen curvatures, 1/(m s), (B, N)."""
+        speed = state[:, self.parts.rates] @ self.curvature.T
+        yields = self.physics.hysteresis_yield_angle / self.beam.length
+        return slip_rate(speed, state[:, self.parts.slip], yields)
+
+
+def _rows(matrices: Array, vectors: Array) -> Array:
+    """Each symmetric matrix (B, n, n) times its vector (B, n)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])

@@ -1,0 +1,120 @@
+"""What may be hidden in an arm beside the plain beam: sizes of all mechanical effects, each null by default.
+
+A field is named by the effect and its parameter, `tip_payload_mass` for the `mass` of `tip_payload`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from math import inf, isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# A backlash closes on flanks this stiff, with damping that fades in over the first bit of the contact.
+FLANK_STIFFNESS = 2000.0  # N m/rad
+FLANK_DAMPING_RATIO = 0.5  # of the motor on the flank's stiffness
+FLANK_DEPTH = 2e-5  # rad
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Mechanical effects; t is the time since the recording's start.
+
+    Attributes:
+        tip_payload_mass: point mass on the tip, kg.
+        in_plane_gravity_gx, in_plane_gravity_gy: uniform gravity on top of the beam's own, m/s^2.
+        coulomb_friction_torque: dry friction at the joint, with sticking, N m.
+        viscous_friction_coefficient: at the joint, N m s/rad.
+        joint_spring_stiffness: pulls the joint to angle 0, N m/rad.
+        torque_gain_gain: true over recorded torque.
+        torque_offset_offset: true less recorded torque, N m.
+        gear_elasticity_stiffness: between motor and hub, each half of the hub's inertia, N m/rad.
+        backlash_gap: whole dead zone between motor and hub, rad.
+        clamp_compliance_compliance: turn of the link's root over its bending moment, rad/(N m).
+        linear_drag_coefficient: force per length over normal velocity, N s/m^2.
+        quadratic_drag_coefficient: the same over its square, N s^2/m^3.
+        structural_damping_loss_factor: twice the damping ratio added to every mode.
+        viscoelastic_creep_ratio, viscoelastic_creep_time_constant: a Maxwell arm beside the spring; s.
+        hysteresis_ratio, hysteresis_yield_angle: Bouc-Wen share of the stiffness; rad over the whole length.
+        cubic_stiffness_coefficient: of the bending moment EI kappa (1 + coefficient kappa^2), m^2.
+        stiffness_drift_rate: of the bending stiffness EI (1 + rate t), 1/s.
+        rest_curvature_curvature: of the unloaded link, 1/m.
+        external_tone_amplitude, external_tone_frequency, external_tone_phase: tip force normal to the link; N, Hz, rad.
+    """
+
+    tip_payload_mass: float = 0.0
+    in_plane_gravity_gx: float = 0.0
+    in_plane_gravity_gy: float = 0.0
+    coulomb_friction_torque: float = 0.0
+    viscous_friction_coefficient: float = 0.0
+    joint_spring_stiffness: float = 0.0
+    torque_gain_gain: float = 1.0
+    torque_offset_offset: float = 0.0
+    gear_elasticity_stiffness: float = inf
+    backlash_gap: float = 0.0
+    clamp_compliance_compliance: float = 0.0
+    linear_drag_coefficient: float = 0.0
+    quadratic_drag_coefficient: float = 0.0
+    structural_damping_loss_factor: float = 0.0
+    viscoelastic_creep_ratio: float = 0.0
+    viscoelastic_creep_time_constant: float = 0.1
+    hysteresis_ratio: float = 0.0
+    hysteresis_yield_angle: float = 0.05
+    cubic_stiffness_coefficient: float = 0.0
+    stiffness_drift_rate: float = 0.0
+    rest_curvature_curvature: float = 0.0
+    external_tone_amplitude: float = 0.0
+    external_tone_frequency: float = 1.0
+    external_tone_phase: float = 0.0
+
+    @property
+    def has_motor(self) -> bool:
+        """Whether motor and hub turn apart."""
+        return isfinite(self.gear_elasticity_stiffness) or self.backlash_gap > 0.0
+
+    @property
+    def step(self) -> float:
+        """Longest step that follows what is not smooth, s."""
+        if self.backlash_gap > 0.0:
+            return 5e-4
+        return 1e-3 if self.coulomb_friction_torque > 0.0 else 2e-3
+
+    @property
+    def nodes(self) -> int:
+        """Points along the link that resolve what happens at each of them."""
+        return 32 if self.hysteresis_ratio != 0.0 else 16
+
+
+def fields_of(effect: str, parameters: Mapping[str, float]) -> dict[str, float]:
+    """Names and values of the fields for an effect with its parameters."""
+    return {f"{effect}_{name}": value for name, value in parameters.items()}
+
+
+def is_mechanical(effect: str) -> bool:
+    """Whether the effect is in the arm and not in its sensors."""
+    return any(each.name.startswith(f"{effect}_") for each in fields(Physics))
+
+
+def transmission_torque(physics: Physics, hub_inertia: float, twist: Array, twist_rate: Array) -> Array:
+    """Torque of motor on hub, N m, (B,), for motor less hub angle, rad and rad/s, (B,), where it is not linear.
+
+    The flanks push and never pull. With an elastic gear as well, the flanks are as soft as the gear.
+    """
+    elastic = isfinite(physics.gear_elasticity_stiffness)
+    stiffness = physics.gear_elasticity_stiffness if elastic else FLANK_STIFFNESS
+    ratio = 0.1 * FLANK_DAMPING_RATIO if elastic else FLANK_DAMPING_RATIO
+    damping = 2.0 * ratio * np.sqrt(stiffness * 0.5 * hub_inertia)
+    side = np.sign(twist)
+    depth = np.maximum(np.abs(twist) - 0.5 * physics.backlash_gap, 0.0)
+    push = stiffness * depth + damping * side * twist_rate * np.minimum(depth / FLANK_DEPTH, 1.0)
+    return np.asarray(side * np.maximum(push, 0.0))
+
+
+def slip_rate(curvature_rate: Array, hysteretic: Array, yield_curvature: float) -> Array:
+    """Rate of the Bouc-Wen curvature, 1/(m s), from the curvature's rate, 1/(m s), and itself, 1/m."""
+    loading = 0.5 * (1.0 + np.sign(curvature_rate * hysteretic))
+    return np.asarray(curvature_rate * (1.0 - np.abs(hysteretic) / yield_curvature * loading))

@@ -1,0 +1,93 @@
+"""Cameras and encoders that do not show what they should; each fault is null by default.
+
+A field is named by the effect and its parameter, `time_offset_delay` for the `delay` of `time_offset`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.fine_beam.motion import Motion
+
+Array = NDArray[np.float64]
+
+_REACH = 1.5  # lengths of the arm; a rolling shutter sees no marker farther off
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults of the sensors. A camera's time stamp t is of its own clock, since the recording's start.
+
+    Attributes:
+        time_offset_delay: a frame shows the state of so much earlier than its stamp, s.
+        clock_scale_scale: stamp over true time.
+        camera_scale_scale: measured over true position.
+        camera_rotation_angle: by which measured positions are turned about the base origin, rad.
+        encoder_offset_offset: encoder less true angle, rad.
+        lens_distortion_k1: measured = true (1 + k1 r^2) about the base origin, 1/m^2.
+        rolling_shutter_readout: a marker is seen so much earlier per metre of its own y as it is seen, s/m.
+        marker_offset_marker: index of the misplaced marker, from 1; 0: none.
+        marker_offset_along, marker_offset_across: where it is, less where it should be, m.
+    """
+
+    time_offset_delay: float = 0.0
+    clock_scale_scale: float = 1.0
+    camera_scale_scale: float = 1.0
+    camera_rotation_angle: float = 0.0
+    encoder_offset_offset: float = 0.0
+    lens_distortion_k1: float = 0.0
+    rolling_shutter_readout: float = 0.0
+    marker_offset_marker: int = 0
+    marker_offset_along: float = 0.0
+    marker_offset_across: float = 0.0
+
+    def margin(self, duration: float, length: float) -> float:
+        """How far before its start and after its end, s, a recording of `duration` s sees an arm of `length` m."""
+        late = abs(self.time_offset_delay) + abs(self.rolling_shutter_readout) * _REACH * length
+        return late + duration * abs(1.0 / self.clock_scale_scale - 1.0)
+
+
+def is_sensor_fault(effect: str) -> bool:
+    """Whether the effect is in the sensors."""
+    return any(each.name.startswith(f"{effect}_") for each in fields(Faults))
+
+
+def shown_markers(motion: Motion, stamps: Array, arc_lengths: Sequence[float], faults: Faults) -> Array:
+    """What a camera without noise shows in frames stamped (f,) in s: markers, m, (f, k, 2)."""
+    arcs, across = np.array(arc_lengths, dtype=float), np.zeros(len(arc_lengths))
+    if faults.marker_offset_marker:
+        arcs[faults.marker_offset_marker - 1] += faults.marker_offset_along
+        across[faults.marker_offset_marker - 1] = faults.marker_offset_across
+    time = stamps / faults.clock_scale_scale - faults.time_offset_delay
+    points = motion.at(time).positions(arcs, across)
+    if faults.rolling_shutter_readout:
+        points = _read_out(motion, time, arcs, across, points, faults.rolling_shutter_readout)
+    return _distort(points, faults)
+
+
+def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: Array, readout: float) -> Array:
+    """Points (f, k, 2) each seen at t - readout y, with the y at which it is seen."""
+    for _ in range(4):
+        seen = [
+            motion.at(time - readout * points[:, k, 1]).positions([arc], [side])[:, 0]
+            for k, (arc, side) in enumerate(zip(arcs, across, strict=True))
+        ]
+        points = np.stack(seen, axis=1)
+    return points
+
+
+def _distort(points: Array, faults: Faults) -> Array:
+    """Lens first, then scale, then rotation."""
+    radius = np.sum(points**2, axis=-1, keepdims=True)
+    points = faults.camera_scale_scale * (1.0 + faults.lens_distortion_k1 * radius) * points
+    cosine, sine = np.cos(faults.camera_rotation_angle), np.sin(faults.camera_rotation_angle)
+    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]))
+
+
+def shown_angle(motion: Motion, time: Array, faults: Faults) -> Array:
+    """What an encoder without noise shows at instants (e,) in s: the joint's angle, rad, (e,)."""
+    return np.asarray(motion.at(time).theta + faults.encoder_offset_offset)

@@ -1,0 +1,184 @@
+"""Hidden physics at the joint against rigid bodies; and all of it against balances of energy and finer steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from tests.fine_beam import linear_modes, simulate, static_state
+from tests.fine_beam.arms import HUB, INERTIA, MARKERS, RIGID, TIME, alone, drive, energy, rms
+from tests.fine_beam.extended import Extended
+from tests.fine_beam.hidden import FLANK_STIFFNESS, Physics
+from tests.fine_beam.motion import Run, simulate_runs
+
+Array = NDArray[np.float64]
+NONE = np.zeros(1)
+
+
+# Nothing hidden
+
+
+def test_with_nothing_hidden_it_is_the_plain_beam() -> None:
+    motion = alone(HUB, Physics(), Run(drive(TIME)))
+    plain = simulate(HUB, TIME, drive(TIME))
+    np.testing.assert_allclose(motion.positions(MARKERS), plain.positions(MARKERS), atol=1e-7)
+    np.testing.assert_allclose(motion.theta, plain.theta, atol=1e-7)
+
+
+def test_runs_together_are_the_runs_alone() -> None:
+    runs = [Run(drive(TIME)), Run(drive(TIME), payload=0.05), Run(-0.5 * drive(TIME), payload=0.05), Run(held=True)]
+    physics = Physics(coulomb_friction_torque=0.008, structural_damping_loss_factor=0.02, linear_drag_coefficient=0.02)
+    for run, motion in zip(runs, simulate_runs(HUB, physics, TIME, runs), strict=True):
+        # Friction halves steps wherever any joint of the batch starts or stops.
+        np.testing.assert_allclose(motion.theta, alone(HUB, physics, run).theta, atol=5e-6)
+
+
+# Mass and gravity
+
+
+def test_payload_is_that_of_the_plain_beam() -> None:
+    heavy = replace(HUB, payload=0.06)
+    motion = alone(HUB, Physics(tip_payload_mass=0.01), Run(drive(TIME), payload=0.05))
+    plain = simulate(heavy, TIME, drive(TIME))
+    np.testing.assert_allclose(motion.positions(MARKERS), plain.positions(MARKERS), atol=1e-7)
+    frequencies = motion.beam.modes()[0][:3] / (2.0 * np.pi)
+    np.testing.assert_allclose(frequencies, linear_modes(heavy).frequencies[:3], rtol=1e-6)
+
+
+def test_gravity_is_that_of_the_plain_beam() -> None:
+    tilted = replace(HUB, gravity=(0.1, -0.2))
+    motion = alone(HUB, Physics(in_plane_gravity_gx=0.1, in_plane_gravity_gy=-0.2), Run(drive(TIME)))
+    plain = simulate(tilted, TIME, drive(TIME), static_state(tilted))
+    np.testing.assert_allclose(motion.positions(MARKERS), plain.positions(MARKERS), atol=1e-7)
+    assert motion.hold == pytest.approx(0.2 * 0.44 * 0.5, rel=5e-3)
+
+
+def test_what_is_held_stays() -> None:
+    physics = Physics(in_plane_gravity_gy=-0.3, backlash_gap=4e-3, clamp_compliance_compliance=5e-3)
+    motion = alone(HUB, physics, Run(held=True))
+    np.testing.assert_allclose(motion.positions(MARKERS), motion.positions(MARKERS)[:1].repeat(501, 0), atol=1e-7)
+    assert motion.positions([1.0])[0, 0, 1] < -5e-3
+
+
+# The joint
+
+
+@pytest.mark.parametrize(
+    ("physics", "spring", "viscous"),
+    [(Physics(joint_spring_stiffness=0.5), 0.5, 0.0), (Physics(viscous_friction_coefficient=0.04), 0.0, 0.04)],
+)
+def test_spring_and_viscous_friction_at_the_joint_of_a_rigid_arm(
+    physics: Physics, spring: float, viscous: float
+) -> None:
+    torque = 0.3 * np.sin(6.0 * TIME)
+    rigid = solve_ivp(
+        lambda t, y: [y[1], (0.3 * np.sin(6.0 * t) - spring * y[0] - viscous * y[1]) / INERTIA],
+        (0.0, 1.0),
+        [0.0, 0.0],
+        t_eval=TIME,
+        rtol=1e-9,
+        atol=1e-12,
+    )
+    np.testing.assert_allclose(alone(RIGID, physics, Run(torque)).theta, rigid.y[0], atol=2e-5)
+
+
+def test_dry_friction_holds_until_the_torque_exceeds_it() -> None:
+    stiff = replace(HUB, bending_stiffness=200.0)
+    motion = alone(stiff, Physics(coulomb_friction_torque=0.02), Run(0.05 * TIME))
+    slips = np.maximum(TIME - 0.4, 0.0)
+    np.testing.assert_allclose(motion.theta, 0.05 * slips**3 / (6.0 * INERTIA), atol=5e-5)
+    assert np.abs(motion.theta[TIME < 0.399]).max() < 2e-7
+    below = alone(HUB, Physics(coulomb_friction_torque=0.05), Run(0.02 * np.sin(20.0 * TIME)))
+    assert np.abs(below.theta).max() < 2e-7  # stuck, though the arm swings
+    assert np.abs(below.rates[:, 0]).max() < 1e-9
+
+
+def test_dry_friction_takes_its_share_of_every_swing_and_then_sticks() -> None:
+    time = np.arange(2001) / 500.0
+    physics = Physics(coulomb_friction_torque=0.08, joint_spring_stiffness=4.0)
+    theta = alone(replace(HUB, bending_stiffness=200.0), physics, Run(theta=0.2), time).theta
+    turns = theta[1:-1][(theta[1:-1] - theta[:-2]) * (theta[2:] - theta[1:-1]) < 0.0]
+    # 0.2 falls by twice the friction over the stiffness with every half swing until the spring cannot break away.
+    np.testing.assert_allclose(np.abs(turns[np.abs(turns) > 0.02]), [0.16, 0.12, 0.08, 0.04], atol=2e-3)
+    assert abs(theta[-1]) <= 0.02 + 1e-6
+    assert np.ptp(theta[-250:]) < 2e-6
+
+
+def test_elastic_gear_of_a_rigid_arm() -> None:
+    beam = Extended(RIGID, Physics(gear_elasticity_stiffness=60.0), NONE)
+    expected = np.sqrt(60.0 * (1.0 / 0.01 + 1.0 / (INERTIA - 0.01)))
+    assert beam.modes()[0][0] == pytest.approx(expected, rel=1e-3)
+    motion = alone(RIGID, Physics(gear_elasticity_stiffness=60.0, in_plane_gravity_gy=-0.3), Run(held=True))
+    assert motion.coordinates[0, 1] == pytest.approx(-0.3 * 0.22 / 60.0, rel=1e-3)
+    assert motion.theta[0] == 0.0
+    stiff = alone(HUB, Physics(gear_elasticity_stiffness=1e7), Run(drive(TIME)))
+    assert rms(stiff, alone(HUB, Physics(), Run(drive(TIME)))) < 1e-6
+
+
+def test_play_passes_nothing_until_it_closes() -> None:
+    physics = Physics(backlash_gap=0.01)
+    torque = np.full(501, 1e-3)
+    motion = alone(RIGID, physics, Run(torque))
+    free = 0.5 * 1e-3 / 0.01 * TIME**2  # the motor's half of the hub by itself
+    inside = free < 0.004
+    np.testing.assert_allclose(motion.theta[inside], free[inside], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(motion.coordinates[inside, 1:], 0.0, atol=1e-12)
+    resting = alone(HUB, Physics(backlash_gap=0.01, in_plane_gravity_gy=-0.3), Run(held=True))
+    assert resting.coordinates[0, 1] == pytest.approx(-0.005 - 0.066 / FLANK_STIFFNESS, abs=1e-6)
+
+
+# Energy and steps
+
+
+UNDAMPED = replace(HUB, kelvin_voigt_time=0.0)
+
+
+@pytest.mark.parametrize(
+    "physics",
+    [
+        Physics(gear_elasticity_stiffness=60.0),
+        Physics(clamp_compliance_compliance=5e-3),
+        Physics(tip_payload_mass=0.05),
+    ],
+    ids=["gear", "clamp", "payload"],
+)
+def test_energy_is_kept_where_nothing_takes_it(physics: Physics) -> None:
+    motion = alone(UNDAMPED, physics, Run(tip_amplitudes=(0.05, 0.005)), step=1e-3)
+    np.testing.assert_allclose(energy(motion), energy(motion)[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "physics",
+    [
+        Physics(coulomb_friction_torque=0.008),
+        Physics(viscous_friction_coefficient=0.004),
+        Physics(linear_drag_coefficient=0.02),
+        Physics(quadratic_drag_coefficient=0.05),
+        Physics(structural_damping_loss_factor=0.01),
+    ],
+    ids=["coulomb", "viscous", "linear drag", "quadratic drag", "structural"],
+)
+def test_what_only_takes_energy_never_gives_any(physics: Physics) -> None:
+    stored = energy(alone(UNDAMPED, physics, Run(tip_amplitudes=(0.1, 0.02))))
+    assert np.diff(stored).max() < 1e-6 * stored[0]
+    assert stored[-1] < 0.99 * stored[0]
+
+
+@pytest.mark.parametrize(
+    ("physics", "error"),
+    [
+        (Physics(coulomb_friction_torque=0.008), 3e-6),
+        (Physics(backlash_gap=0.004), 3e-6),
+        (Physics(gear_elasticity_stiffness=60.0, external_tone_amplitude=0.05, external_tone_frequency=7.0), 1e-7),
+        (Physics(hysteresis_ratio=0.1, viscoelastic_creep_ratio=0.05, cubic_stiffness_coefficient=-0.1), 1e-7),
+        (Physics(quadratic_drag_coefficient=0.1, clamp_compliance_compliance=5e-3, stiffness_drift_rate=0.01), 1e-7),
+    ],
+    ids=["coulomb", "backlash", "gear", "hysteresis", "drag"],
+)
+def test_half_the_step_changes_next_to_nothing(physics: Physics, error: float) -> None:
+    run = Run(drive(TIME))
+    assert rms(alone(HUB, physics, run), alone(HUB, physics, run, step=0.5 * physics.step)) < error

@@ -1,0 +1,80 @@
+"""Faulty cameras and encoders: what they show of a known motion."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from tests.fine_beam.arms import HUB, MARKERS, alone, drive
+from tests.fine_beam.hidden import Physics
+from tests.fine_beam.motion import Motion, Run
+from tests.fine_beam.sensor_faults import Faults, shown_angle, shown_markers
+
+
+@pytest.fixture(scope="module")
+def seen() -> Motion:
+    """A driven motion from a quarter of a second before its recording to a quarter after."""
+    time = np.arange(-125, 626) / 500.0
+    return alone(HUB, Physics(), Run(0.5 * drive(time) * (time > 0.0)), time)
+
+
+STAMPS = np.arange(101) / 100.0
+
+
+def test_a_good_camera_and_encoder_show_the_motion(seen: Motion) -> None:
+    expected = seen.at(STAMPS)
+    np.testing.assert_allclose(shown_markers(seen, STAMPS, MARKERS, Faults()), expected.positions(MARKERS), atol=1e-15)
+    np.testing.assert_array_equal(shown_angle(seen, STAMPS, Faults()), expected.theta)
+    np.testing.assert_allclose(shown_angle(seen, STAMPS, Faults(encoder_offset_offset=0.01)), expected.theta + 0.01)
+
+
+def test_late_and_fast_cameras_show_other_instants(seen: Motion) -> None:
+    late = shown_markers(seen, STAMPS, MARKERS, Faults(time_offset_delay=0.015))
+    np.testing.assert_allclose(late, seen.at(STAMPS - 0.015).positions(MARKERS), atol=1e-15)
+    fast = shown_markers(seen, STAMPS, MARKERS, Faults(clock_scale_scale=1.01))
+    np.testing.assert_allclose(fast, seen.at(STAMPS / 1.01).positions(MARKERS), atol=1e-15)
+    assert Faults(time_offset_delay=-0.015).margin(5.0, 1.0) == pytest.approx(0.015)
+    assert Faults(clock_scale_scale=0.99).margin(5.0, 1.0) == pytest.approx(5.0 / 0.99 - 5.0)
+
+
+def test_a_rolling_shutter_sees_each_marker_when_its_row_is_read(seen: Motion) -> None:
+    shown = shown_markers(seen, STAMPS, MARKERS, Faults(rolling_shutter_readout=0.05))
+    for frame in (30, 60, 100):
+        for marker, arc in enumerate(MARKERS):
+            instant = np.array([STAMPS[frame] - 0.05 * shown[frame, marker, 1]])
+            np.testing.assert_allclose(seen.at(instant).positions([arc])[0, 0], shown[frame, marker], atol=1e-6)
+    assert np.abs(shown - seen.at(STAMPS).positions(MARKERS)).max() > 1e-3
+
+
+def test_distortions_of_the_image(seen: Motion) -> None:
+    truth = seen.at(STAMPS).positions(MARKERS)
+    flat = truth[..., 0] + 1j * truth[..., 1]
+    for faults, expected in (
+        (Faults(camera_scale_scale=1.01), 1.01 * flat),
+        (Faults(camera_rotation_angle=0.01), np.exp(0.01j) * flat),
+        (Faults(lens_distortion_k1=0.02), (1.0 + 0.02 * np.abs(flat) ** 2) * flat),
+    ):
+        shown = shown_markers(seen, STAMPS, MARKERS, faults)
+        np.testing.assert_allclose(shown[..., 0] + 1j * shown[..., 1], expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("marker", [2, 5])
+def test_one_misplaced_marker(seen: Motion, marker: int) -> None:
+    faults = Faults(marker_offset_marker=marker, marker_offset_along=-0.01, marker_offset_across=0.002)
+    shown = shown_markers(seen, STAMPS, MARKERS, faults)
+    truth = seen.at(STAMPS).positions([*MARKERS, MARKERS[marker - 1] - 0.01, MARKERS[marker - 1] - 0.01001])
+    others = [k for k in range(5) if k != marker - 1]
+    np.testing.assert_allclose(shown[:, others], truth[:, others], atol=1e-15)
+    tangent = (truth[:, 5] - truth[:, 6]) / 1e-5
+    expected = truth[:, 5] + 0.002 * np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1)
+    np.testing.assert_allclose(shown[:, marker - 1], expected, atol=1e-7)
+    beyond = shown_markers(seen, STAMPS, MARKERS, replace(faults, marker_offset_along=0.01, marker_offset_across=0.0))
+    here = seen.at(STAMPS).positions(MARKERS)[:, marker - 1]
+    assert np.linalg.norm(beyond[:, marker - 1] - here, axis=-1) == pytest.approx(0.01, rel=1e-4)
+
+
+def test_null_values_are_those_of_no_effect() -> None:
+    assert Physics() == Physics(**{each.name: each.default for each in fields(Physics)})  # type: ignore[arg-type]
+    assert Faults().margin(5.0, 1.0) == 0.0

@@ -1,0 +1,184 @@
+"""Sizes of hidden effects as one meets them, and how many standard deviations of the noise they amount to.
+
+Print the table, from the repository's root: python -m tests.hidden.severities
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.hidden.plans import Rig
+
+
+@dataclass(frozen=True)
+class Planted:
+    """An effect that is hidden in recordings, with its parameters' true values."""
+
+    effect: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Size:
+    """An everyday size of a parameter.
+
+    Attributes:
+        usual: how far the value lies from `null`; of a reciprocal parameter, the value itself.
+        signed: whether it may lie on either side.
+        null: value at which the effect is absent.
+        reciprocal: whether a smaller value is a larger effect.
+    """
+
+    usual: float
+    signed: bool = False
+    null: float = 0.0
+    reciprocal: bool = False
+
+
+SIZES: Mapping[str, Mapping[str, Size]] = {
+    "tip_payload": {"mass": Size(0.010)},
+    "coulomb_friction": {"torque": Size(0.008)},
+    "viscous_friction": {"coefficient": Size(0.004)},
+    "joint_spring": {"stiffness": Size(0.05)},
+    "torque_gain": {"gain": Size(0.05, True, 1.0)},
+    "torque_offset": {"offset": Size(0.005, True)},
+    "gear_elasticity": {"stiffness": Size(60.0, reciprocal=True)},
+    "backlash": {"gap": Size(0.004)},
+    "clamp_compliance": {"compliance": Size(5e-3)},
+    "linear_drag": {"coefficient": Size(0.02)},
+    "quadratic_drag": {"coefficient": Size(0.05)},
+    "structural_damping": {"loss_factor": Size(0.01)},
+    "viscoelastic_creep": {"ratio": Size(0.03)},
+    "hysteresis": {"ratio": Size(0.05)},
+    "cubic_stiffness": {"coefficient": Size(0.1, True)},
+    "stiffness_drift": {"rate": Size(0.002, True)},
+    "rest_curvature": {"curvature": Size(0.02, True)},
+    "external_tone": {"amplitude": Size(0.010)},
+    "time_offset": {"delay": Size(0.015, True)},
+    "clock_scale": {"scale": Size(0.002, True, 1.0)},
+    "camera_scale": {"scale": Size(0.008, True, 1.0)},
+    "camera_rotation": {"angle": Size(np.deg2rad(0.5), True)},
+    "encoder_offset": {"offset": Size(0.005, True)},
+    "lens_distortion": {"k1": Size(0.01, True)},
+    "rolling_shutter": {"readout": Size(0.005, True)},
+    "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
+}
+# A tilt: its two components come from one angle and one direction.
+TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
+
+# What a clamped arm, slow and slightly bent, hardly shows at the size that is plain on a turning one.
+CLAMPED_FACTORS: Mapping[str, float] = {
+    "external_tone": 8.0,
+    "rolling_shutter": 4.0,
+    "cubic_stiffness": 2.0,
+    "stiffness_drift": 2.0,
+}
+
+EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES)
+_JOINT = ("coulomb_friction", "viscous_friction", "joint_spring", "torque_gain", "torque_offset")
+# Free decays of a clamped link say nothing of a joint, nor of a clock without a second one.
+ONLY_WITH_HUB = (*_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
+
+# What no recording of the rig, or next to none, can tell apart.
+_ALWAYS = (("camera_rotation", "rest_curvature", "encoder_offset"),)
+TWINS: Mapping[Rig, tuple[tuple[str, ...], ...]] = {
+    "hub": _ALWAYS,
+    "clamped": (
+        ("camera_rotation", "rest_curvature", "in_plane_gravity"),
+        ("tip_payload", "clamp_compliance"),
+        ("cubic_stiffness", "stiffness_drift"),
+    ),
+}
+
+
+def effects_of(rig: Rig) -> tuple[str, ...]:
+    """Effects that recordings of a rig can show."""
+    return EFFECTS if rig == "hub" else tuple(each for each in EFFECTS if each not in ONLY_WITH_HUB)
+
+
+def twins(rig: Rig, effect: str) -> frozenset[str]:
+    """An effect and what is known to look like it on a rig."""
+    return frozenset({effect}.union(*(each for each in TWINS[rig] if effect in each)))
+
+
+def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Planted:
+    """An effect near its everyday size on a rig, on a side drawn from the seed; `multiple` times as large."""
+    random = np.random.default_rng([seed, 2, EFFECTS.index(effect)])
+    usual = CLAMPED_FACTORS.get(effect, 1.0) if rig == "clamped" else 1.0
+    factor = multiple * usual * 0.7 * 2.0 ** random.uniform()
+    if effect == "in_plane_gravity":
+        angle = random.uniform(0.0, 2.0 * np.pi)
+        size = factor * TILT
+        return Planted(effect, {"gx": float(size * np.cos(angle)), "gy": float(size * np.sin(angle))})
+    values = {name: _value(size, factor, random) for name, size in SIZES[effect].items()}
+    return Planted(effect, values | _inner(effect, random))
+
+
+def of_size(effect: str, seed: int, smallest: Mapping[str, float], multiple: float) -> Planted:
+    """An effect drawn from the seed, its sizes a multiple of the smallest ones that would have been detected.
+
+    Args:
+        effect: its id.
+        seed: decides on signs, directions and what is not a size.
+        smallest: by parameter; of a reciprocal one, the largest value that would have been detected.
+        multiple: of them.
+    """
+    drawn = dict(draw(effect, seed).parameters)
+    sizes = SIZES.get(effect, {name: Size(TILT, True) for name in ("gx", "gy")})
+    known = {name: float(smallest[name]) for name in sizes if name in smallest}
+    if not known:
+        raise ValueError(f"{effect}: no smallest detectable size among {sorted(smallest)}")
+    shares = [_size(sizes[name], drawn[name]) / _size_of_smallest(sizes[name], value) for name, value in known.items()]
+    factor = multiple / float(np.hypot.reduce(shares))
+    return Planted(effect, {name: _scaled(sizes.get(name), value, factor) for name, value in drawn.items()})
+
+
+def _value(size: Size, factor: float, random: np.random.Generator) -> float:
+    """A parameter's value, `factor` times its everyday size from the null."""
+    if size.reciprocal:
+        return size.usual / factor
+    side = random.choice([-1.0, 1.0]) if size.signed else 1.0
+    return float(size.null + side * factor * size.usual)
+
+
+def _size(size: Size, value: float) -> float:
+    """How large an effect a value is."""
+    return 1.0 / value if size.reciprocal else abs(value - size.null)
+
+
+def _size_of_smallest(size: Size, smallest: float) -> float:
+    """How large an effect a smallest detectable size is: a distance from the null, or a value near a null of one."""
+    if size.reciprocal:
+        return 1.0 / smallest
+    return abs(smallest - size.null) if smallest > 0.5 * size.null > 0.0 else abs(smallest)
+
+
+def _scaled(size: Size | None, value: float, factor: float) -> float:
+    """A value whose effect is `factor` times as large; what is no size stays."""
+    if size is None:
+        return value
+    return value / factor if size.reciprocal else size.null + factor * (value - size.null)
+
+
+def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
+    """Parameters that say how an effect is, not how large."""
+    spread = float(2.0 ** random.uniform(-0.7, 0.7))
+    match effect:
+        case "viscoelastic_creep":
+            return {"time_constant": 0.1 * spread}
+        case "hysteresis":
+            return {"yield_angle": 0.05 * spread}
+        case "external_tone":
+            return {"frequency": random.uniform(1.5, 12.0), "phase": random.uniform(0.0, 2.0 * np.pi)}
+        case "marker_offset":
+            return {"marker": float(random.integers(1, 6))}
+    return {}
+
+
+if __name__ == "__main__":
+    from tests.hidden.visibility import main
+
+    main()
