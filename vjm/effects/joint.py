@@ -41,6 +41,7 @@ class CoulombFriction(JointEffect):
     apart_by = "slow sweeps in both directions, and motion that comes to a stop"
     dissipative = True
     in_urdf = True
+    abrupt = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Against the joint's motion."""

@@ -88,6 +88,7 @@ class Backlash(JointEffect):
     gap: float = size("rad", 0.004, lower=0.0, upper=0.2)
 
     id = "backlash"
+    abrupt = True
     says = "play between the motor and the hub"
     reference = (
         "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002"

@@ -81,15 +81,15 @@ def _marker_slopes(
         found = by_state @ np.swapaxes(sample(part, seen)[0], 1, 2)
     else:
         rates = np.stack([np.swapaxes(sample(part, own)[0], 1, 2) for own in seen], axis=1)
-        shaped = by_state.reshape(len(by_state), len(seen), 2, -1)
-        found = (shaped @ rates).reshape(len(by_state), 2 * len(seen), -1)
+        shaped = by_state.reshape(len(by_state), len(seen), 2, by_state.shape[2])
+        found = (shaped @ rates).reshape(len(by_state), 2 * len(seen), rates.shape[-1])
     base: Array | None = None
     for k, (other, by) in enumerate(moved):
         if _sees_alike(arm, other):
             continue
         base = arcs.shown(arm, path) if base is None else base
         there = view(other, arcs, steps, stamps)
-        found[:, :, found.shape[2] - len(moved) + k] += ((there - base) / by).reshape(len(base), -1)
+        found[:, :, found.shape[2] - len(moved) + k] += ((there - base) / by).reshape(len(base), 2 * base.shape[1])
     return found
 
 
@@ -110,8 +110,8 @@ def _encoder_slopes(
     if not flat.size:
         return np.zeros((0, part.q.shape[1]))
     by_active = basis.shapes[active].T
-    told = (getattr(part, name) @ by_active for name in ("q", "v", "a"))
-    slope = sample(Steps(part.time, *told, part.z), observed.recording.time[rows])[0]
+    told = Steps(part.time, part.q @ by_active, part.v @ by_active, part.a @ by_active, part.z)
+    slope = sample(told, observed.recording.time[rows])[0]
     found: Array = np.take_along_axis(slope, joints[:, None, None], axis=2)[:, :, 0]
     for k, (other, by) in enumerate(moved):
         if other.sensors != arm.sensors:

@@ -60,8 +60,9 @@ class Arcs:
     def slope(self, arm: Arm, q: Array, directions: Array) -> Array:
         """(F, 2 k, m) derivatives of `shown` along directions (nv, m) of the angles."""
         base = self.shown(arm, q)
-        moved = [self.shown(arm, q + _PERTURBATION * each) for each in directions.T]
-        return np.stack([((each - base) / _PERTURBATION).reshape(len(base), -1) for each in moved], axis=-1)
+        moved = np.stack([self.shown(arm, q + _PERTURBATION * each) for each in directions.T], axis=-1)
+        slope: Array = (moved - base[..., None]) / _PERTURBATION
+        return slope.reshape(len(base), 2 * base.shape[1], directions.shape[1])
 
 
 def instants(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
@@ -85,7 +86,7 @@ def view(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
 def sampled(steps: Steps, time: Array) -> Array:
     """Angles (..., nv) [rad] of a trajectory of one copy at instants (...) [s]."""
     flat = sample(steps, time.ravel())[0][:, 0]
-    return flat.reshape(*time.shape, -1)
+    return flat.reshape(*time.shape, flat.shape[-1])
 
 
 @dataclass(frozen=True)

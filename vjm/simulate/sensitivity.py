@@ -154,11 +154,9 @@ def coefficients(arm: Arm, basis: Basis, moved: Sequence[Moved], recording: Reco
     inertia = np.empty((len(path.q), chain.size, m))
     for j, shape in enumerate(basis.shapes.T):
         turned, sped = replace(path, q=path.q + _ANGLE * shape), replace(path, v=path.v + _RATE * shape)
-        for column, other, by, linear in (
-            (j, turned, _ANGLE, chain.stiffness),
-            (m + j, sped, _RATE, chain.damping),
-        ):
-            forces[:, :, column] = (here.bodies(other) - at[0]) / by + linear * shape
+        forces[:, :, j] = (here.bodies(turned) - at[0]) / _ANGLE + chain.stiffness * shape
+        forces[:, :, m + j] = (here.bodies(sped) - at[0]) / _RATE + chain.damping * shape
+        for column, other, by in ((j, turned, _ANGLE), (m + j, sped, _RATE)):
             if here.force:
                 forces[:, :, column] += (here.effects(other) - at[1]) / by
             if nz:

@@ -1,0 +1,105 @@
+"""Pictures of the symptoms: labelled, nothing on top of anything else, the finding in the title."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
+from tests.symptoms.trajectories import MOTION, STILL, followed, found
+from vjm.report.figures.symptom_bands import bands, with_amplitude
+from vjm.report.figures.symptom_motion import lags, overview
+from vjm.report.figures.symptom_profiles import profiles
+from vjm.report.figures.symptom_quiet import quiet
+from vjm.report.figures.symptoms import NAMES, symptom_pictures
+from vjm.symptoms import Symptoms
+
+
+@cache
+def wrong() -> Symptoms:
+    """A slow first mode, a late camera, a hardening decay and a humming quiet record."""
+    truth = replace(MOTION, frequencies=(1.194, 7.5))
+    hard = replace(MOTION, frequencies=(1.194, 7.5), hardening=0.02)
+    hum = lambda t, m, theta: (m + 2e-4 * np.sin(2 * np.pi * 13 * t)[:, None, None], theta)  # noqa: E731
+    return found(
+        *(followed(k, truth, lag=3e-3, file=f"drive_{k}_with_a_name_that_is_rather_long.csv") for k in range(4)),
+        followed(5, hard, MOTION, kind="decay", duration=14, file="decay.csv"),
+        followed(6, STILL, STILL, kind="quiet", file="quiet.csv", change=hum),
+    )
+
+
+@cache
+def right() -> Symptoms:
+    """As simulated."""
+    return found(followed(0), followed(1, kind="decay", file="decay.csv"), followed(2, STILL, STILL, kind="quiet"))
+
+
+@cache
+def figures(of: Callable[[], Symptoms]) -> list[Figure]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return [draw(of()) for draw in (overview, bands, with_amplitude, profiles, lags, quiet)]
+
+
+@pytest.mark.parametrize("of", [wrong, right])
+def test_every_figure_is_readable(of: Callable[[], Symptoms]) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for figure in figures(of):
+            for axes in figure.axes:
+                if axes.xaxis.get_tick_params()["labelbottom"]:
+                    assert_labelled(axes.get_xlabel())
+                assert_labelled(axes.get_ylabel())
+            assert_nothing_overlaps(figure)
+
+
+def test_titles_say_what_is_wrong() -> None:
+    titles = [figure.texts[0].get_text().replace("\n", " ") for figure in figures(wrong)]
+    assert "than the model: " in titles[0] or "later" in titles[0]
+    assert "slower at 1.2 Hz than the model: after 5.0 s it lags by 1" in titles[1]
+    assert "faster than at" in titles[2]
+    assert "The camera shows the motion 3.0 ms later" in titles[4]
+    assert "at 13.0 Hz, which the model does not" in titles[5]
+
+
+def test_titles_say_that_nothing_is_wrong() -> None:
+    titles = [figure.texts[0].get_text().replace("\n", " ") for figure in figures(right)]
+    assert titles[0] == "The model follows every recording to within what noise explains"
+    assert titles[1] == "Amplitude and phase of all vibrations are as simulated"
+    assert "as they do in the model" in titles[2]
+    assert titles[3].startswith("What the model misses depends neither")
+    assert titles[4].startswith("Camera and encoders tell the same time, to within 0.0")
+    assert titles[5] == "At rest, the sensors show white noise of the size that was supposed"
+
+
+def test_pictures_have_their_names_and_captions() -> None:
+    drawn = symptom_pictures(wrong())
+    assert tuple(each.name for each in drawn) == NAMES
+    for each in drawn:
+        assert each.png.startswith(b"\x89PNG")
+        assert each.caption.endswith(".")
+        assert each.alternative.strip()
+
+
+def test_what_there_is_nothing_of_is_not_drawn() -> None:
+    assert symptom_pictures(found()) == []
+    clamped = found(followed(0, clamped=True, kind="driven"))
+    assert [each.name for each in symptom_pictures(clamped)] == [
+        "symptom_overview",
+        "symptom_bands",
+        "symptom_amplitude",
+        "symptom_profiles",
+    ]
+    assert [each.name for each in symptom_pictures(found(followed(0, STILL, STILL, kind="quiet")))] == ["symptom_quiet"]
+
+
+def test_phase_in_the_map_is_that_at_the_end() -> None:
+    text = [each.get_text() for each in bands(wrong()).axes[1].texts]
+    # 0.5 % of 1.2 Hz in 5 s
+    assert text[0].startswith("\N{MINUS SIGN}1")
