@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from vjm import dynamics
 from vjm.chain.records import Chain
 from vjm.effects.effect import Effect
+from vjm.effects.joint import CoulombFriction
 from vjm.errors import ShapeError
 from vjm.experiment.records import Recording, Rig
 from vjm.files import write_text_atomic
@@ -78,6 +79,14 @@ class Model:
         """The chain with its effects."""
         return Arm.of(self.chain, self.effects)
 
+    @cached_property
+    def _plain(self) -> Arm:
+        return Arm(self.chain)
+
+    def arm_in(self, recording: Recording) -> Arm:
+        """What moves in a recording: without effects where its condition is `reference`."""
+        return self._plain if recording.condition == "reference" else self.arm
+
     def simulate(self, recording: Recording) -> Simulation:
         """Simulate a recording open loop, from the initial state most likely given the whole of it.
 
@@ -94,16 +103,15 @@ class Model:
     def replays(
         self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, coarse: float = 1.0
     ) -> list[Replay]:
-        """Replays of several recordings, advanced together.
+        """Replays of several recordings, advanced together; in those of condition `reference`, no effect is present.
 
         Args:
             recordings: T instants each.
             states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
             coarse: multiple of the integrator's default step.
         """
-        return replays(
-            [self.arm] * len(recordings), self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse
-        )
+        arms = [self.arm_in(each) for each in recordings]
+        return replays(arms, self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse)
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
@@ -115,7 +123,26 @@ class Model:
         return PinocchioModel(dynamics.build(chain).model, chain.stiffness, chain.damping)
 
     def to_urdf(self, path: Path | str) -> Path:
-        """Write the chain as URDF, whole or not at all; returns the path."""
+        """Write the chain with its effects, as far as URDF can carry them, whole or not at all; returns the path."""
         file = Path(path)
-        write_text_atomic(file, chain_to_urdf(self.chain))
+        write_text_atomic(file, extended_urdf(self.chain, self.effects))
         return file
+
+
+def extended_urdf(chain: Chain, effects: Sequence[Effect]) -> str:
+    """URDF of a chain with effects: all that they change of the chain, and dry friction at its active joints.
+
+    Args:
+        chain: without the effects.
+        effects: of which `in_urdf` says whether the URDF carries them.
+
+    Raises:
+        ShapeError: as of `vjm.urdf.chain_to_urdf`.
+    """
+    arm = Arm.of(chain, effects)
+    friction: dict[str, float] = {}
+    for effect in arm.effects:
+        if isinstance(effect, CoulombFriction):
+            name = chain.links[effect.index].name
+            friction[name] = friction.get(name, 0.0) + effect.torque
+    return chain_to_urdf(arm.chain, friction)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -63,6 +63,14 @@ class ChainEntry(_Entry):
     links: Annotated[list[LinkEntry], Field(min_length=1)]
 
 
+class EffectEntry(_Entry):
+    """One effect on a chain; which effects and parameters there are is not this module's business."""
+
+    effect: str
+    link: str | None
+    parameters: dict[str, float | None]
+
+
 class ModelEntry(_Entry):
     """The whole file."""
 
@@ -70,17 +78,54 @@ class ModelEntry(_Entry):
     kind: Literal["vjm-model"]
     vjm: str
     chain: ChainEntry
+    effects: list[EffectEntry] = []
     extra: dict[str, Any]
 
 
-def write_model(chain: Chain, path: Path | str, extra: Mapping[str, object] | None = None) -> None:
+@dataclass(frozen=True)
+class StoredEffect:
+    """An effect as model.json holds it.
+
+    Attributes:
+        effect: its id.
+        link: name of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
+        parameters: by name, SI; None for a value that is infinite.
+    """
+
+    effect: str
+    link: str | None
+    parameters: Mapping[str, float | None]
+
+
+@dataclass(frozen=True)
+class Stored:
+    """All that a model.json holds.
+
+    Attributes:
+        chain: without the effects.
+        effects: what acts on it, in order.
+        extra: what else is known.
+    """
+
+    chain: Chain
+    effects: tuple[StoredEffect, ...]
+    extra: dict[str, Any]
+
+
+def write_model(
+    chain: Chain,
+    path: Path | str,
+    extra: Mapping[str, object] | None = None,
+    effects: Sequence[StoredEffect] = (),
+) -> None:
     """Write a chain as model.json, whole or not at all; every number comes back exactly.
 
     Args:
-        chain: the chain.
+        chain: the chain, without its effects.
         path: the file.
         extra: what else is known, such as standard errors: mappings, lists, arrays, text, finite numbers, None.
             Tuples and arrays come back as lists.
+        effects: what acts on the chain and on its sensors; a file without any has no such key.
 
     Raises:
         ShapeError: a number that is not finite, or a value that is out of range or that JSON cannot hold.
@@ -95,11 +140,12 @@ def write_model(chain: Chain, path: Path | str, extra: Mapping[str, object] | No
             "gravity": chain.gravity,
             "links": [{field.name: getattr(link, field.name) for field in fields(link)} for link in chain.links],
         },
+        **({"effects": [vars(each) for each in effects]} if effects else {}),
         "extra": dict(extra or {}),
     }
     text = json_text(content)
     try:
-        _chain(ModelEntry.model_validate(json.loads(text)).chain)
+        _stored(ModelEntry.model_validate(json.loads(text)))
     except ValidationError as error:
         place, problem, expected = _fault(error)
         raise ShapeError(place, problem.removeprefix("got "), expected) from None
@@ -107,13 +153,26 @@ def write_model(chain: Chain, path: Path | str, extra: Mapping[str, object] | No
 
 
 def read_model(path: Path | str) -> tuple[Chain, dict[str, Any]]:
-    """Read a model.json.
+    """Read the chain in a model.json, without effects.
 
     Args:
         path: the file.
 
     Returns:
         The chain, and `extra` as it was written.
+
+    Raises:
+        ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
+    """
+    found = read_stored(path)
+    return found.chain, found.extra
+
+
+def read_stored(path: Path | str) -> Stored:
+    """Read all that a model.json holds.
+
+    Args:
+        path: the file.
 
     Raises:
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
@@ -130,13 +189,21 @@ def read_model(path: Path | str) -> tuple[Chain, dict[str, Any]]:
     except (ValueError, RecursionError) as error:
         raise ModelFileError(path, f"no usable JSON: {error}", "a model.json written by vjm") from error
     try:
-        entry = ModelEntry.model_validate(content)
-        return _chain(entry.chain), entry.extra
+        return _stored(ModelEntry.model_validate(content))
     except ValidationError as error:
         place, problem, expected = _fault(error)
         raise ModelFileError(path, f"key '{place}': {problem}" if place else problem, expected) from None
     except ShapeError as error:
         raise ModelFileError(path, f"key 'chain': {error.name}: {error.given}", error.expected) from error
+
+
+def _stored(entry: ModelEntry) -> Stored:
+    chain = _chain(entry.chain)
+    names = [None, *(link.name for link in chain.links)]
+    for k, effect in enumerate(entry.effects):
+        if effect.link not in names:
+            raise ShapeError(f"effects[{k}].link", f"got {effect.link!r}", f"null or one of {names[1:]}")
+    return Stored(chain, tuple(StoredEffect(**effect.model_dump()) for effect in entry.effects), entry.extra)
 
 
 def _chain(entry: ChainEntry) -> Chain:

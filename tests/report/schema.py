@@ -117,11 +117,89 @@ class IdentifyResult(Common):
     estimates: list[EstimateResult]
 
 
+class EffectResult(Entry):
+    effect: str
+    link: str | None
+    parameters: dict[str, float | None]
+
+
 class SimulateResult(Common):
     command: Literal["simulate"]
     model: ModelResult
     frequencies_hz: list[Frequency]
+    effects: list[EffectResult]
     recordings: list[RecordingResult]
+
+
+class Size(Entry):
+    value: float | None
+    std: float | None
+    unit: str
+
+
+class Rival(EffectResult):
+    chi2_worse: float | None
+
+
+class CauseResult(Entry):
+    effect: str
+    link: str | None
+    parameters: dict[str, Size]
+    p_value: float | None
+    chi2_gain: float | None
+    indistinguishable_from: list[str]
+    rivals: list[Rival]
+    evidence: str
+
+
+class FollowedRecording(Entry):
+    file: str
+    role: Literal["train", "holdout"]
+    marker_rms_before_m: float | None
+    marker_rms_after_m: float | None
+    marker_rms_runner_up_m: float | None
+    noise_m: float | None
+
+
+class GainResult(Entry):
+    holdout_rms_before_m: float
+    holdout_rms_after_m: float
+    holdout_rms_runner_up_m: float | None
+    noise_m: float
+    reduction: float | None
+    ci95: list[float | None] = Field(min_length=2, max_length=2)
+
+
+class CandidateResult(Entry):
+    effect: str
+    link: str | None
+    z: float | None
+    p_value: float | None
+    size: dict[str, float | None]
+    smallest_detectable: dict[str, float | None]
+    testable: bool
+    reason: str
+
+
+class Remaining(Entry):
+    p_value: float | None
+    description: str
+
+
+class DiagnoseResult(Common):
+    command: Literal["diagnose"]
+    notes: list[str]
+    verdict: Literal["none", "named", "set", "unknown", "insufficient"]
+    causes: list[CauseResult]
+    recordings: list[FollowedRecording]
+    gain: GainResult | None
+    candidates: list[CandidateResult]
+    remaining: Remaining
+    next_experiment: str | None
+    symptoms: list[str]
+    noise: str
+    model: ModelResult
+    estimates: list[EstimateResult]
 
 
 class CheckedLink(Entry):

@@ -13,24 +13,25 @@ from vjm.chain.records import Chain
 from vjm.cli.arguments import DEFAULT_METHOD
 from vjm.cli.printing import Summary, print_json
 from vjm.cli.progress import Report, progress
+from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
 from vjm.experiment import load_experiment
 from vjm.files import json_text, write_text_atomic
 from vjm.identification import identify
 from vjm.identification.records import Identification
 from vjm.identification.select import choose_virtual_joints, cuts_of, nominal_chain
-from vjm.model_file import read_model
+from vjm.model import extended_urdf
 from vjm.parameters import Estimate
 from vjm.report.comparison import Comparison, compare
 from vjm.report.folder import FolderError, check_folder, check_parent, write_together
 from vjm.report.save import REPORT, save
-from vjm.report.stored import stored_model
+from vjm.report.stored import stored_chain, stored_model
 from vjm.report.tables import mode_table, parameter_table, recording_table
 from vjm.report.verdict import comparison_verdict, identification_verdict
 from vjm.report.wording import counted, number
 from vjm.result import check_result, comparison_result, identification_result, urdf_result
 from vjm.shape.order import visible_modes
-from vjm.urdf import chain_to_urdf
+from vjm.simulate.arm import Arm
 
 if TYPE_CHECKING:
     from vjm.checking import Check
@@ -150,8 +151,8 @@ def urdf(arguments: argparse.Namespace) -> None:
         if arguments.out.is_dir():
             raise FolderError(arguments.out, "this is a folder", "name a file with -o FILE")
         check_parent(arguments.out)
-    chain = _chain(arguments.source)
-    text = chain_to_urdf(chain)
+    source, effects = _chain(arguments.source)
+    chain, text = Arm.of(source, effects).chain, extended_urdf(source, effects)
     if arguments.out is not None:
         _write_urdf(arguments.out, text)
     if arguments.json:
@@ -169,15 +170,15 @@ def _write_urdf(file: Path, text: str) -> None:
         raise FolderError(file, f"cannot be written ({error.strerror or error})", "choose another with -o") from error
 
 
-def _chain(source: Path) -> Chain:
-    """The chain of a model.json, or the nominal one of an experiment file; the content says which it is."""
+def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:
+    """Chain and effects of a model.json, or the nominal one of an experiment file; the content says which it is."""
     if source.suffix != ".toml" and _is_json(source):
-        return read_model(source)[0]
+        return stored_chain(source)
     rig = load_experiment(source).rig
     joints = [
         choose_virtual_joints(link, visible_modes(len(link.markers)), link.virtual_joints).joints for link in rig.links
     ]
-    return nominal_chain(rig, cuts_of(rig, joints))
+    return nominal_chain(rig, cuts_of(rig, joints)), ()
 
 
 def _is_json(source: Path) -> bool:

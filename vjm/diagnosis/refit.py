@@ -75,8 +75,11 @@ def refit(
     problem = replace(start.point.problem, extension=extension)
     arms = problem.arms(x)
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
+    # What sticks and slips is found from the recordings' beginnings.
+    new = [each for each in extension.effects if (each.id, each.link) not in start.names]
+    known = 0.0 if any(each.abrupt for each in new) else np.inf
     try:
-        fit = fit_trajectory(problem, x, None, states, hopeless=hopeless)
+        fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except SimulationDivergedError:
         return None
     return Explanation(extension.present(fit.point.x), fit)

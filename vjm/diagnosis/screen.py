@@ -134,7 +134,7 @@ class Screen:
 
 def tail(statistics: Array, sizes: Array, one_sided: Array) -> Array:
     """(V,) probability of larger statistics under noise: chi-square, half of it at a bound."""
-    found: Array = stats.chi2.sf(statistics, sizes)
+    found = np.asarray(stats.chi2.sf(statistics, sizes))
     return np.where(one_sided, np.where(statistics > 0, found / 2, 1.0), found)
 
 
@@ -144,13 +144,17 @@ def is_one_sided(effect: Effect) -> bool:
     return effect.sizes == 1 and bool(lower[0] == 0 or upper[0] == 0)
 
 
-def screen(point: Point, present: Sequence[Effect], variants: Sequence[Effect]) -> Screen:
+def screen(
+    point: Point, present: Sequence[Effect], variants: Sequence[Effect], again: tuple[Effect, slice] | None = None
+) -> Screen:
     """Screen absent effects beside a fit.
 
     Args:
         point: the fit.
         present: effects that it already has.
         variants: absent effects, one a place and choice of inner parameters.
+        again: one of those present, with its coordinates, that is told among the others instead of projected out; it
+            comes first.
     """
     counts = [variant.sizes for variant in variants]
     stops = np.cumsum(counts, dtype=int).tolist()
@@ -168,8 +172,19 @@ def screen(point: Point, present: Sequence[Effect], variants: Sequence[Effect]) 
         triangles.append(triangle.eliminated(2 * run.basis.slow).R)
         whole += rows.squares
     stacked = np.vstack(triangles)
+    if again is None:
+        together = Triangle.of([(stacked[:, :-1], stacked[:, -1])], point.x.size + total)
+        return Screen(tuple(variants), parts, together.eliminated(point.x.size).R, whole)
+    effect, part = again
+    told = [*range(part.start, part.start + effect.sizes)]
+    order = [k for k in range(stacked.shape[1]) if k not in told]
+    order[point.x.size - len(told) : point.x.size - len(told)] = told
+    stacked = stacked[:, order]
     together = Triangle.of([(stacked[:, :-1], stacked[:, -1])], point.x.size + total)
-    return Screen(tuple(variants), parts, together.eliminated(point.x.size).R, whole)
+    shifted = [slice(each.start + len(told), each.stop + len(told)) for each in parts]
+    whole = np.concatenate([np.zeros(len(told)), whole])
+    R = together.eliminated(point.x.size - len(told)).R
+    return Screen((effect, *variants), (slice(0, len(told)), *shifted), R, whole)
 
 
 def _jumps(point: Point, variant: Effect) -> bool:

@@ -19,14 +19,16 @@ from vjm.identification.trajectory_problem import Point
 Array = NDArray[np.float64]
 Tell = Callable[[str], None]
 Key = tuple[str, int | None]
+Step = tuple[Explanation, Sequence[int]]
 Job = tuple[Explanation, list[Effect], list[Array]]
 
 _BEST = 8  # candidates refitted a round
 _FIRST_STEPS = 2  # of each of them, before the most promising are followed to the end
 _PAIRS = 4  # pairs refitted that no single step leads to
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
-_WRONG = 1.5  # misfit of an explanation that lacks so much that its best parameters do not matter,
-_LITTLE = 0.01  # once a step would lower its chi^2 by no more than this
+# Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
+_DONE = ((1.5, 1e-2), (1.01, 1e-3))
+_NOISE = 1.02  # misfit that leaves nothing to explain
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
 
 
@@ -94,10 +96,13 @@ class Search:
             needed = self._needed(best, family)
             if not needed:
                 break
-            steps: list[tuple[Explanation, Sequence[int]]] = [(best, [k]) for k in needed[:_BEST]]
+            steps: list[Step] = [(best, [k]) for k in needed[:_BEST]]
             if len(best.effects) == 1:
                 steps += self._pairs(first, best)
-            self.race(best, family, first, steps)
+            smooth, abrupt = self._apart(family, first, best, steps)
+            self.race(best, family, first, smooth)
+            if not self._explained(len(best.effects) + 1):
+                self.race(best, family, first, abrupt)
             trial = self._best(len(best.effects) + 1)
             if trial is None or not self._worth(best, trial):
                 break
@@ -105,6 +110,22 @@ class Search:
             p_values |= {key: float(family.p_values[needed[0]]) for key in best.names if key not in p_values}
             family = self.judged(best)
         return Found(best, self.tried, first, family, p_values)
+
+    def _apart(
+        self, family: Family, first: Family, best: Explanation, steps: Sequence[Step]
+    ) -> tuple[list[Step], list[Step]]:
+        """Steps that are quickly fitted, and those with what sticks and slips."""
+        smooth: list[Step] = []
+        abrupt: list[Step] = []
+        for start, chosen in steps:
+            seen = family.seen if start is best else first.seen
+            (abrupt if any(seen.effects[k].abrupt for k in chosen) else smooth).append((start, chosen))
+        return smooth, abrupt
+
+    def _explained(self, count: int) -> bool:
+        """Whether so many effects leave nothing but noise."""
+        found = self._best(count)
+        return found is not None and found.point.misfit < _NOISE
 
     def judged(self, explanation: Explanation) -> Family:
         """Candidates beside an explanation."""
@@ -115,9 +136,7 @@ class Search:
         seen = screen(explanation.point, explanation.effects, variants)
         return Family.of(seen, self.looked.times[kept], self.rules.alpha, self.rules.seed)
 
-    def race(
-        self, best: Explanation, family: Family, first: Family, steps: Sequence[tuple[Explanation, Sequence[int]]]
-    ) -> None:
+    def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
         """Refit explanations, giving up those that will not come near the best."""
         jobs = []
         for start, chosen in steps:
@@ -128,9 +147,28 @@ class Search:
                 jobs.append((names, job))
         self._fit(jobs)
 
+    def replacements(self, best: Explanation, others: Sequence[Effect], added: Sequence[Effect]) -> None:
+        """Fit explanations in which a cause is replaced, from the best without it.
+
+        Args:
+            best: the explanation.
+            others: its effects but the cause.
+            added: what may stand in its place, one at a time.
+        """
+        names = frozenset(_key(effect) for effect in others)
+        start = self.tried.get(names, self.start)
+        jobs = []
+        seen = screen(start.point, start.effects, added)
+        for k, effect in enumerate(added):
+            if names | {_key(effect)} not in self.tried:
+                jobs.append((names | {_key(effect)}, proposal(start, seen, [k])))
+        self._fit(jobs)
+
     def _fit(self, jobs: Sequence[tuple[frozenset[Key], Job]]) -> None:
         """A few steps for each; then to the end for those that may be the best, the most promising first."""
         self.tell("trying " + ", ".join(sorted({name for names, _ in jobs for name, _ in names})))
+        if not jobs:
+            return
         begun = [found for found in self._map(_begun, [job for _, job in jobs]) if found is not None]
         begun.sort(key=lambda each: each.chi2)
         record = min((each.chi2 for each in begun), default=np.inf)
@@ -158,7 +196,7 @@ class Search:
         ]
         return one_each(seen, needed) if needed else []
 
-    def _pairs(self, first: Family, best: Explanation) -> list[tuple[Explanation, Sequence[int]]]:
+    def _pairs(self, first: Family, best: Explanation) -> list[Step]:
         """Pairs that explain most by the first screen, without the best single effect."""
         seen = first.seen
         alone = [k for k in one_each(seen, range(len(seen.effects))) if _key(seen.effects[k]) not in best.names]
@@ -227,5 +265,6 @@ class _Patience:
 
     def __call__(self, point: Point, predicted: float) -> bool:
         self.left -= 1
-        wrong = point.misfit > _WRONG and predicted < _LITTLE * point.chi2
+        share = predicted / point.chi2
+        wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
         return self.left < 0 or wrong or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE

@@ -139,8 +139,8 @@ class Effect:
     sensor: ClassVar[bool] = False
     # Whether a URDF can carry it.
     in_urdf: ClassVar[bool] = False
-    # Whether the arm's motion depends on it abruptly, as on what sticks and slips: searches lengthen the recordings step
-    # by step, and what is left after a fit need not be noise.
+    # Whether motion depends on it abruptly, as on what sticks and slips: searches lengthen the recordings step by step,
+    # and what is left after a fit need not be noise.
     abrupt: ClassVar[bool] = False
 
     @classmethod

@@ -69,7 +69,7 @@ def compare(
     for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
         if abs(link.length - own.length) > _SAME_LENGTH * own.length:
             raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
-    nominal = replace(model, chain=nominal_chain(experiment.rig, layouts_of(model.chain)), estimates=())
+    nominal = replace(model, chain=nominal_chain(experiment.rig, layouts_of(model.chain)), estimates=(), effects=())
     fits = fit_recordings(experiment, model, (nominal, None), progress)
     known = np.empty((0, 0)) if covariance is None else covariance
     warnings = (*experiment.warnings, *result_warnings(fits, ()))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from vjm.errors import InsufficientDataError
-from vjm.experiment.records import Rig
+from vjm.experiment.records import Recording, Rig
 from vjm.identification.records import RecordingFit
 from vjm.model import Model
 from vjm.report.choose import Signal, marker_name, tip_signal, windows
@@ -87,12 +87,17 @@ def _at(replay: Replay, fit: RecordingFit, signal: Signal) -> Array:
     return values
 
 
-def _drawn(replay: Replay, model: Model, signal: Signal, window: tuple[float, float]) -> tuple[Array, Array]:
-    """The simulated coordinate at closely spaced instants of a window [s, m]."""
-    simulation = replay.simulation
+def drawn(
+    replay: Replay, model: Model, recording: Recording, signal: Signal, window: tuple[float, float]
+) -> tuple[Array, Array]:
+    """The simulated coordinate, as the camera would show it, at closely spaced instants of a window [s, m]."""
+    simulation, arm, arcs = replay.simulation, model.arm_in(recording), Arcs.of(model.rig)
+    path = CubicHermiteSpline(simulation.time, simulation.q, simulation.v)
     time = np.linspace(*window, _DRAWN_POINTS)
-    q = CubicHermiteSpline(simulation.time, simulation.q, simulation.v)(time)
-    markers = Arcs.of(model.rig).markers(model.chain, q)
+    seen, stamps, positions = time, time - simulation.time[0], arcs.markers(arm.chain, path(time))
+    for effect in arm.sensors:
+        seen = seen + (effect.instants(stamps, positions).T - stamps)
+    markers = arcs.shown(arm, path(np.clip(seen, simulation.time[0], simulation.time[-1])))
     return time, markers[:, signal.marker, signal.axis]
 
 
@@ -104,10 +109,10 @@ def _draw_tips(
         rows = (signal.time >= window[0]) & (signal.time <= window[1])
         axes.plot(signal.time[rows], 1e3 * signal.value[rows], **_measured_look(_crowded(signal, parts)))
         if fit.replay is not None:
-            time, value = _drawn(fit.replay, model, signal, window)
+            time, value = drawn(fit.replay, model, fit.recording, signal, window)
             axes.plot(time, 1e3 * value, color=IDENTIFIED, linewidth=1.3)
         if fit.nominal is not None:
-            time, value = _drawn(fit.nominal, nominal, signal, window)
+            time, value = drawn(fit.nominal, nominal, fit.recording, signal, window)
             axes.plot(time, 1e3 * value, color=NOMINAL, linestyle=NOMINAL_STYLE, linewidth=1.2)
         axes.set_xlabel("time [s]")
         axes.set_ylabel(_label(model.rig, signal))

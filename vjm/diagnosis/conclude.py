@@ -1,0 +1,236 @@
+"""From where a search ended to what is said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.base import Base
+from vjm.diagnosis.extension import Extension
+from vjm.diagnosis.gain import gain
+from vjm.diagnosis.leftover import Leftover, leftover
+from vjm.diagnosis.probes import described
+from vjm.diagnosis.propose import next_experiment
+from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Remaining, Rival, Size, Verdict
+from vjm.diagnosis.refit import Explanation
+from vjm.diagnosis.replays import follow, found_symptoms
+from vjm.diagnosis.rivals import alternatives
+from vjm.diagnosis.search import Found, Rules, Search
+from vjm.effects import Effect
+from vjm.experiment.records import Experiment
+from vjm.identification.information import Information, of_trajectory
+from vjm.identification.uncertainty import covariance, estimates, to_physical
+from vjm.model import Model
+from vjm.parameters import Estimate
+
+Array = NDArray[np.float64]
+
+_UNLIKELY = 1e-3  # that noise alone leaves so much
+_ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
+_SLOPE_STEP = 1e-5
+
+
+def conclude(
+    experiment: Experiment,
+    base: Base,
+    search: Search,
+    found: Found,
+    table: tuple[Candidate, ...],
+    rules: Rules,
+    tell: Callable[[str], None],
+) -> Diagnosis:
+    """What is missing, how sure that is, and what is gained.
+
+    Args:
+        experiment: what was diagnosed.
+        base: the model without effects.
+        search: can fit more.
+        found: where it ended.
+        table: the candidates.
+        rules: of the search.
+        tell: told what is being done.
+    """
+    best = found.best
+    scale = max(1.0, best.point.misfit**2)
+    tell("asking what cannot be told apart")
+    rivals = {id(each): alternatives(found, search, each, scale) for each in best.effects}
+    information, _ = of_trajectory(best.fit, True)
+    causes = _causes(best, search.start, found, rivals, covariance(information))
+    tell("replaying the recordings")
+    model, plain = _model(experiment, base, best, information), _model(experiment, base, search.start, None)
+    runner_up = _runner_up(search, best, causes)
+    followed = follow(experiment, base, search.start, best, runner_up)
+    gained = gain(followed, rules.seed)
+    left = leftover(best.point.runs)
+    needed = [k for k in range(len(found.last.seen.effects)) if _still(found, k, rules, best)]
+    remains = _remains(left, best, search.start, rules) or bool(needed)
+    failed = bool(causes) and gained is not None and gained.interval[1] <= 0
+    verdict = _verdict(causes, remains or failed)
+    description = _described(experiment, best, left, found, needed) if remains else ""
+    warnings = [*experiment.warnings, *base.problems]
+    if failed:
+        warnings.append("what explains the training recordings does not help with the held-out ones: see them first")
+    symptoms = found_symptoms(experiment, plain, followed, base)
+    return Diagnosis(
+        experiment=experiment,
+        verdict=verdict,
+        causes=causes,
+        candidates=table,
+        model=model,
+        base=plain,
+        parameters=model.estimates,
+        recordings=followed,
+        gain=gained,
+        remaining=Remaining(left.p_value, description),
+        symptoms=symptoms,
+        next_experiment=next_experiment(experiment, verdict, causes, description),
+        noise=base.noise.source,
+        warnings=tuple(dict.fromkeys(warnings)),
+        notes=_notes(base, best, left, remains),
+    )
+
+
+def insufficient(experiment: Experiment, base: Base, table: tuple[Candidate, ...], reasons: Sequence[str]) -> Diagnosis:
+    """What can be said where the recordings support no statement."""
+    start = Explanation((), base.fit)
+    plain = _model(experiment, base, start, None)
+    followed = follow(experiment, base, start, start, None)
+    return Diagnosis(
+        experiment=experiment,
+        verdict="insufficient",
+        causes=(),
+        candidates=table,
+        model=plain,
+        base=plain,
+        parameters=plain.estimates,
+        recordings=followed,
+        gain=None,
+        remaining=Remaining(None),
+        symptoms=found_symptoms(experiment, plain, followed, base),
+        next_experiment=reasons[0],
+        noise=base.noise.source,
+        warnings=tuple(dict.fromkeys([*reasons, *experiment.warnings, *base.problems])),
+    )
+
+
+def _verdict(causes: Sequence[Cause], remains: bool) -> Verdict:
+    if remains:
+        return "unknown"
+    if not causes:
+        return "none"
+    return "set" if any(cause.rivals for cause in causes) else "named"
+
+
+def _remains(left: Leftover, best: Explanation, start: Explanation, rules: Rules) -> bool:
+    """Whether what is left is no noise, and matters."""
+    allowed = rules.matters * best.point.count
+    if any(effect.abrupt for effect in best.effects):
+        allowed = max(allowed, _ABRUPT * (start.chi2 - best.chi2))
+    return left.p_value < _UNLIKELY and left.excess > allowed
+
+
+def _still(found: Found, k: int, rules: Rules, best: Explanation) -> bool:
+    """Whether a candidate is needed beside the best explanation."""
+    certain = found.last.p_values[k] < rules.alpha
+    allowed = rules.matters * best.chi2
+    if any(effect.abrupt for effect in best.effects):
+        allowed = max(allowed, _ABRUPT * best.chi2)
+    return bool(certain and found.last.seen.statistics[k] > allowed)
+
+
+def _causes(
+    best: Explanation, start: Explanation, found: Found, rivals: dict[int, tuple[Rival, ...]], spread: Array
+) -> tuple[Cause, ...]:
+    extension = best.point.problem.extension
+    if not isinstance(extension, Extension):
+        return ()
+    causes = []
+    for effect, part in zip(best.effects, extension.parts, strict=True):
+        key = (effect.id, effect.link)
+        without = found.tried.get(best.names - {key}, start)
+        drop = without.chi2 - best.chi2
+        before, after = without.point.misfit, best.point.misfit
+        evidence = (
+            f"without it the model misses the training recordings by {before:.3g} times the noise, with it by "
+            f"{after:.3g}; chi^2 falls by {drop:.3g}"
+        )
+        causes.append(
+            Cause(
+                effect,
+                _sizes(effect, spread[part, part]),
+                max(found.p_values.get(key, 0.0), 1e-300),
+                drop,
+                rivals[id(effect)],
+                evidence,
+            )
+        )
+    return tuple(sorted(causes, key=lambda cause: -cause.gain))
+
+
+def _sizes(effect: Effect, spread: Array) -> dict[str, Size]:
+    """Parameters with standard errors, from the covariance (p, p) of the effect's coordinates."""
+    at, values = effect.coordinates, effect.values
+    slopes = {name: np.zeros(at.size) for name in values}
+    for k in range(at.size):
+        step = _SLOPE_STEP * max(abs(at[k]), 1.0)
+        moved = effect.at(at + step * np.eye(at.size)[k]).values
+        for name, value in values.items():
+            slopes[name][k] = (moved[name] - value) / step
+    found = {}
+    for each in effect.parameters():
+        slope = slopes[each.name]
+        std = None if each.whole else float(np.sqrt(max(float(slope @ spread @ slope), 0.0)))
+        found[each.name] = Size(float(values[each.name]), std, each.unit)
+    return found
+
+
+def _model(experiment: Experiment, base: Base, explanation: Explanation, information: Information | None) -> Model:
+    """The model of an explanation, with its parameters' estimates."""
+    parametrisation = explanation.point.problem.parametrisation
+    own = len(parametrisation.coordinates)
+    x = explanation.point.x[:own]
+    if information is None:
+        information, _ = of_trajectory(explanation.fit, True)
+    inside = covariance(information)[:own, :own]
+    kept = Information(information.normal[:own, :own], information.spread[:own, :own])
+    found: tuple[Estimate, ...] = estimates(parametrisation, x, kept, to_physical(parametrisation, x, inside))
+    noise = base.fit.point.runs[0].observed.noise
+    return Model(parametrisation.chain(x), experiment.rig, *noise, found, explanation.effects)
+
+
+def _runner_up(search: Search, best: Explanation, causes: Sequence[Cause]) -> Explanation | None:
+    """The next best explanation of as many effects."""
+    others = [each for each in search.tried.values() if len(each.effects) == len(best.effects) > 0]
+    others = [each for each in others if each.names != best.names]
+    return min(others, key=lambda each: each.chi2, default=None)
+
+
+def _described(experiment: Experiment, best: Explanation, left: Leftover, found: Found, needed: Sequence[int]) -> str:
+    """Where something remains and what it looks like."""
+    parts = []
+    if left.bands and left.p_value < _UNLIKELY:
+        worst = left.bands[0]
+        low, high = worst.band
+        parts.append(f"most of it in the {worst.sensor} of {worst.file}, between {low:.3g} and {high:.3g} Hz")
+    looks = described(best.point, best.effects, experiment.rig)
+    if looks:
+        parts.append(looks)
+    if needed:
+        most = max(needed, key=lambda k: float(found.last.seen.statistics[k]))
+        parts.append(f"a further effect, {found.last.seen.effects[most].id}, would explain part of it")
+    return "; ".join(parts)
+
+
+def _notes(base: Base, best: Explanation, left: Leftover, remains: bool) -> tuple[str, ...]:
+    joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in base.point.chain.links)
+    notes = [
+        f"the search's chain has more virtual joints than a model needs, so that coarseness is no effect: {joints}",
+        f"camera noise: {base.noise.source}",
+    ]
+    if not remains and left.p_value < _UNLIKELY:
+        notes.append("what is left is a little more than noise, and too little to matter")
+    if best.effects and not best.fit.converged:
+        notes.append("the last fit was ended once further steps no longer mattered")
+    return tuple(notes)

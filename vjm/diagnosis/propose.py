@@ -1,0 +1,32 @@
+"""The recording to make next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from vjm.diagnosis.records import Cause, Verdict
+from vjm.experiment.records import Experiment
+
+
+def next_experiment(experiment: Experiment, verdict: Verdict, causes: Sequence[Cause], description: str) -> str | None:
+    """Which recording would tell what these cannot; None where there is nothing to tell.
+
+    Args:
+        experiment: what was recorded.
+        verdict: of the diagnosis.
+        causes: what was found.
+        description: of what remains.
+    """
+    split = [cause for cause in causes if cause.rivals]
+    if split:
+        cause = split[0]
+        names = [cause.effect.id, *(rival.effect.id for rival in cause.rivals)]
+        means = dict.fromkeys(each.apart_by for each in (cause.effect, *(r.effect for r in cause.rivals)))
+        told = "; or ".join(each for each in means if each)
+        return f"to tell {' from '.join(names)}: record {told}"
+    if verdict == "unknown":
+        kinds = {each.kind for each in experiment.recordings}
+        if "quiet" not in kinds:
+            return 'record the arm at rest (kind = "quiet"): what is there without motion comes from outside'
+        return "record the same drive at half and at twice its size: what then grows otherwise is not linear"
+    return None

@@ -1,0 +1,81 @@
+"""What cannot be told apart: explanations as good as the best, each cause replaced by another effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.extension import Extension
+from vjm.diagnosis.records import Rival
+from vjm.diagnosis.refit import Explanation
+from vjm.diagnosis.screen import Screen, screen
+from vjm.diagnosis.search import ALIKE, Found, Search
+from vjm.effects import Effect
+
+Array = NDArray[np.float64]
+
+_MOST = 6  # alternatives refitted for each cause
+_NEAR = 5.0  # times the tolerance that a linear guess may be off
+
+
+def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> tuple[Rival, ...]:
+    """Effects that explain the recordings as well as one of the causes.
+
+    Args:
+        found: where the search ended.
+        search: can fit more.
+        cause: one of the best explanation's effects.
+        scale: mean square of the residuals that is taken as noise.
+    """
+    best = found.best
+    others = [effect for effect in best.effects if effect is not cause]
+    variants = [v for v in search.looked.variants if (v.id, v.link) not in best.names]
+    seen = _beside(best, cause, variants)
+    wanted = _near(seen, cause, ALIKE * scale)
+    search.replacements(best, others, [seen.effects[k] for k in wanted])
+    rest = frozenset((effect.id, effect.link) for effect in others)
+    rivals = []
+    for names, tried in search.tried.items():
+        new = [effect for effect in tried.effects if (effect.id, effect.link) not in rest]
+        same = len(names) == len(best.names) and rest <= names and len(new) == 1
+        if same and (new[0].id, new[0].link) != (cause.id, cause.link):
+            worse = tried.chi2 - best.chi2
+            if worse < ALIKE * scale:
+                rivals.append(Rival(new[0], float(worse)))
+    return tuple(sorted(rivals, key=lambda each: each.worse))
+
+
+def _beside(best: Explanation, cause: Effect, variants: Sequence[Effect]) -> Screen:
+    """The absent effects beside a cause, which is one among them."""
+    extension = best.point.problem.extension
+    parts = extension.parts if isinstance(extension, Extension) else ()
+    part = next(p for effect, p in zip(best.effects, parts, strict=True) if effect is cause)
+    return screen(best.point, best.effects, variants, (cause, part))
+
+
+def _near(seen: Screen, cause: Effect, tolerance: float) -> list[int]:
+    """Absent effects that may do what the cause does, nearly: one variant each."""
+    size = cause.coordinates[: cause.sizes]
+    own = seen.R[:, seen.parts[0]] @ size  # what the cause does to the residuals
+    power = float(own @ own)
+    lost = np.full(len(seen.effects), np.inf)
+    for k in range(1, len(seen.effects)):
+        columns = seen.R[:, seen.parts[k]]
+        if seen.absorbed[k] or not np.isfinite(columns).all():
+            continue
+        guess = np.linalg.lstsq(columns, own, rcond=1e-10)[0]
+        lost[k] = power - float(np.sum((columns @ guess) ** 2))
+    # A linear guess is the worse the larger the effect.
+    close = [k for k in range(1, len(seen.effects)) if lost[k] < _NEAR * tolerance + 0.02 * power]
+    kept = _one_each(seen, close, lost)
+    return kept[:_MOST]
+
+
+def _one_each(seen: Screen, chosen: Sequence[int], lost: Array) -> list[int]:
+    """Of several variants of one effect at one place the one that loses least; the least lossy first."""
+    best: dict[tuple[str, int | None], int] = {}
+    for k in sorted(chosen, key=lambda k: float(lost[k])):
+        best.setdefault((seen.effects[k].id, seen.effects[k].link), k)
+    return list(best.values())

@@ -1,0 +1,101 @@
+"""The diagnosis, from an experiment to what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.base import base_fit
+from vjm.diagnosis.candidates import candidates, chosen_effects, looked_for
+from vjm.diagnosis.conclude import conclude, insufficient
+from vjm.diagnosis.records import Diagnosis
+from vjm.diagnosis.refit import Explanation
+from vjm.diagnosis.search import Rules, Search
+from vjm.diagnosis.support import why_insufficient
+from vjm.effects import Effect
+from vjm.errors import ShapeError
+from vjm.experiment.records import Experiment
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+
+def diagnose(
+    experiment: Experiment,
+    effects: Sequence[str | Effect] | None = None,
+    max_effects: int = 3,
+    jobs: int = 1,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find what a model of an arm lacks: which physical effects or sensor faults, how large, and what is gained.
+
+    Args:
+        experiment: the rig and its recordings; some held out.
+        effects: what to look for, ids of built-in effects or instances of `vjm.effects.Effect`; None: all built in.
+        max_effects: number of causes at most.
+        jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
+        seed: of all that is drawn.
+        progress: told (text, done, total) while it runs.
+
+    Returns:
+        The diagnosis. Data that cannot support a statement give the verdict `insufficient`.
+
+    Raises:
+        ChoiceError: an unknown effect id.
+        ShapeError: an option out of range.
+        InsufficientDataError: recordings that not even a model without effects can be fitted to.
+        SimulationDivergedError: no start can be simulated.
+    """
+    chosen = chosen_effects(effects)
+    for name, value, least in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise ShapeError(name, value, f"a whole number of at least {least}")
+    tell = _Stages(progress)
+    reasons = why_insufficient(experiment)
+    tell("fitting the model without effects")
+    base = base_fit(experiment, tell.inside)
+    start = Explanation((), base.fit)
+    looked = looked_for(chosen, experiment.rig, base.point)
+    rules = Rules(most=max_effects, seed=seed)
+    with _workers(jobs) as executor:
+        search = Search(start, looked, rules, tell, executor, jobs)
+        found = search.run()
+        floor = rules.matters * base.point.chi2
+        table = candidates(looked, found.first, rules.alpha, floor)
+        if reasons:
+            return insufficient(experiment, base, table, reasons)
+        return conclude(experiment, base, search, found, table, rules, tell)
+
+
+@contextmanager
+def _workers(jobs: int) -> Iterator[Executor | None]:
+    if jobs == 1:
+        yield None
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("forkserver")) as executor:
+        yield executor
+
+
+class _Stages:
+    """Tells how far a diagnosis has come; how many stages there will be is not known before."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.progress = progress
+        self.stage = 0
+
+    def __call__(self, text: str) -> None:
+        self.stage += 1
+        if self.progress is not None:
+            self.progress(text, int(100 * (1 - 0.85**self.stage)), 100)
+
+    def inside(self, text: str, done: int, total: int) -> None:
+        """A stage's own progress."""
+        if self.progress is not None:
+            share = 1 - 0.85 ** (self.stage + done / max(total, 1))
+            self.progress(text, int(100 * share), 100)
