@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import Base
-from vjm.diagnosis.extension import Extension
+from vjm.diagnosis.beginning import present_before
+from vjm.diagnosis.extension import REFERENCE, Extension
 from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
 from vjm.diagnosis.probes import described
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 _UNLIKELY = 1e-3  # that noise alone leaves so much
 _ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
 _SLOPE_STEP = 1e-5
+_CLEARLY = 3.0  # times the misfit before the change
 
 
 def conclude(
@@ -59,17 +61,22 @@ def conclude(
     information, _ = of_trajectory(best.fit, True)
     causes = _causes(best, search.start, found, rivals, covariance(information))
     tell("replaying the recordings")
-    model, plain = _model(experiment, base, best, information), _model(experiment, base, search.start, None)
+    model, plain = _model(experiment, base, best, information), _model(experiment, base, search.begun.before, None)
     runner_up = _runner_up(search, best, causes)
-    followed = follow(experiment, base, search.start, best, runner_up)
+    followed = follow(experiment, base, search.begun.before, best, runner_up)
     gained = gain(followed, rules.seed)
     left = leftover(best.point.runs)
     needed = [k for k in range(len(found.last.seen.effects)) if _still(found, k, rules, best)]
     remains = _remains(left, best, search.start, rules) or bool(needed)
+    if search.begun.lacking > 1:
+        remains = _worse_than_before(best)
     failed = bool(causes) and gained is not None and gained.interval[1] <= 0
     verdict = _verdict(causes, remains or failed)
     description = _described(experiment, best, left, found, needed) if remains else ""
     warnings = [*experiment.warnings, *base.problems]
+    already = present_before(base, search.looked, search.begun.lacking)
+    if already:
+        warnings.append(already)
     if failed:
         warnings.append("what explains the training recordings does not help with the held-out ones: see them first")
     symptoms = found_symptoms(experiment, plain, followed, base)
@@ -129,6 +136,13 @@ def _remains(left: Leftover, best: Explanation, start: Explanation, rules: Rules
     if any(effect.abrupt for effect in best.effects):
         allowed = max(allowed, _ABRUPT * (start.chi2 - best.chi2))
     return left.p_value < _UNLIKELY and left.excess > allowed
+
+
+def _worse_than_before(best: Explanation) -> bool:
+    """Whether changed recordings are missed by clearly more than those in the reference condition."""
+    changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
+    squares, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
+    return bool(np.sqrt(squares / max(count, 1)) > _CLEARLY)
 
 
 def _still(found: Found, k: int, rules: Rules, best: Explanation) -> bool:

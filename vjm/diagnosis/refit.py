@@ -54,6 +54,7 @@ def refit(
     effects: Sequence[Effect],
     sizes: Sequence[Array],
     hopeless: Callable[[Point, float], bool] | None = None,
+    lost: bool = False,
 ) -> Explanation | None:
     """Fit a model with other effects, from a fit with some of them or with none.
 
@@ -62,6 +63,7 @@ def refit(
         effects: those wanted, with the inner parameters from which their search starts.
         sizes: (s,) guessed size of each, in everyday sizes.
         hopeless: may end the search, as of `fit_trajectory`.
+        lost: whether the start does not follow the recordings.
 
     Returns:
         The fit; None where it cannot be simulated.
@@ -77,7 +79,7 @@ def refit(
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
     # What sticks and slips is found from the recordings' beginnings.
     new = [each for each in extension.effects if (each.id, each.link) not in start.names]
-    known = 0.0 if any(each.abrupt for each in new) else np.inf
+    known = 0.0 if lost or any(each.abrupt for each in new) else np.inf
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except SimulationDivergedError:

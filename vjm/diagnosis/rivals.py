@@ -17,6 +17,7 @@ from vjm.effects import Effect
 Array = NDArray[np.float64]
 
 _MOST = 6  # alternatives refitted for each cause
+_ALIKE = 0.5  # cosine from which what is slow to try is tried
 _NEAR = 5.0  # times the tolerance that a linear guess may be off
 
 
@@ -32,6 +33,7 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
     best = found.best
     others = [effect for effect in best.effects if effect is not cause]
     variants = [v for v in search.looked.variants if (v.id, v.link) not in best.names]
+    variants = [v for v in variants if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)]
     seen = _beside(best, cause, variants)
     wanted = _near(seen, cause, ALIKE * scale)
     search.replacements(best, others, [seen.effects[k] for k in wanted])
@@ -45,6 +47,13 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
             if worse < ALIKE * scale:
                 rivals.append(Rival(new[0], float(worse)))
     return tuple(sorted(rivals, key=lambda each: each.worse))
+
+
+def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
+    """Whether another effect does to the model without effects about what the cause does."""
+    one = [k for k, each in enumerate(first.effects) if (each.id, each.link) == (cause.id, cause.link)]
+    two = [k for k, each in enumerate(first.effects) if (each.id, each.link) == (other.id, other.link)]
+    return any(first.likeness[i, j] > _ALIKE for i in one for j in two)
 
 
 def _beside(best: Explanation, cause: Effect, variants: Sequence[Effect]) -> Screen:

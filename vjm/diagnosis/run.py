@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import base_fit
+from vjm.diagnosis.beginning import beginning
 from vjm.diagnosis.candidates import candidates, chosen_effects, looked_for
 from vjm.diagnosis.conclude import conclude, insufficient
 from vjm.diagnosis.records import Diagnosis
-from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.search import Rules, Search
 from vjm.diagnosis.support import why_insufficient
 from vjm.effects import Effect
@@ -23,6 +23,8 @@ from vjm.experiment.records import Experiment
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
+
+_CHANGE = 0.3  # share of chi^2
 
 
 def diagnose(
@@ -60,13 +62,14 @@ def diagnose(
     reasons = why_insufficient(experiment)
     tell("fitting the model without effects")
     base = base_fit(experiment, tell.inside)
-    start = Explanation((), base.fit)
-    looked = looked_for(chosen, experiment.rig, base.point)
-    rules = Rules(most=max_effects, seed=seed)
+    begun = beginning(base)
+    looked = looked_for(chosen, experiment.rig, begun.start.point)
+    # What a model lacks before a change is no noise: only what explains much of the rest is a change.
+    rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
     with _workers(jobs) as executor:
-        search = Search(start, looked, rules, tell, executor, jobs)
+        search = Search(begun, looked, rules, tell, executor, jobs)
         found = search.run()
-        floor = rules.matters * base.point.chi2
+        floor = rules.matters * begun.start.chi2
         table = candidates(looked, found.first, rules.alpha, floor)
         if reasons:
             return insufficient(experiment, base, table, reasons)

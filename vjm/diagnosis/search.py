@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.diagnosis.screen import Screen, screen
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 Tell = Callable[[str], None]
 Key = tuple[str, int | None]
 Step = tuple[Explanation, Sequence[int]]
-Job = tuple[Explanation, list[Effect], list[Array]]
+Job = tuple[Explanation, list[Effect], list[Array], bool]
 
 _BEST = 8  # candidates refitted a round
 _FIRST_STEPS = 2  # of each of them, before the most promising are followed to the end
@@ -73,7 +74,7 @@ class Search:
 
     def __init__(
         self,
-        start: Explanation,
+        begun: Beginning,
         looked: Looked,
         rules: Rules,
         tell: Tell,
@@ -85,8 +86,9 @@ class Search:
         self.tell = tell
         self.executor = executor
         self.workers = workers
-        self.tried: dict[frozenset[Key], Explanation] = {start.names: start}
-        self.start = start
+        self.begun = begun
+        self.start = begun.start
+        self.tried: dict[frozenset[Key], Explanation] = {begun.start.names: begun.start}
 
     def run(self) -> Found:
         """Add effects while they are needed."""
@@ -96,8 +98,8 @@ class Search:
             needed = self._needed(best, family)
             if not needed:
                 break
-            steps: list[Step] = [(best, [k]) for k in needed[:_BEST]]
-            if len(best.effects) == 1:
+            steps: list[Step] = [(best, [k]) for k in needed[: None if self.begun.lost else _BEST]]
+            if len(best.effects) == 1 and not self.begun.lost:
                 steps += self._pairs(first, best)
             smooth, abrupt = self._apart(family, first, best, steps)
             self.race(best, family, first, smooth)
@@ -131,7 +133,13 @@ class Search:
         """Candidates beside an explanation."""
         self.tell("looking for what is missing")
         names = explanation.names
-        kept = [k for k, variant in enumerate(self.looked.variants) if _key(variant) not in names]
+        # What sticks and slips is slow to try, and not what could be left where all but noise is explained.
+        quick = explanation is not self.start and explanation.point.misfit < _NOISE
+        kept = [
+            k
+            for k, variant in enumerate(self.looked.variants)
+            if _key(variant) not in names and not (quick and variant.abrupt)
+        ]
         variants = [self.looked.variants[k] for k in kept]
         seen = screen(explanation.point, explanation.effects, variants)
         return Family.of(seen, self.looked.times[kept], self.rules.alpha, self.rules.seed)
@@ -141,7 +149,7 @@ class Search:
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            job = proposal(start, seen, chosen)
+            job = proposal(start, seen, chosen, self.begun.lost and start is self.start)
             names = frozenset(_key(effect) for effect in job[1])
             if names not in self.tried and len(names) == len(job[1]):
                 jobs.append((names, job))
@@ -157,12 +165,11 @@ class Search:
         """
         names = frozenset(_key(effect) for effect in others)
         start = self.tried.get(names, self.start)
-        jobs = []
-        seen = screen(start.point, start.effects, added)
-        for k, effect in enumerate(added):
-            if names | {_key(effect)} not in self.tried:
-                jobs.append((names | {_key(effect)}, proposal(start, seen, [k])))
-        self._fit(jobs)
+        new = [effect for effect in added if names | {_key(effect)} not in self.tried]
+        if new:
+            seen = screen(start.point, start.effects, new)
+            lost = self.begun.lost and start is self.start
+            self._fit([(names | {_key(effect)}, proposal(start, seen, [k], lost)) for k, effect in enumerate(new)])
 
     def _fit(self, jobs: Sequence[tuple[frozenset[Key], Job]]) -> None:
         """A few steps for each; then to the end for those that may be the best, the most promising first."""
@@ -189,10 +196,12 @@ class Search:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
         seen = family.seen
         matters = self.rules.matters * best.chi2
+        lost = self.begun.lost and best is self.start
         needed = [
             k
             for k in range(len(seen.effects))
-            if family.p_values[k] < self.rules.alpha and seen.statistics[k] > matters
+            if (lost and not seen.absorbed[k])
+            or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > matters)
         ]
         return one_each(seen, needed) if needed else []
 
@@ -233,19 +242,27 @@ def one_each(seen: Screen, chosen: Sequence[int]) -> list[int]:
     return list(best.values())
 
 
-def proposal(start: Explanation, seen: Screen, chosen: Sequence[int]) -> Job:
-    """What to fit: an explanation with further effects, of sizes that a screen guesses."""
+def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], lost: bool = False) -> Job:
+    """What to fit: an explanation with further effects, of sizes that a screen guesses.
+
+    Args:
+        start: the explanation.
+        seen: the screen.
+        chosen: of its effects.
+        lost: whether the start does not follow the recordings: then sizes are everyday ones.
+    """
     added = [seen.effects[k] for k in chosen]
-    guess = seen.guess(chosen)
+    guess = np.ones(sum(effect.sizes for effect in added)) if lost else seen.guess(chosen)
     stops = np.cumsum([effect.sizes for effect in added])
     sizes = [guess[stop - effect.sizes : stop] for stop, effect in zip(stops, added, strict=True)]
     known = [effect.coordinates[: effect.sizes] for effect in start.effects]
-    return start, [*start.effects, *added], [*known, *sizes]
+    return start, [*start.effects, *added], [*known, *sizes], lost
 
 
 def _begun(job: Job) -> Explanation | None:
     """A refit's first steps."""
-    return refit(*job, _Patience(_FIRST_STEPS))
+    start, effects, sizes, lost = job
+    return refit(start, effects, sizes, _Patience(_FIRST_STEPS), lost)
 
 
 def finished(begun: Explanation, record: float = np.inf) -> Explanation | None:

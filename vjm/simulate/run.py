@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from vjm.chain.curve import curvature_spline
 from vjm.chain.records import Chain
+from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording
 from vjm.modes import equilibrium, linearise
 from vjm.simulate.arm import Arm
@@ -27,6 +28,7 @@ Indices = NDArray[np.intp]
 _USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
 _USUAL_TURN = 1.0  # rad of an active joint
 _LONGEST_STEP = 0.25  # periods of the fastest mode that derivatives must resolve, two steps at a time
+_LARGEST = 1e100  # derivative, in units of the noise
 _KEPT = ("path", "residual", "chi2", "stride", "basis")  # what does not depend on the preference
 
 
@@ -146,9 +148,17 @@ class Run:
         yield np.arange(measured.size), self.observed.whitened(whole)
 
     def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
-        """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters."""
+        """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters.
+
+        Raises:
+            SimulationDivergedError: derivatives that are not finite.
+        """
         columns = 2 * self.basis.slow + len(moved)
-        return Triangle.of(self.rows(moved), columns).with_rows(*self.preferred(columns))
+        found = Triangle.of(self.rows(moved), columns).with_rows(*self.preferred(columns))
+        if not np.abs(found.R).max(initial=0.0) < _LARGEST:
+            remedy = "the motion depends on its start or parameters beyond all bounds: check them"
+            raise SimulationDivergedError(float(self.steps.time[-1]), self.steps.step, remedy)
+        return found
 
     def preferred(self, columns: int) -> tuple[Array, Array]:
         """Rows (2 nv, columns) and what they want (2 nv,) that stand for what was known of the initial state."""
