@@ -88,5 +88,5 @@ def present_before(base: Base, looked: Looked, lacking: float) -> str:
     rms = lacking * base.point.runs[0].observed.noise[0]
     return (
         f"already in the reference recordings the model misses by {1e3 * rms:.2g} mm ({100 * rms / peak:.2g} % of the "
-        f"largest deflection), {lacking:.3g} times the noise: present before the change, and not counted as one; {looks}"
+        f"largest deflection), {lacking:.3g} times the noise: present before the change, not counted as one; {looks}"
     )

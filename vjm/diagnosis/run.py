@@ -24,7 +24,7 @@ from vjm.experiment.records import Experiment
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-_CHANGE = 0.3  # share of chi^2
+_CHANGE = 1.0  # share of what it leaves
 
 
 def diagnose(

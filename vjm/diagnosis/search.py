@@ -108,7 +108,7 @@ class Search:
             trial = self._best(len(best.effects) + 1)
             if trial is None or not self._worth(best, trial):
                 break
-            best = self._without_idle(trial)
+            best = self._polished(self._without_idle(trial))
             p_values |= {key: float(family.p_values[needed[0]]) for key in best.names if key not in p_values}
             family = self.judged(best)
         return Found(best, self.tried, first, family, p_values)
@@ -219,6 +219,17 @@ class Search:
 
     def _worth(self, fewer: Explanation, more: Explanation) -> bool:
         return fewer.chi2 - more.chi2 > self.rules.matters * more.chi2
+
+    def _polished(self, explanation: Explanation) -> Explanation:
+        """Fitted to the very end, unless that is of no use."""
+        if explanation.fit.converged or any(effect.abrupt for effect in explanation.effects):
+            return explanation
+        own = [effect.coordinates[: effect.sizes] for effect in explanation.effects]
+        found = refit(explanation, explanation.effects, own)
+        if found is None or found.chi2 > explanation.chi2:
+            return explanation
+        self.tried[found.names] = found
+        return found
 
     def _without_idle(self, explanation: Explanation) -> Explanation:
         """Without effects that the others make needless."""
