@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ Array = NDArray[np.float64]
 
 _UNLIKELY = 1e-3  # that noise alone leaves so much
 _ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
+_NIL = 0.002  # reduction of the held-out error that is none
 _SLOPE_STEP = 1e-5
 _CLEARLY = 3.0  # times the misfit before the change
 
@@ -70,17 +72,10 @@ def conclude(
     remains = _remains(left, best, search.start, rules) or bool(needed)
     if search.begun.lacking > 1:
         remains = _worse_than_before(best)
-    failed = bool(causes) and gained is not None and gained.interval[1] <= 0
-    verdict = _verdict(causes, remains or failed)
     description = _described(experiment, best, left, found, needed) if remains else ""
-    warnings = [*experiment.warnings, *base.problems]
+    verdict = _verdict(causes, remains)
     already = present_before(base, search.looked, search.begun.lacking)
-    if already:
-        warnings.append(already)
-    if failed:
-        warnings.append("what explains the training recordings does not help with the held-out ones: see them first")
-    symptoms = found_symptoms(experiment, plain, followed, base)
-    return Diagnosis(
+    diagnosis = Diagnosis(
         experiment=experiment,
         verdict=verdict,
         causes=causes,
@@ -91,11 +86,31 @@ def conclude(
         recordings=followed,
         gain=gained,
         remaining=Remaining(left.p_value, description),
-        symptoms=symptoms,
+        symptoms=found_symptoms(experiment, plain, followed, base),
         next_experiment=next_experiment(experiment, verdict, causes, description),
         noise=base.noise.source,
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
         notes=_notes(base, best, left, remains),
+    )
+    useless = bool(causes) and (gained is None or gained.reduction < _NIL)
+    return _without_causes(diagnosis, rules.seed) if useless and not remains else diagnosis
+
+
+def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
+    """The diagnosis where what is significant is of no use: the chain's own coarseness looks like that."""
+    named = ", ".join(cause.effect.id for cause in diagnosis.causes)
+    warning = f"{named} would explain a little of the training recordings and nothing of those held out: not a cause"
+    followed = tuple(replace(each, after=each.before, runner_up=None) for each in diagnosis.recordings)
+    return replace(
+        diagnosis,
+        verdict="none",
+        causes=(),
+        model=diagnosis.base,
+        parameters=diagnosis.base.estimates,
+        recordings=followed,
+        gain=gain(followed, seed),
+        next_experiment=None,
+        warnings=(*diagnosis.warnings, warning),
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.diagnosis.extension import REFERENCE
 from vjm.diagnosis.records import Followed, Gain
 
 Array = NDArray[np.float64]
@@ -23,6 +24,8 @@ def gain(followed: Sequence[Followed], seed: int) -> Gain | None:
         seed: of the block bootstrap.
     """
     held_out = [each for each in followed if each.recording.role == "holdout" and each.before and each.after]
+    changed = [each for each in held_out if each.recording.condition != REFERENCE]
+    held_out = changed or held_out  # nothing is to be gained where nothing has changed
     if not held_out:
         return None
     blocks = np.concatenate([_blocks(each) for each in held_out])

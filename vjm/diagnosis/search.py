@@ -45,7 +45,7 @@ class Rules:
     """
 
     alpha: float = 0.01
-    matters: float = 0.003
+    matters: float = 0.008
     most: int = 3
     seed: int = 0
 
