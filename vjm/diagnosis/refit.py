@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.extension import Extension
 from vjm.effects.effect import Effect
-from vjm.errors import SimulationDivergedError
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.identification.trajectory_problem import Point
 from vjm.simulate.run import transferred
@@ -82,7 +82,7 @@ def refit(
     known = 0.0 if lost or any(each.abrupt for each in new) else np.inf
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
-    except SimulationDivergedError:
+    except (SimulationDivergedError, InsufficientDataError):
         return None
     return Explanation(extension.present(fit.point.x), fit)
 

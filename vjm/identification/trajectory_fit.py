@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from vjm.errors import SimulationDivergedError
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.modes import modes
 from vjm.simulate.damping import Damping
@@ -184,5 +184,5 @@ def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | No
     try:
         spreads = [run.start.spread for run in point.runs]
         return _point(point.problem, point.x + change, moved, spreads)
-    except SimulationDivergedError:
+    except (SimulationDivergedError, InsufficientDataError):  # or it does not come to rest under its load
         return None
