@@ -17,8 +17,9 @@ from vjm.experiment.records import Experiment, Recording
 from vjm.identification.data import Options, read_data
 from vjm.identification.torque_fit import Progress
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.identification.trajectory_method import Search, first_fit, simulated
+from vjm.identification.trajectory_method import first_fit, simulated
 from vjm.identification.trajectory_problem import Point
+from vjm.identification.trajectory_search import Search
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run
@@ -67,7 +68,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
         SimulationDivergedError: no start can be simulated.
     """
     data = read_data(experiment, Options("uniform", None, DEFAULT_LAYOUT, "cantilever", None, "smoothing"))
-    search, fit, _, problems = first_fit(experiment, data, progress=progress)
+    search, fit, _, problems = first_fit(experiment, data, progress=progress, rough=True)
     resting, changed, more = _further(experiment, search)
     runs = [*fit.point.runs, *_followed(fit.point, resting)]
     noise = camera_noise(runs)
@@ -77,8 +78,8 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     joints = tuple(max(LEAST_JOINTS, link.virtual_joints) for link in fit.point.chain.links)
     observed = tuple(_prepared(run.observed, size, noise) for run in runs)
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
-    search = replace(search, observed=observed)
-    fit = search.near(joints, fit, rough=fit.point.misfit > _ROUGH)
+    search = replace(search, observed=observed, rough=fit.point.misfit > _ROUGH)
+    fit = search.near(joints, fit)
     others = tuple(_prepared(each, size, noise) for each in changed)
     return Base(fit, search, noise, others, (*problems, *more))
 

@@ -18,6 +18,7 @@ from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
 
+_ADRIFT = 100.0  # misfit of a start that does not follow the recordings for long
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
 
 
@@ -79,7 +80,8 @@ def refit(
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
     # What sticks and slips is found from the recordings' beginnings.
     new = [each for each in extension.effects if (each.id, each.link) not in start.names]
-    known = 0.0 if lost or any(each.abrupt for each in new) else np.inf
+    adrift = lost or start.point.misfit > _ADRIFT
+    known = 0.0 if adrift or any(each.abrupt for each in new) else np.inf
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):

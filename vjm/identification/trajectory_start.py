@@ -78,6 +78,6 @@ def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
 def _attempted(problem: TrajectoryProblem, x: Array, progress: Progress | None) -> TrajectoryFit | None:
     """The fit from there; None where the arm cannot be simulated so."""
     try:
-        return fit_trajectory(problem, x, progress)
+        return fit_trajectory(problem, x, progress, rough=True)
     except SimulationDivergedError:
         return None
