@@ -124,6 +124,24 @@ class InsufficientDataError(InputError):
         super().__init__(f"{what}: {reason}; {remedy}")
 
 
+class EffectError(InputError):
+    """An effect that does not keep the contract of effects.
+
+    Attributes:
+        effect: its id, or its class where it has none.
+        clause: of the contract, as `vjm.diagnosis.contract.CLAUSES` names it.
+        found: what it does.
+        expected: what it should do.
+    """
+
+    def __init__(self, effect: str, clause: str, found: str, expected: str) -> None:
+        self.effect = effect
+        self.clause = clause
+        self.found = found
+        self.expected = expected
+        super().__init__(f"effect {effect}, clause '{clause}': {found}; expected {expected}")
+
+
 class SimulationDivergedError(VjmError):
     """A simulation left the finite numbers.
 

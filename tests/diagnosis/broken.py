@@ -1,0 +1,269 @@
+"""Effects that break the contract, each in one way, and two that keep it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+
+from vjm.chain.records import Array, Chain
+from vjm.effects import Effect, Motion, inner, size
+from vjm.effects.places import JointEffect, active_coordinate, changed_link
+from vjm.experiment.records import Recording, Rig
+
+
+@dataclass(frozen=True)
+class CubicFriction(JointEffect):
+    """A torque at the active joint that grows with the cube of its rate: nothing is wrong with it."""
+
+    coefficient: float = size("N m s^3/rad^3", 0.004, lower=0.0)
+
+    id = "cubic_friction"
+    says = "friction that grows with the cube of the rate"
+    reference = "A. Author, A Book, 2001"
+    dissipative = True
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        """At the joint."""
+        return -self.coefficient * rate**3
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """At the joint only."""
+        if self.is_null:
+            return None
+        joint = active_coordinate(chain, self.index)
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            found = np.zeros(v.shape)
+            found[..., joint] = self.torque(v[..., joint], q[..., joint])
+            return found
+
+        return force
+
+
+class Undecorated(CubicFriction):
+    extra: float = size("N m", 1.0)
+
+
+@dataclass(frozen=True)
+class Nameless(CubicFriction):
+    id = "cubic friction!"
+
+
+@dataclass(frozen=True)
+class Unreferenced(CubicFriction):
+    reference = ""
+
+
+@dataclass(frozen=True)
+class Undeclared(CubicFriction):
+    exponent: float = 3.0
+
+
+@dataclass(frozen=True)
+class PresentByDefault(CubicFriction):
+    coefficient: float = field(default=0.004, metadata=size("N m s^3/rad^3", 0.004).metadata)
+
+
+@dataclass(frozen=True)
+class WithoutSize(Effect):
+    """Never anything but absent."""
+
+    frequency: float = inner("Hz", 5.0)
+
+    id = "without_size"
+    says = "a torque without a size"
+    reference = "A. Author, A Book, 2001"
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        return lambda time, q, v, z: np.ones(q.shape)
+
+
+@dataclass(frozen=True)
+class Camera(Effect):
+    """A camera that is shifted along x: nothing is wrong with it."""
+
+    shift: float = size("m", 0.005)
+
+    id = "camera_shift"
+    says = "a camera that is shifted along the arm"
+    reference = "A. Author, A Book, 2001"
+    sensor = True
+
+    def shown(self, positions: Array, headings: Array) -> Array:
+        return positions if self.is_null else positions + np.array([self.shift, 0.0])
+
+
+@dataclass(frozen=True)
+class NeverAsked(Camera):
+    sensor = False
+
+
+@dataclass(frozen=True)
+class LosesValue(CubicFriction):
+    def at(self, coordinates: Array) -> Self:
+        return replace(self, coefficient=0.002 * float(coordinates[0]))
+
+
+@dataclass(frozen=True)
+class NotNothing(CubicFriction):
+    def chain(self, chain: Chain) -> Chain:
+        return changed_link(chain, -1, payload=chain.links[-1].payload + 0.001 + self.coefficient)
+
+
+@dataclass(frozen=True)
+class PushesWhenAbsent(CubicFriction):
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        return lambda time, q, v, z: -(self.coefficient + 1e-12) * v
+
+
+@dataclass(frozen=True)
+class RoundsWhenAbsent(Camera):
+    def shown(self, positions: Array, headings: Array) -> Array:
+        return (positions + 1.0) - 1.0 + np.array([self.shift, 0.0])
+
+
+@dataclass(frozen=True)
+class WrongShape(CubicFriction):
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        return None if self.is_null else lambda time, q, v, z: -self.coefficient * v[..., :1]
+
+
+@dataclass(frozen=True)
+class OneInstantOnly(CubicFriction):
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        return None if self.is_null else lambda time, q, v, z: -self.coefficient * v * float(np.linalg.norm(v))
+
+
+@dataclass(frozen=True)
+class NotANumber(CubicFriction):
+    def torque(self, rate: Array, angle: Array) -> Array:
+        with np.errstate(invalid="ignore"):
+            return -self.coefficient * rate**1.5
+
+
+@dataclass(frozen=True)
+class OnlySmall(CubicFriction):
+    coefficient: float = size("N m s^3/rad^3", 0.004, lower=0.0, upper=0.02)
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        if self.coefficient > 0.015:
+            raise ValueError("too much friction")
+        return super().torque(rate, angle)
+
+
+@dataclass(frozen=True)
+class StateWithoutRates(CubicFriction):
+    def states(self, chain: Chain) -> int:
+        return 0 if self.is_null else 1
+
+
+@dataclass(frozen=True)
+class WritesIntoArrays(Camera):
+    def shown(self, positions: Array, headings: Array) -> Array:
+        if not self.is_null:
+            positions[..., 0] += self.shift
+        return positions
+
+
+@dataclass(frozen=True)
+class WritesIntoRecords(CubicFriction):
+    def inputs(self, recording: Recording) -> Recording:
+        if not self.is_null:
+            object.__setattr__(recording, "payload", recording.payload + 0.01)
+        return recording
+
+
+@dataclass(frozen=True)
+class Idle(CubicFriction):
+    def torque(self, rate: Array, angle: Array) -> Array:
+        return 0.0 * rate
+
+
+@dataclass(frozen=True)
+class Modest(CubicFriction):
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        return "nobody will ever see it"
+
+
+@dataclass(frozen=True)
+class Motor(CubicFriction):
+    """Called dissipative, and pushes."""
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        return self.coefficient * rate
+
+
+@dataclass(frozen=True)
+class Spring(CubicFriction):
+    """Called dissipative, and gives back what it took."""
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        return -10.0 * self.coefficient * angle
+
+
+@dataclass(frozen=True)
+class TakesDampingAway(JointEffect):
+    """Called dissipative, by way of the chain."""
+
+    share: float = size("", 0.1, lower=0.0, upper=1.0)
+
+    id = "less_damping"
+    says = "less damping than there is"
+    reference = "A. Author, A Book, 2001"
+    dissipative = True
+
+    def chain(self, chain: Chain) -> Chain:
+        link = chain.links[self.index]
+        return chain if self.is_null else changed_link(chain, self.index, damping=(1 - self.share) * link.damping)
+
+
+@dataclass(frozen=True)
+class HiddenMotor(CubicFriction):
+    """Called dissipative, and drives the joint behind the torque sensor's back."""
+
+    def inputs(self, recording: Recording) -> Recording:
+        return recording if self.is_null else replace(recording, tau=recording.tau + self.coefficient)
+
+
+@dataclass(frozen=True)
+class Explosive(CubicFriction):
+    dissipative = False
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        return 1e5 * self.coefficient * angle
+
+
+@dataclass(frozen=True)
+class Constant(CubicFriction):
+    """Has no use for its size."""
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        return -0.004 * rate**3
+
+
+@dataclass(frozen=True)
+class Folded(CubicFriction):
+    """Two sizes that do the same."""
+
+    def torque(self, rate: Array, angle: Array) -> Array:
+        return -0.004 * np.sin(2.5 * self.coefficient / 0.004) * rate**3
+
+
+@dataclass(frozen=True)
+class Stiffer(JointEffect):
+    """Another name for the bending stiffness."""
+
+    share: float = size("", 0.05, lower=-0.5)
+
+    id = "stiffer"
+    says = "a stiffer link"
+    reference = "A. Author, A Book, 2001"
+
+    def chain(self, chain: Chain) -> Chain:
+        if self.is_null:
+            return chain
+        link, factor = chain.links[self.index], 1 + self.share
+        return changed_link(chain, self.index, stiffness=factor * link.stiffness, damping=factor * link.damping)

@@ -1,0 +1,58 @@
+"""Recordings of chains themselves, with or without effects: what is true of them is known exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vjm.chain import uniform_chain
+from vjm.chain.layout import layout
+from vjm.chain.records import Chain
+from vjm.effects import Effect
+from vjm.experiment.records import Link, Recording, Rig
+from vjm.identification.parametrisation import Parametrisation
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
+from vjm.simulate.arm import Arm
+from vjm.simulate.observation import Observed
+from vjm.simulate.rollout import simulate
+from vjm.simulate.run import Start, run_all
+
+NOISE = (3e-4, 1e-4)
+LINK = Link("beam", "revolute", 1.0, 0.44, 1.97, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)
+RIG = Rig("rig", (LINK,), marker_noise=NOISE[0], encoder_noise=NOISE[1])
+
+
+def chain_of(joints: int = 3) -> Chain:
+    return Chain("rig", (uniform_chain(LINK, layout(1.0, joints), kelvin_voigt=5e-4),))
+
+
+def recorded(arm: Arm, seed: int, condition: str | None = None, duration: float = 2.0) -> list[Recording]:
+    """Two drives of different size, as a camera at 100 Hz and an encoder at 200 Hz see them."""
+    time = np.arange(round(200 * duration) + 1) / 200
+    found = []
+    for k, size in enumerate((0.05, 0.12)):
+        torque = size * np.sin(2 * np.pi * (0.9 + 0.3 * k) * time) + 0.4 * size * np.sin(2 * np.pi * 3.1 * time + k)
+        empty = np.full((time.size, 5, 2), np.nan)
+        blank = Recording(f"drive_{k}.csv", "driven", "train", time, torque[:, None], torque[:, None], empty)
+        rest = np.zeros(arm.chain.size)
+        motion = simulate(arm, RIG, blank, rest, rest)
+        random = np.random.default_rng([seed, k])
+        markers = motion.markers + NOISE[0] * random.standard_normal(motion.markers.shape)
+        markers[1::2] = np.nan
+        theta = motion.theta + NOISE[1] * random.standard_normal(motion.theta.shape)
+        found.append(replace(blank, theta=theta, markers=markers, condition=condition))
+    return found
+
+
+def point_of(chain: Chain, effects: Sequence[Effect], recordings: Sequence[Recording]) -> Point:
+    """An arm at rest at the start of recordings, beside them."""
+    parametrisation = Parametrisation(chain, "uniform", (0,))
+    observed = tuple(Observed.of(RIG, each, NOISE) for each in recordings)
+    problem = TrajectoryProblem(parametrisation, observed)
+    arm = Arm.of(chain, effects)
+    starts = [Start.of(arm, each) for each in recordings]
+    rest = np.zeros(2 * arm.chain.size)
+    runs = run_all([arm] * len(starts), observed, starts, [rest] * len(starts), 1.0)
+    return Point(problem, parametrisation.start, tuple(runs))

@@ -1,0 +1,83 @@
+"""Every built-in effect keeps the contract, and what does not is caught at the clause that it breaks."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.diagnosis import broken
+from vjm.diagnosis.contract import CLAUSES, check_effect
+from vjm.effects import BUILTIN, Effect
+from vjm.errors import EffectError
+
+SLOW = {"backlash", "coulomb_friction", "gear_elasticity", "hysteresis"}  # short steps, or many of a search's
+EVERY = [pytest.param(each, id=each.id, marks=[pytest.mark.slow] * (each.id in SLOW)) for each in BUILTIN]
+
+# Each with the clause it breaks and a part of what is said of it.
+BROKEN = [
+    (broken.Undecorated(), "form", "not a dataclass"),
+    (broken.Nameless(), "form", "'cubic friction!'; expected letters, digits and _"),
+    (broken.Unreferenced(), "form", "no `reference`"),
+    (broken.Undeclared(), "form", "`exponent` is neither"),
+    (broken.PresentByDefault(), "form", "`coefficient` is 0.004 by default"),
+    (broken.WithoutSize(), "form", "defines `force` but no size"),
+    (broken.NeverAsked(), "form", "defines `shown` but `sensor` is False"),
+    (broken.LosesValue(), "coordinates", "expected the same"),
+    (broken.NotNothing(), "null", "`chain` changes what it is given"),
+    (broken.PushesWhenAbsent(), "null", "a force at the null"),
+    (broken.RoundsWhenAbsent(), "null", "`shown` changes what it is given"),
+    (broken.WrongShape(), "hooks", r"is \(1,\); expected shape \(4,\)"),
+    (broken.OneInstantOnly(), "hooks", "at many instants is not what it is at each alone"),
+    (broken.NotANumber(), "hooks", "not finite"),
+    (broken.OnlySmall(), "hooks", "ValueError: too much friction"),
+    (broken.StateWithoutRates(), "hooks", "1 states and rates None"),
+    (broken.WritesIntoArrays(), "inputs", "`shown` of WritesIntoArrays.* writes into an array"),
+    (broken.WritesIntoRecords(), "inputs", "changes what its hooks are given"),
+    (broken.Idle(), "action", "no marker and no encoder shows anything"),
+    (broken.Modest(), "action", "nobody will ever see it"),
+    (broken.Explosive(), "action", "diverges"),
+    (broken.Motor(), "energy", "at a random state its forces give the arm"),
+    (broken.Spring(), "energy", "at a random state its forces give the arm"),
+    (broken.TakesDampingAway(), "energy", "at a random state its forces give the arm"),
+    (broken.HiddenMotor(), "energy", "a free decay of the driven link gains"),
+    (broken.Constant(), "recovery", "nothing that is measured depends on `coefficient`"),
+    (broken.Folded(), "recovery", "with coefficient 0.004 .* finds coefficient 0.001"),
+    (broken.Stiffer(), "recovery", "can stand in for all but"),
+]
+
+
+@pytest.mark.parametrize("effect", EVERY)
+def test_every_built_in_effect_keeps_the_contract(effect: Effect) -> None:
+    check_effect(effect)
+
+
+@pytest.mark.parametrize("effect", [broken.CubicFriction(), broken.Camera()], ids=lambda effect: effect.id)
+def test_a_new_effect_may_keep_it_too(effect: Effect) -> None:
+    check_effect(effect, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("effect", "clause", "message"), BROKEN, ids=[type(effect).__name__ for effect, _, _ in BROKEN]
+)
+def test_a_broken_clause_is_named(effect: Effect, clause: str, message: str) -> None:
+    with pytest.raises(EffectError, match=message) as caught:
+        check_effect(effect)
+    error = caught.value
+    assert error.clause == clause
+    assert error.effect == effect.id
+    assert all(part in str(error) for part in (effect.id, clause, error.found, error.expected))
+
+
+def test_there_is_a_broken_effect_for_every_clause() -> None:
+    assert {clause for _, clause, _ in BROKEN} == set(CLAUSES)
+
+
+def test_an_error_in_a_hook_is_kept_as_the_cause() -> None:
+    with pytest.raises(EffectError) as caught:
+        check_effect(broken.OnlySmall())
+    assert isinstance(caught.value.__cause__, ValueError)
+
+
+@pytest.mark.parametrize("other", [3, "tip_payload", broken.CubicFriction])
+def test_what_is_no_effect_is_refused(other: object) -> None:
+    with pytest.raises(EffectError, match=r"derived from vjm\.effects\.Effect"):
+        check_effect(other)  # type: ignore[arg-type]

@@ -1,0 +1,71 @@
+"""The camera's noise: its colour is found, and what whitens it leaves white noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from vjm.diagnosis.noise import Noise, _autoregression, _covariance, whitened
+from vjm.experiment.records import Link, Recording, Rig
+from vjm.simulate.observation import Observed
+
+RIG = Rig("rig", (Link("beam", "clamped", 1.0, 0.4, 2.0, (0.5, 1.0)),))
+
+
+def coloured(seed: int, frames: int, coefficients: list[float], dropped: float) -> Observed:
+    """What a camera with autoregressive noise of 1 mm shows of an arm that stands still; some frames are lost."""
+    random = np.random.default_rng(seed)
+    white = random.standard_normal((frames + 500, 2, 2))
+    noise = lfilter([1.0], [1.0, *(-np.array(coefficients))], white, axis=0)[500:]
+    noise *= 1e-3 / np.sqrt(autocovariance(coefficients)[0])
+    kept = random.random(frames) >= dropped
+    time = np.arange(frames)[kept] / 100
+    empty = np.zeros((kept.sum(), 0))
+    recording = Recording("quiet.csv", "quiet", "train", time, empty, empty, noise[kept])
+    return Observed.of(RIG, recording, (1e-3, 1e-4))
+
+
+def autocovariance(coefficients: list[float]) -> np.ndarray:
+    """By the impulse response, which the code under test does not use."""
+    impulse = lfilter([1.0], [1.0, *(-np.array(coefficients))], np.r_[1.0, np.zeros(4000)])
+    return np.array([impulse[: impulse.size - lag] @ impulse[lag:] for lag in range(41)])
+
+
+@pytest.mark.parametrize("coefficients", [[0.7], [0.9], [1.2, -0.5]])
+def test_correlations_are_those_of_the_impulse_response(coefficients: list[float]) -> None:
+    expected = autocovariance(coefficients)
+    np.testing.assert_allclose(_covariance(np.array(coefficients)), expected / expected[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("coefficients", [[0.7], [1.2, -0.5]])
+def test_the_autoregression_is_found(coefficients: list[float]) -> None:
+    expected = autocovariance(coefficients)
+    found = _autoregression(expected[:9] / expected[0], 100_000)
+    np.testing.assert_allclose(found, coefficients, atol=1e-6)
+
+
+def test_white_noise_has_no_colour() -> None:
+    correlation = np.r_[1.0, 0.01 * np.random.default_rng(1).standard_normal(8)]
+    assert _autoregression(correlation, 10_000).size == 0
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("coefficients", "dropped"), [([0.8], 0.0), ([0.8], 0.3), ([1.2, -0.5], 0.1)])
+def test_whitened_noise_is_white_and_of_unit_size(seed: int, coefficients: list[float], dropped: float) -> None:
+    observed = coloured(seed, 3000, coefficients, dropped)
+    whitening = whitened(observed, Noise(1e-3, np.array(coefficients), ""))
+    values = whitening.whitened(whitening.weights * whitening.values).reshape(-1, 4)
+    assert np.std(values) == pytest.approx(1.0, abs=0.03)
+    for lag in (1, 2, 5):
+        correlation = np.mean(values[lag:] * values[:-lag]) / np.mean(values**2)
+        assert abs(correlation) < 4 / np.sqrt(values.size)
+    raw = observed.values.reshape(-1, 4)
+    assert np.mean(raw[1:] * raw[:-1]) / np.mean(raw**2) > 0.5
+
+
+def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:
+    whole = whitened(coloured(4, 500, [0.8], 0.1), Noise(1e-3, np.array([0.8]), ""))
+    part = whole.until(2.0)
+    values = whole.whitened(whole.values).reshape(-1, 4)[: part.values.size // 4]
+    np.testing.assert_allclose(part.whitened(part.values).reshape(-1, 4), values, rtol=1e-12)
