@@ -6,7 +6,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from vjm import effects
     from vjm.checking import Check, check
+    from vjm.diagnosis import Diagnosis, diagnose
+    from vjm.diagnosis.contract import check_effect
     from vjm.errors import InputError, VjmError
     from vjm.experiment import Experiment, load_experiment
     from vjm.identification import Identification, bootstrap, identify, profile_interval
@@ -17,6 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Check",
     "Comparison",
+    "Diagnosis",
     "Experiment",
     "Identification",
     "InputError",
@@ -24,7 +28,10 @@ __all__ = [
     "VjmError",
     "bootstrap",
     "check",
+    "check_effect",
     "compare",
+    "diagnose",
+    "effects",
     "identify",
     "load_experiment",
     "profile_interval",
@@ -35,6 +42,7 @@ __all__ = [
 _HOMES = {
     "Check": "vjm.checking",
     "Comparison": "vjm.report.comparison",
+    "Diagnosis": "vjm.diagnosis",
     "Experiment": "vjm.experiment",
     "Identification": "vjm.identification",
     "InputError": "vjm.errors",
@@ -42,7 +50,9 @@ _HOMES = {
     "VjmError": "vjm.errors",
     "bootstrap": "vjm.identification",
     "check": "vjm.checking",
+    "check_effect": "vjm.diagnosis.contract",
     "compare": "vjm.report.comparison",
+    "diagnose": "vjm.diagnosis",
     "identify": "vjm.identification",
     "load_experiment": "vjm.experiment",
     "profile_interval": "vjm.identification",
@@ -55,6 +65,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("vjm")
+    if name == "effects":
+        return import_module("vjm.effects")
     if name not in _HOMES:
         raise AttributeError(f"module 'vjm' has no attribute {name!r}")
     value = getattr(import_module(_HOMES[name]), name)

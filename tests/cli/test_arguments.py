@@ -10,6 +10,7 @@ import time
 import pytest
 
 from vjm.cli.arguments import DEFAULT_METHOD, METHODS, PARAMETERS, parse
+from vjm.diagnosis import diagnose
 from vjm.identification import METHODS as KNOWN_METHODS
 from vjm.identification import PARAMETRISATIONS, identify
 
@@ -20,6 +21,18 @@ def test_choices_are_those_of_the_identification() -> None:
     signature = inspect.signature(identify)
     assert signature.parameters["method"].default == DEFAULT_METHOD
     assert signature.parameters["parameters"].default == parse(["identify", "x.toml"]).parameters
+
+
+def test_defaults_are_those_of_the_diagnosis() -> None:
+    arguments, signature = parse(["diagnose", "x.toml"]), inspect.signature(diagnose)
+    for name in ("effects", "max_effects", "jobs", "seed"):
+        assert getattr(arguments, name) == signature.parameters[name].default
+
+
+def test_effects_are_a_list_of_names() -> None:
+    arguments = parse(["diagnose", "x.toml", "--effects", "tip_payload, linear_drag", "--seed", "0"])
+    assert arguments.effects == ("tip_payload", "linear_drag")
+    assert arguments.seed == 0
 
 
 def test_help_and_version_import_nothing_heavy() -> None:
@@ -40,7 +53,7 @@ def test_help_is_quick() -> None:
     assert min(once() for _ in range(4)) < 0.4
 
 
-@pytest.mark.parametrize("command", ["demo", "check", "identify", "simulate", "urdf"])
+@pytest.mark.parametrize("command", ["demo", "check", "identify", "simulate", "diagnose", "urdf"])
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         parse([command, "--help"])
@@ -61,6 +74,11 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
         ["identify", "x.toml", "--virtual-joints", "0"],
         ["identify", "x.toml", "--virtual-joints", "many"],
         ["simulate", "x.toml"],
+        ["diagnose"],
+        ["diagnose", "x.toml", "--effects", "tip_payload,,drag"],
+        ["diagnose", "x.toml", "--max-effects", "0"],
+        ["diagnose", "x.toml", "--jobs", "all"],
+        ["diagnose", "x.toml", "--seed", "-1"],
         ["urdf"],
         ["demo", "extra"],
     ],

@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
+from tests.report.diagnoses import nothing, undecided
 from tests.report.fits import DEMO, demo_fit, elbow_fit
-from tests.report.schema import CheckResult, IdentifyResult, SimulateResult, UrdfResult
+from tests.report.schema import CheckResult, DemoResult, DiagnoseResult, IdentifyResult, SimulateResult, UrdfResult
 from vjm.checking import Check
 from vjm.cli import commands, main
 from vjm.cli.progress import progress
@@ -41,6 +43,8 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "compare", compare)
     monkeypatch.setattr(saving, "identification_pictures", lambda fit: [])
     monkeypatch.setattr(saving, "replay_pictures", lambda *_: [])
+    monkeypatch.setattr(saving, "diagnosis_pictures", lambda _: [])
+    monkeypatch.setattr("vjm.diagnosis.diagnose", lambda *_, **__: undecided())
     checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})
     monkeypatch.setattr("vjm.checking.check", lambda experiment: checked)
 
@@ -72,13 +76,64 @@ def test_identify_prints_a_short_summary(tmp_path: Path, capsys: pytest.CaptureF
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-@pytest.mark.parametrize("command", ["identify", "demo"])
-def test_json_prints_the_object_alone(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    files = [DEMO] if command == "identify" else []
-    status, out, err = run(capsys, command, *files, "-o", tmp_path / "out", "--json")
+@pytest.mark.parametrize(("command", "schema"), [("identify", IdentifyResult), ("diagnose", DiagnoseResult)])
+def test_json_prints_the_object_alone(
+    command: str, schema: type[BaseModel], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = run(capsys, command, DEMO, "-o", tmp_path / "out", "--json")
     assert (status, err) == (0, "")
-    IdentifyResult.model_validate_json(out)
+    schema.model_validate_json(out)
     assert out == (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
+
+
+def test_demo_identifies_then_diagnoses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "demo", "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert out.index("beam.bending_stiffness") < out.index("Diagnosis: ") < out.index("Either an unknown mass of 13.30")
+    place = tmp_path / "out"
+    IdentifyResult.model_validate_json((place / "result.json").read_bytes())
+    DiagnoseResult.model_validate_json((place / "diagnosis" / "result.json").read_bytes())
+    assert (place / "diagnosis" / "report.html").is_file()
+    assert run(capsys, "demo", "-o", place, "-q") == (0, "", "")
+    status, out, _ = run(capsys, "demo", "-o", place, "--json")
+    assert DemoResult.model_validate_json(out).diagnosis.verdict == "set"
+
+
+def test_diagnose_prints_the_finding(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+
+    def diagnose(experiment: Any, *options: Any, progress: Any) -> Any:
+        progress("looking", 1, 2)
+        asked.append(options)
+        return undecided() if options[0] is None else nothing()
+
+    monkeypatch.setattr("vjm.diagnosis.diagnose", diagnose)
+    status, out, err = run(capsys, "diagnose", DEMO, "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    told = " ".join(out.split())
+    for words in (
+        "Either an unknown mass of 13.30 ± 0.13 g on the tip of beam",
+        "Next experiment: to tell tip_payload from clamp_compliance",
+        "What is wrong, before any cause is named",
+        "model.urdf and model.json hold: tip payload (beam).",
+        f"Report: {tmp_path / 'out'}",
+    ):
+        assert words in told
+    assert len(out.splitlines()) < 50
+    chosen = ["--effects", "tip_payload,linear_drag", "--max-effects", "2", "--jobs", "2", "--seed", "5"]
+    assert "Nothing is missing" in run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", *chosen)[1]
+    assert asked == [(None, 3, 1, 0), (("tip_payload", "linear_drag"), 2, 2, 5)]
+    assert run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", "-q") == (0, "", "")
+
+
+def test_diagnosed_model_is_simulated_and_written_as_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", "-q")[0] == 0
+    model = tmp_path / "out" / "model.json"
+    assert run(capsys, "urdf", model, "-o", tmp_path / "arm.urdf")[0] == 0
+    assert chain_from_urdf(tmp_path / "arm.urdf").links[0].payload == 0.0133
+    assert (tmp_path / "arm.urdf").read_text() == (tmp_path / "out" / "model.urdf").read_text()
 
 
 def test_quiet_prints_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -162,7 +217,13 @@ def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pyte
     file = tmp_path / "file"
     file.write_text("mine")
     for place in (file, tmp_path / "missing" / "out", file / "out"):
-        for command in (["identify", DEMO], ["demo"], ["check", DEMO], ["simulate", DEMO, model]):
+        for command in (
+            ["identify", DEMO],
+            ["demo"],
+            ["check", DEMO],
+            ["simulate", DEMO, model],
+            ["diagnose", DEMO],
+        ):
             status, out, err = run(capsys, *command, "-o", place)
             assert (status, out) == (2, "")
             assert err.startswith("vjm: ")
@@ -201,7 +262,7 @@ def test_failures_are_one_line_and_leave_nothing(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("command", ["check", "identify", "urdf"])
+@pytest.mark.parametrize("command", ["check", "identify", "diagnose", "urdf"])
 def test_malformed_experiments_end_with_status_2(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

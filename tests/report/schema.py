@@ -228,3 +228,7 @@ class UrdfResult(Common):
     file: str | None
     joints: list[str]
     urdf: str | None
+
+
+class DemoResult(IdentifyResult):
+    diagnosis: DiagnoseResult

@@ -10,6 +10,7 @@ from pathlib import Path
 METHODS = ("torque", "torque+frequency", "trajectory")
 PARAMETERS = ("uniform", "joints", "lengths", "full")
 DEFAULT_METHOD = "trajectory"
+DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED = 3, 1, 0
 DEFAULT_DIRECTORY = Path("vjm-out")
 
 _FILES = "DIR gets result.json, model.json, model.urdf, report.html and figures/*.png."
@@ -24,7 +25,10 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="vjm",
-        description="Identify a flexible robot arm from camera markers as a chain of rigid links and springs.",
+        description=(
+            "Identify a flexible robot arm from camera markers as a chain of rigid links and springs, and say what the "
+            "model lacks."
+        ),
         epilog=f"{_STATUS} 'vjm COMMAND --help' tells more.",
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
@@ -33,6 +37,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_check(commands)
     _add_identify(commands)
     _add_simulate(commands)
+    _add_diagnose(commands)
     _add_urdf(commands)
     return parser
 
@@ -69,7 +74,8 @@ def _add_directory(command: argparse.ArgumentParser) -> None:
 
 def _add_demo(commands: _Commands[argparse.ArgumentParser]) -> None:
     text = "a worked example on the data that comes with the package"
-    _add_directory(_command(commands, "demo", text, f"Identifies a steel beam from simulated markers. {_FILES}"))
+    more = f"Identifies a steel beam from simulated markers, then diagnoses it. {_FILES} DIR/diagnosis gets the same."
+    _add_directory(_command(commands, "demo", text, more))
 
 
 def _add_check(commands: _Commands[argparse.ArgumentParser]) -> None:
@@ -102,8 +108,23 @@ def _add_simulate(commands: _Commands[argparse.ArgumentParser]) -> None:
     text = "replay every recording with an identified model, and compare"
     command = _command(commands, "simulate", text, _FILES)
     _add_experiment(command)
-    command.add_argument("model", metavar="MODEL", type=Path, help="the model.json of an identification")
+    command.add_argument("model", metavar="MODEL", type=Path, help="the model.json of an identification or a diagnosis")
     _add_directory(command)
+
+
+def _add_diagnose(commands: _Commands[argparse.ArgumentParser]) -> None:
+    text = "find what a model of the arm lacks, why, and what adding it gains"
+    command = _command(commands, "diagnose", text, f"{_FILES} model.json holds the model with what was found.")
+    _add_experiment(command)
+    _add_directory(command)
+    text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
+    command.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
+    text = f"number of causes at most (default: {DEFAULT_MAX_EFFECTS})"
+    command.add_argument("--max-effects", metavar="M", type=_positive, default=DEFAULT_MAX_EFFECTS, help=text)
+    text = f"number of processes (default: {DEFAULT_JOBS})"
+    command.add_argument("--jobs", metavar="J", type=_positive, default=DEFAULT_JOBS, help=text)
+    text = f"of everything that is drawn at random (default: {DEFAULT_SEED})"
+    command.add_argument("--seed", metavar="S", type=_not_negative, default=DEFAULT_SEED, help=text)
 
 
 def _add_urdf(commands: _Commands[argparse.ArgumentParser]) -> None:
@@ -115,10 +136,25 @@ def _add_urdf(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 
 def _positive(text: str) -> int:
+    return _whole(text, 1)
+
+
+def _not_negative(text: str) -> int:
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
     try:
         value = int(text)
     except ValueError:
-        value = 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+        value = least - 1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
     return value
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a list of names with commas between them")
+    return names

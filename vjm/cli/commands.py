@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from vjm.chain.records import Chain
-from vjm.cli.arguments import DEFAULT_METHOD
+from vjm.cli.arguments import DEFAULT_JOBS, DEFAULT_MAX_EFFECTS, DEFAULT_METHOD, DEFAULT_SEED
 from vjm.cli.printing import Summary, print_json
 from vjm.cli.progress import Report, progress
 from vjm.effects.effect import Effect
@@ -23,51 +23,121 @@ from vjm.identification.select import choose_virtual_joints, cuts_of, nominal_ch
 from vjm.model import extended_urdf
 from vjm.parameters import Estimate
 from vjm.report.comparison import Comparison, compare
+from vjm.report.diagnosis_tables import candidate_table, cause_table, followed_table
+from vjm.report.diagnosis_words import diagnosis_verdict
+from vjm.report.effect_words import carried_points
 from vjm.report.folder import FolderError, check_folder, check_parent, write_together
 from vjm.report.save import REPORT, save
 from vjm.report.stored import stored_chain, stored_model
 from vjm.report.tables import mode_table, parameter_table, recording_table
 from vjm.report.verdict import comparison_verdict, identification_verdict
 from vjm.report.wording import counted, number
-from vjm.result import check_result, comparison_result, identification_result, urdf_result
+from vjm.result import check_result, comparison_result, diagnosis_result, identification_result, urdf_result
 from vjm.shape.order import visible_modes
 from vjm.simulate.arm import Arm
 
 if TYPE_CHECKING:
     from vjm.checking import Check
+    from vjm.diagnosis.records import Diagnosis
 
+DIAGNOSIS = "diagnosis"  # folder of the demo's diagnosis, inside that of its identification
 _MOST_NAMED = 6
+_MOST_SYMPTOMS = 4
+_MOST_CANDIDATES = 6
 
 
 def demo(arguments: argparse.Namespace) -> None:
     """`vjm demo`."""
     with resources.as_file(resources.files("vjm") / "demo") as folder:
-        _identify(arguments, folder / "experiment.toml", DEFAULT_METHOD, None, "uniform")
+        experiment = folder / "experiment.toml"
+        found = _identify(arguments, experiment, DEFAULT_METHOD, None, "uniform")
+        if not arguments.json:
+            _print_identification(arguments, found)
+        place = arguments.out / DIAGNOSIS
+        diagnosis = _diagnose(arguments, experiment, place, None, DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED)
+    if arguments.json:
+        print_json({**identification_result(found), "diagnosis": diagnosis_result(diagnosis)})
+    else:
+        _print_diagnosis(arguments, diagnosis, place)
 
 
 def identification(arguments: argparse.Namespace) -> None:
     """`vjm identify`."""
-    _identify(arguments, arguments.experiment, arguments.method, arguments.virtual_joints, arguments.parameters)
+    chosen = arguments.method, arguments.virtual_joints, arguments.parameters
+    fit = _identify(arguments, arguments.experiment, *chosen)
+    if arguments.json:
+        print_json(identification_result(fit))
+    else:
+        _print_identification(arguments, fit)
 
 
 def _identify(
     arguments: argparse.Namespace, file: Path, method: str, virtual_joints: int | None, parameters: str
-) -> None:
+) -> Identification:
     check_folder(arguments.out)
     with progress(arguments) as report:
         fit = identify(load_experiment(file), method, virtual_joints, parameters, progress=report)
-        folder = _save(fit, arguments.out, report)
+        _save(fit, arguments.out, report)
+    return fit
+
+
+def _print_identification(arguments: argparse.Namespace, fit: Identification) -> None:
+    if arguments.quiet:
+        return
+    summary = Summary(fit.experiment.rig.name)
+    summary.verdict(identification_verdict(fit))
+    summary.table(parameter_table(fit.parameters, fit.nominal.chain))
+    summary.table(mode_table(fit.modes))
+    summary.table(recording_table(fit.recordings))
+    summary.notes([note for note in fit.notes if note not in fit.warnings])
+    summary.warnings(fit.warnings)
+    summary.report(arguments.out / REPORT)
+
+
+def diagnosing(arguments: argparse.Namespace) -> None:
+    """`vjm diagnose`."""
+    chosen = arguments.effects, arguments.max_effects, arguments.jobs, arguments.seed
+    diagnosis = _diagnose(arguments, arguments.experiment, arguments.out, *chosen)
     if arguments.json:
-        print_json(identification_result(fit))
-    elif not arguments.quiet:
-        summary = Summary(fit.experiment.rig.name)
-        summary.verdict(identification_verdict(fit))
-        summary.table(parameter_table(fit.parameters, fit.nominal.chain))
-        summary.table(mode_table(fit.modes))
-        summary.table(recording_table(fit.recordings))
-        summary.notes([note for note in fit.notes if note not in fit.warnings])
-        summary.warnings(fit.warnings)
-        summary.report(folder / REPORT)
+        print_json(diagnosis_result(diagnosis))
+    else:
+        _print_diagnosis(arguments, diagnosis, arguments.out)
+
+
+def _diagnose(
+    arguments: argparse.Namespace,
+    file: Path,
+    place: Path,
+    effects: Sequence[str] | None,
+    max_effects: int,
+    jobs: int,
+    seed: int,
+) -> Diagnosis:
+    from vjm.diagnosis import diagnose
+
+    check_folder(place)
+    with progress(arguments) as report:
+        found = diagnose(load_experiment(file), effects, max_effects, jobs, seed, progress=report)
+        _save(found, place, report)
+    return found
+
+
+def _print_diagnosis(arguments: argparse.Namespace, diagnosis: Diagnosis, place: Path) -> None:
+    if arguments.quiet:
+        return
+    summary = Summary(f"Diagnosis: {diagnosis.experiment.rig.name}")
+    summary.verdict(diagnosis_verdict(diagnosis))
+    symptoms = () if diagnosis.symptoms is None else diagnosis.symptoms.headlines(_MOST_SYMPTOMS)
+    if symptoms:
+        summary.line("What is wrong, before any cause is named:")
+        summary.points([each.sentence for each in symptoms])
+    if diagnosis.causes:
+        summary.table(cause_table(diagnosis))
+    summary.table(candidate_table(diagnosis, _MOST_CANDIDATES))
+    summary.table(followed_table(diagnosis))
+    summary.points(carried_points(diagnosis.model.effects, diagnosis.model))
+    summary.warnings(diagnosis.warnings)
+    summary.report(place / REPORT)
 
 
 def simulation(arguments: argparse.Namespace) -> None:
@@ -76,22 +146,22 @@ def simulation(arguments: argparse.Namespace) -> None:
     with progress(arguments) as report:
         experiment = load_experiment(arguments.experiment)
         comparison = compare(experiment, *stored_model(arguments.model, experiment), progress=report)
-        folder = _save(comparison, arguments.out, report)
+        _save(comparison, arguments.out, report)
     if arguments.json:
         print_json(comparison_result(comparison))
     elif not arguments.quiet:
         summary = Summary(experiment.rig.name)
         summary.verdict(comparison_verdict(comparison))
         summary.table(recording_table(comparison.recordings, "given"))
+        summary.points(carried_points(comparison.model.effects, comparison.model))
         summary.warnings(comparison.warnings)
-        summary.report(folder / REPORT)
+        summary.report(arguments.out / REPORT)
 
 
-def _save(result: Identification | Comparison, directory: Path, report: Report) -> Path:
+def _save(result: Identification | Comparison | Diagnosis, directory: Path, report: Report) -> None:
     report("drawing the report", 0, 1)
-    folder = save(result, directory)
+    save(result, directory)
     report("drawing the report", 1, 1)
-    return folder
 
 
 def checking(arguments: argparse.Namespace) -> None:
@@ -195,5 +265,6 @@ COMMANDS: dict[str, Callable[[argparse.Namespace], None]] = {
     "check": checking,
     "identify": identification,
     "simulate": simulation,
+    "diagnose": diagnosing,
     "urdf": urdf,
 }

@@ -15,13 +15,14 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import Experiment, Recording
 from vjm.identification.data import Options, read_data
+from vjm.identification.outliers import without_outliers
 from vjm.identification.torque_fit import Progress
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit, simulated
 from vjm.identification.trajectory_problem import Point
 from vjm.identification.trajectory_search import Search
 from vjm.simulate.initial_state import most_likely
-from vjm.simulate.observation import Observed
+from vjm.simulate.observation import Observed, view
 from vjm.simulate.run import Run
 
 Array = NDArray[np.float64]
@@ -76,7 +77,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     if noise.size is not None and (experiment.rig.marker_noise is None or noise.size > _LARGER * size[0]):
         size = (noise.size, size[1])
     joints = tuple(max(LEAST_JOINTS, link.virtual_joints) for link in fit.point.chain.links)
-    observed = tuple(_prepared(run.observed, size, noise) for run in runs)
+    observed = tuple(_prepared(_trimmed(run), size, noise) for run in runs)
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     search = replace(search, observed=observed, rough=fit.point.misfit > _ROUGH)
     fit = search.near(joints, fit)
@@ -116,6 +117,14 @@ def _followed(point: Point, observed: Sequence[Observed]) -> list[Run]:
         except SimulationDivergedError:
             continue
     return found
+
+
+def _trimmed(run: Run) -> Observed:
+    """What was measured, without outliers."""
+    seen = run.observed
+    markers = view(run.arm, seen.arcs, run.steps, seen.recording.time)
+    recording, count = without_outliers(seen.recording, markers, seen.noise[0])
+    return _seen_again(seen, recording, seen.noise) if count else seen
 
 
 def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Observed:

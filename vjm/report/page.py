@@ -13,6 +13,7 @@ from jinja2 import Environment, StrictUndefined, Template
 
 from vjm.identification.records import Identification
 from vjm.report.comparison import Comparison
+from vjm.report.effect_words import carried_points
 from vjm.report.figures.pictures import Picture
 from vjm.report.tables import Table, mode_table, parameter_table, recording_table, remedy_table, whiteness_table
 from vjm.report.verdict import Verdict, comparison_verdict, identification_verdict, settings
@@ -61,15 +62,18 @@ def identification_page(fit: Identification, pictures: Sequence[Picture]) -> str
         Section("Settings", terms=tuple(settings(fit)), text=_METHOD if summary is None else _TRAJECTORY_METHOD),
     )
     name = fit.experiment.rig.name
-    return _render(Page(name, "identification", identification_verdict(fit), fit.warnings, sections))
+    return render(Page(name, "identification", identification_verdict(fit), fit.warnings, sections))
 
 
 def comparison_page(comparison: Comparison, pictures: Sequence[Picture]) -> str:
     """The report of a simulation, as self-contained HTML."""
     table = recording_table(comparison.recordings, "given")
-    section = Section("How well the model follows the recordings", (table,), tuple(pictures))
+    sections = (
+        Section("How well the model follows the recordings", (table,), tuple(pictures)),
+        Section("Effects in the model", points=carried_points(comparison.model.effects, comparison.model)),
+    )
     name = comparison.experiment.rig.name
-    return _render(Page(name, "simulation", comparison_verdict(comparison), comparison.warnings, (section,)))
+    return render(Page(name, "simulation", comparison_verdict(comparison), comparison.warnings, sections))
 
 
 _METHOD = (
@@ -88,7 +92,8 @@ _TRAJECTORY_METHOD = (
 )
 
 
-def _render(page: Page) -> str:
+def render(page: Page) -> str:
+    """The page as self-contained HTML."""
     return _template().render(page=page, vjm=version("vjm"), embedded=_embedded)
 
 

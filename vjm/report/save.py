@@ -5,22 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from vjm.chain.records import Chain
 from vjm.files import json_text
 from vjm.identification.records import Identification
+from vjm.model import Model, extended_urdf
 from vjm.model_file import write_model
 from vjm.report.comparison import Comparison
+from vjm.report.diagnosis_page import diagnosis_page
+from vjm.report.figures import diagnosis as of_diagnosis
+from vjm.report.figures import symptoms as of_symptoms
+from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.pictures import NAMES, Picture, identification_pictures, replay_pictures
 from vjm.report.folder import check_folder, write_together
 from vjm.report.page import comparison_page, identification_page
-from vjm.report.stored import identification_extra
-from vjm.result import comparison_result, identification_result
-from vjm.urdf import chain_to_urdf
+from vjm.report.stored import diagnosis_extra, identification_extra, stored_effects
+from vjm.result import comparison_result, diagnosis_result, identification_result
+
+if TYPE_CHECKING:
+    from vjm.diagnosis.records import Diagnosis
 
 REPORT = "report.html"
 _FIGURES = "figures"
+_ALL_NAMES = (*NAMES, *of_symptoms.NAMES, *of_diagnosis.NAMES)
 
 
 @dataclass(frozen=True)
@@ -30,15 +37,15 @@ class _Content:
     result: Mapping[str, Any]
     page: str
     pictures: Sequence[Picture]
-    chain: Chain
+    model: Model
     extra: Mapping[str, Any]
 
 
-def save(result: Identification | Comparison, directory: Path | str) -> Path:
+def save(result: Identification | Comparison | Diagnosis, directory: Path | str) -> Path:
     """Write a result as a folder; all of it or, when anything fails, nothing.
 
     Args:
-        result: of an identification, or of a comparison.
+        result: of an identification, of a comparison, or of a diagnosis.
         directory: made if need be (its parent exists). Files of an earlier result are replaced, others stay.
 
     Returns:
@@ -48,20 +55,33 @@ def save(result: Identification | Comparison, directory: Path | str) -> Path:
         FolderError: the folder cannot be written to.
     """
     folder = check_folder(directory)
-    content = _identification(result) if isinstance(result, Identification) else _comparison(result)
-    return write_together(folder, lambda stage: _fill(stage, content), [f"{_FIGURES}/{name}.png" for name in NAMES])
+    content = _content(result)
+    stale = [f"{_FIGURES}/{name}.png" for name in _ALL_NAMES]
+    return write_together(folder, lambda stage: _fill(stage, content), stale)
+
+
+def _content(result: Identification | Comparison | Diagnosis) -> _Content:
+    if isinstance(result, Identification):
+        return _identification(result)
+    return _comparison(result) if isinstance(result, Comparison) else _diagnosis(result)
 
 
 def _identification(fit: Identification) -> _Content:
     pictures = identification_pictures(fit)
     page = identification_page(fit, pictures)
-    return _Content(identification_result(fit), page, pictures, fit.model.chain, identification_extra(fit))
+    return _Content(identification_result(fit), page, pictures, fit.model, identification_extra(fit))
 
 
 def _comparison(comparison: Comparison) -> _Content:
     pictures = replay_pictures(comparison.recordings, comparison.model, comparison.nominal)
     page = comparison_page(comparison, pictures)
-    return _Content(comparison_result(comparison), page, pictures, comparison.model.chain, comparison.extra)
+    return _Content(comparison_result(comparison), page, pictures, comparison.model, comparison.extra)
+
+
+def _diagnosis(diagnosis: Diagnosis) -> _Content:
+    pictures = diagnosis_pictures(diagnosis)
+    page = diagnosis_page(diagnosis, pictures)
+    return _Content(diagnosis_result(diagnosis), page, pictures, diagnosis.model, diagnosis_extra(diagnosis))
 
 
 def _fill(stage: Path, content: _Content) -> None:
@@ -69,6 +89,7 @@ def _fill(stage: Path, content: _Content) -> None:
     for picture in content.pictures:
         (stage / _FIGURES / f"{picture.name}.png").write_bytes(picture.png)
     (stage / REPORT).write_text(content.page, encoding="utf-8")
-    (stage / "model.urdf").write_text(chain_to_urdf(content.chain), encoding="utf-8")
-    write_model(content.chain, stage / "model.json", content.extra)
+    model = content.model
+    (stage / "model.urdf").write_text(extended_urdf(model.chain, model.effects), encoding="utf-8")
+    write_model(model.chain, stage / "model.json", content.extra, stored_effects(model))
     (stage / "result.json").write_text(json_text(content.result), encoding="utf-8")

@@ -43,8 +43,14 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def parameter_table(estimates: Sequence[Estimate], nominal: Chain) -> Table:
-    """Every parameter beside its nominal value (the paper's Table 1), with its standard error and 95 % interval."""
+def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str = "nominal") -> Table:
+    """Every parameter beside its nominal value (the paper's Table 1), with its standard error and 95 % interval.
+
+    Args:
+        estimates: the parameters.
+        nominal: what they are compared with.
+        beside: what to call that.
+    """
     rows = []
     for estimate in estimates:
         value, std = estimate.value, estimate.std
@@ -64,7 +70,7 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain) -> Table:
     headers = (
         "parameter",
         "determined",
-        "nominal",
+        beside,
         "identified ± standard error",
         "95 % interval",
         "error [%]",

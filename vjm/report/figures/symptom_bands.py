@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -216,8 +217,8 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
     clear = errors <= _CLEAR * np.median(errors)
     place, means, errors = place[clear], means[clear], errors[clear]
     axes.plot(place, means[:, 1], color=IDENTIFIED, linewidth=1.3)
-    look = {"linestyle": "", "marker": "o", "markersize": 5, "color": MEASURED, "markerfacecolor": "white"}
-    axes.errorbar(place, means[:, 0], yerr=errors, elinewidth=1.1, **look)
+    look: dict[str, Any] = {"linestyle": "", "marker": "o", "markersize": 5, "color": MEASURED}
+    axes.errorbar(place, means[:, 0], yerr=errors, elinewidth=1.1, markerfacecolor="white", **look)
     low, high = axes.get_ylim()
     least = _LEAST_RANGE * float(np.abs(means).mean())  # or nothing but noise is magnified
     if high - low < least:

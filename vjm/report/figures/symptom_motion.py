@@ -130,8 +130,8 @@ def _signal(each: Examined) -> _Shown | None:
     if encoder is None:
         return None
     rows, scale = encoder.known[:, 0], float(np.degrees(1.0))
-    values = (scale * array[rows, 0] for array in (encoder.measured, encoder.simulated))
-    return _Shown(encoder.time[rows], *values, encoder.names[0], "deg", scale * encoder.noise)
+    measured, simulated = scale * encoder.measured[rows, 0], scale * encoder.simulated[rows, 0]
+    return _Shown(encoder.time[rows], measured, simulated, encoder.names[0], "deg", scale * encoder.noise)
 
 
 def _draw(upper: Axes, lower: Axes, each: Examined, signal: _Shown) -> None:

@@ -1,0 +1,240 @@
+"""A diagnosis as numbers, words, tables, pictures and files."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.report.diagnoses import (
+    CLAMP,
+    DIAGNOSES,
+    FRICTION,
+    insufficient,
+    nothing,
+    pair,
+    pictures_of,
+    undecided,
+    unknown,
+)
+from tests.report.schema import DiagnoseResult
+from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
+from tests.report.test_page import HOSTILE, Elements, assert_self_contained
+from vjm.diagnosis.records import Diagnosis, Size
+from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, TipPayload
+from vjm.files import json_text
+from vjm.report import save as saving
+from vjm.report.diagnosis_page import diagnosis_page
+from vjm.report.diagnosis_tables import candidate_table, cause_table, followed_table
+from vjm.report.diagnosis_words import diagnosis_verdict, indistinct
+from vjm.report.effect_words import carried_points, clause, differences_text, quantity, sizes_text
+from vjm.report.figures import diagnosis as drawing
+from vjm.report.figures.diagnosis_evidence import evidence
+from vjm.report.figures.diagnosis_gain import before_and_after, gain_of_recordings
+from vjm.report.save import save
+from vjm.report.stored import stored_model
+from vjm.result import diagnosis_result
+from vjm.urdf import chain_from_urdf
+
+
+@pytest.fixture(params=list(DIAGNOSES))
+def diagnosis(request: pytest.FixtureRequest) -> Diagnosis:
+    return DIAGNOSES[request.param]()
+
+
+def plain(text: str) -> str:
+    return text.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def test_result_has_the_keys_of_the_interface(diagnosis: Diagnosis) -> None:
+    result = DiagnoseResult.model_validate_json(json_text(diagnosis_result(diagnosis)))
+    assert result.verdict == diagnosis.verdict
+    assert [each.effect for each in result.causes] == [each.effect.id for each in diagnosis.causes]
+    assert len(result.candidates) == len(diagnosis.candidates)
+    assert {each.link for each in result.candidates} <= {None, "beam"}
+    assert (result.gain is None) == (diagnosis.gain is None)
+
+
+def test_rivals_are_named() -> None:
+    (cause,) = DiagnoseResult.model_validate_json(json_text(diagnosis_result(undecided()))).causes
+    assert cause.indistinguishable_from == ["clamp_compliance"]
+    assert cause.rivals[0].parameters == {"compliance": CLAMP.compliance}
+    assert cause.parameters["mass"].value == 0.0133
+
+
+def test_what_is_not_finite_becomes_null() -> None:
+    found = undecided()
+    cause = replace(found.causes[0], parameters={"mass": Size(math.inf, math.nan, "kg")}, p_value=math.nan)
+    assert found.gain is not None
+    gain = replace(found.gain, reduction=math.nan, interval=(-math.inf, 0.1))
+    text = json_text(diagnosis_result(replace(found, causes=(cause,), gain=gain)))
+    result = DiagnoseResult.model_validate_json(text)
+    assert result.causes[0].parameters["mass"].value is None
+    assert result.gain is not None
+    assert result.gain.ci95 == [None, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("of", "grade", "words"),
+    [
+        (pair, "good", "A camera that lags 12.00 ± 0.12 ms behind its time stamps; and marker 3 of beam off by"),
+        (undecided, "fair", "Either an unknown mass of 13.30 ± 0.13 g on the tip of beam, or a clamp of beam that"),
+        (unknown, "poor", "Something is missing that no candidate explains: most of it in the camera of"),
+        (nothing, "good", "is needed, and an effect as small as a tip payload of 0.50 g or a clamp compliance of"),
+        (insufficient, "poor", "These recordings cannot support a diagnosis: no recording is held out"),
+    ],
+)
+def test_verdict_says_it_in_a_sentence(of: object, grade: str, words: str) -> None:
+    assert callable(of)
+    verdict = diagnosis_verdict(of())
+    assert verdict.grade == grade
+    assert words in plain(verdict.headline)
+
+
+def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
+    found = pair()
+    assert found.gain is not None
+    gain = replace(found.gain, before=2.1e-3, after=3.1e-4, reduction=0.85, interval=(0.83, 0.87), runner_up=1.2e-3)
+    verdict = diagnosis_verdict(replace(found, gain=gain))
+    assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(verdict.headline)
+    told = "Held-out error: 85 % less (95 % interval of the reduction: 83 … 87 %)"
+    assert f"{told}; the next best explanation leaves 1.2 mm." in [plain(point) for point in verdict.points]
+    assert "not tested" in " ".join(diagnosis_verdict(replace(found, gain=None)).points)
+
+
+def test_what_cannot_be_told_apart_comes_with_the_recording_that_would() -> None:
+    text = " ".join(indistinct(undecided()))
+    assert "chi² is 0.70 larger" in text
+    assert "Next experiment: to tell tip_payload from clamp_compliance" in text
+    assert indistinct(pair()) == []
+
+
+@pytest.mark.parametrize("effect", BUILTIN, ids=lambda each: each.id)
+def test_every_effect_has_words(effect: Effect) -> None:
+    model = pair().model
+    usual = effect.at(0.5 * (effect.coordinates * 0 + 1))
+    named = clause(replace(usual, link=0), model)
+    assert "{" not in named
+    assert named[0].islower()
+    if effect.parameters():
+        assert any(character.isdigit() for character in named)
+
+
+def test_quantities_are_in_everyday_units() -> None:
+    assert quantity(0.0133, 1.3e-4, "kg") == "13.30 ± 0.13 g"
+    assert quantity(0.5, None, "kg") == "0.50 kg"
+    assert quantity(math.pi / 180, None, "rad") == "1.0°"
+    assert quantity(-2.2e-3, None, "1/s") == "-0.22 %/s"
+    assert quantity(math.inf, None, "N m/rad") == "–"
+    assert sizes_text(InPlaneGravity(), {"gx": 0.1, "gy": -1e-9}) == "gx 0.10, gy 0.00 m/s²"
+    assert sizes_text(CameraScale(), {"scale": 1.008}) == "+0.80 %"
+    assert differences_text(CameraScale(), {"scale": 4e-4}) == "off by 0.040 %"
+    assert differences_text(TipPayload(), {"mass": 4e-4}) == "0.40 g"
+
+
+def test_urdf_carries_what_it_can() -> None:
+    found = pair()
+    points = carried_points((FRICTION, *found.model.effects), found.model)
+    assert points[0] == "model.urdf and model.json hold: coulomb friction (beam)."
+    assert "Only model.json holds" in points[1]
+    assert "time offset, marker offset (beam)" in points[1]
+
+
+def test_tables(diagnosis: Diagnosis) -> None:
+    for table in (cause_table(diagnosis), candidate_table(diagnosis), followed_table(diagnosis)):
+        assert {len(row) for row in table.rows} <= {len(table.headers)}
+    few = candidate_table(diagnosis, 4)
+    assert len(few.rows) == 4
+    assert [row[2] for row in few.rows[: len(diagnosis.causes)]] == ["found"] * len(diagnosis.causes)
+    untestable = [row for row in candidate_table(diagnosis).rows if row[2] == "not testable"]
+    assert len(untestable) == sum(not each.testable for each in diagnosis.candidates)
+
+
+def test_page_has_the_verdict_first(diagnosis: Diagnosis) -> None:
+    page = diagnosis_page(diagnosis, pictures_of(diagnosis))
+    assert_self_contained(page)
+    assert len(page) < 3e6
+    order = ["headline", "What is wrong, before any cause is named"]
+    order += ["The evidence"] if diagnosis.causes else []
+    order += ["What was looked for", "How it was judged"]
+    places = [page.index(each) for each in order]
+    assert places == sorted(places)
+    for recording in diagnosis.experiment.recordings:
+        assert recording.file in page
+
+
+def test_hostile_names_stay_text() -> None:
+    found = undecided()
+    rig = replace(found.experiment.rig, name=HOSTILE)
+    hostile = replace(
+        found,
+        experiment=replace(found.experiment, rig=rig),
+        warnings=(HOSTILE,),
+        next_experiment=HOSTILE,
+        causes=tuple(replace(each, evidence=HOSTILE) for each in found.causes),
+    )
+    page = diagnosis_page(hostile, [])
+    assert_self_contained(page)
+    assert not [tag for tag, _ in Elements(page).found if tag == "script"]
+
+
+def test_figures_are_readable() -> None:
+    found = pair()
+    followed = found.recordings[-1]
+    drawn = [evidence(cause, found, [followed]) for cause in found.causes]
+    drawn += [gain_of_recordings(found), gain_of_recordings(nothing()), before_and_after(followed, found)]
+    for figure in drawn:
+        for axes in figure.axes:
+            assert_labelled(axes.get_xlabel())
+            assert_labelled(axes.get_ylabel())
+        assert_nothing_overlaps(figure)
+
+
+def test_pictures_have_their_names(diagnosis: Diagnosis) -> None:
+    drawn = pictures_of(diagnosis)
+    assert {each.name for each in drawn} <= set(saving._ALL_NAMES)
+    assert sum(each.name.startswith("cause") for each in drawn) == len(diagnosis.causes)
+    for each in drawn:
+        assert each.caption.endswith(".")
+        assert each.alternative.strip()
+
+
+def test_every_effect_has_its_evidence() -> None:
+    """Whatever the effect, there is something to hold the residual against."""
+    found = pair()
+    first = found.recordings[0]
+    for effect in BUILTIN:
+        cause = replace(found.causes[0], effect=replace(effect, link=0), parameters={})
+        assert_nothing_overlaps(evidence(cause, found, [first]))
+
+
+@pytest.mark.parametrize("name", ["undecided", "pair", "nothing"])
+def test_folder_holds_a_model_that_comes_back(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = DIAGNOSES[name]()
+    monkeypatch.setattr(saving, "diagnosis_pictures", pictures_of)
+    folder = save(found, tmp_path / "out")
+    assert {path.name for path in folder.iterdir()} == {
+        "result.json",
+        "model.json",
+        "model.urdf",
+        "report.html",
+        "figures",
+    }
+    DiagnoseResult.model_validate_json((folder / "result.json").read_bytes())
+    model, _, extra = stored_model(folder / "model.json", found.experiment)
+    assert model.effects == found.model.effects
+    assert model.estimates == found.parameters
+    assert extra["verdict"] == found.verdict
+    carried = chain_from_urdf(folder / "model.urdf")
+    assert carried.links[0].payload == found.model.arm.chain.links[0].payload
+    assert ("effects" in json.loads((folder / "model.json").read_text())) == bool(found.model.effects)
+    recording = found.experiment.recordings[1]
+    assert model.replay(recording).marker_rms == pytest.approx(found.model.replay(recording).marker_rms, rel=1e-6)
+
+
+def test_names_of_pictures_differ() -> None:
+    assert len(set(saving._ALL_NAMES)) == len(saving._ALL_NAMES)
+    assert set(drawing.NAMES) <= set(saving._ALL_NAMES)

@@ -1,0 +1,152 @@
+"""Models with effects in model.json, as URDF, and in reference recordings."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.report.diagnoses import FRICTION, PAYLOAD, hub_experiment
+from tests.report.fits import _chain, two_link_experiment
+from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, size
+from vjm.errors import ModelFileError
+from vjm.experiment import Experiment
+from vjm.model import Model
+from vjm.model_file import write_model
+from vjm.report.stored import stored_chain, stored_effects, stored_model
+from vjm.urdf import chain_from_urdf
+from vjm.urdf.read import friction_from_urdf
+
+
+def present(experiment: Experiment) -> tuple[Effect, ...]:
+    """Every built-in effect at the last of its places, at less than an everyday size."""
+    found = []
+    for effect in BUILTIN:
+        variant = effect.variants(experiment.rig, experiment.recordings)[-1]
+        at = variant.coordinates
+        found.append(variant.at(at + 0.3 * (np.arange(at.size) < variant.sizes)))
+    return tuple(found)
+
+
+elbow = cache(two_link_experiment)
+
+
+def two_links(effects: tuple[Effect, ...]) -> tuple[Experiment, Model]:
+    experiment = elbow()
+    return experiment, Model(_chain(experiment.rig, 3, 1.0, 1e-3), experiment.rig, 3e-4, 1e-4, (), effects)
+
+
+def written(model: Model, file: Path) -> dict[str, Any]:
+    write_model(model.chain, file, {}, stored_effects(model))
+    content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return content
+
+
+def test_every_effect_comes_back_exactly(tmp_path: Path) -> None:
+    experiment, _ = two_links(())
+    effects = (*present(experiment), GearElasticity(link=0))  # the last one absent: its stiffness is infinite
+    _, model = two_links(effects)
+    content = written(model, tmp_path / "model.json")
+    assert [each["effect"] for each in content["effects"]] == [each.id for each in effects]
+    assert {each["link"] for each in content["effects"]} == {None, "upper", "fore"}
+    assert content["effects"][-1]["parameters"] == {"stiffness": None}
+    assert stored_model(tmp_path / "model.json", experiment)[0].effects == effects
+    chain, found = stored_chain(tmp_path / "model.json")
+    assert chain.links[0].name == "upper"
+    assert [each.values for each in found] == [each.values for each in effects]
+
+
+def test_a_model_without_effects_has_no_such_key(tmp_path: Path) -> None:
+    experiment, model = two_links(())
+    assert "effects" not in written(model, tmp_path / "model.json")
+    assert stored_model(tmp_path / "model.json", experiment)[0].effects == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"effect": "gremlin"}, r"key 'effects\[0\]\.effect': got 'gremlin'; expected one of tip_payload"),
+        ({"link": "tail"}, r"effects\[0\]\.link: got 'tail'; expected null or one of \['upper', 'fore'\]"),
+        ({"link": "upper"}, r"key 'effects\[0\]\.link': got 'upper'; expected one of \['fore'\]"),
+        ({"parameters": {"mass": 0.1, "colour": 1.0}}, r"key 'effects\[0\]\.parameters\.colour': unknown key"),
+        ({"parameters": {}}, r"key 'effects\[0\]\.parameters\.mass': missing"),
+        ({"parameters": {"mass": -0.1}}, r"key 'effects\[0\]\.parameters\.mass': got -0\.1; expected 0 to inf kg"),
+        ({"parameters": {"mass": None}}, r"key 'effects\[0\]\.parameters\.mass': got null"),
+        ({"parameters": {"mass": "much"}}, r"key 'effects\[0\]\.parameters\.mass': got 'much'"),
+        ({"more": 1}, r"key 'effects\[0\]\.more': unknown key"),
+    ],
+)
+def test_faults_name_the_key(tmp_path: Path, change: dict[str, Any], fault: str) -> None:
+    experiment, model = two_links((TipPayload(link=1, mass=0.1),))
+    content = written(model, tmp_path / "model.json")
+    content["effects"][0] |= change
+    (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ModelFileError, match=fault):
+        stored_model(tmp_path / "model.json", experiment)
+
+
+@pytest.mark.parametrize(
+    ("marker", "fault"), [(9.0, r"marker': got 9; expected one of \[1, 2, 3, 4\]"), (1.5, "whole")]
+)
+def test_a_marker_that_is_not_there_is_refused(tmp_path: Path, marker: float, fault: str) -> None:
+    experiment, model = two_links((MarkerOffset(link=1, marker=4, along=1e-3, first=3),))
+    content = written(model, tmp_path / "model.json")
+    content["effects"][0]["parameters"]["marker"] = marker
+    (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(ModelFileError, match=fault):
+        stored_model(tmp_path / "model.json", experiment)
+
+
+@dataclass(frozen=True)
+class Own(Effect):
+    """A user's own effect."""
+
+    twist: float = size("rad", 0.1)
+
+    id = "own"
+    says = "a twist"
+
+
+def test_a_users_own_effect_comes_back_where_it_is_given(tmp_path: Path) -> None:
+    experiment, model = two_links((Own(twist=0.2), TorqueGain(link=1, gain=1.1, column=1)))
+    written(model, tmp_path / "model.json")
+    with pytest.raises(ModelFileError, match="got 'own'"):
+        stored_model(tmp_path / "model.json", experiment)
+    found = stored_model(tmp_path / "model.json", experiment, (*BUILTIN, Own()))[0]
+    assert found.effects == model.effects
+
+
+def test_a_value_at_its_bound_but_for_rounding_is_read(tmp_path: Path) -> None:
+    experiment, model = two_links((TipPayload(link=1, mass=-1e-18),))
+    content = written(model, tmp_path / "model.json")
+    content["effects"] = [
+        {"effect": "structural_damping", "link": "upper", "parameters": {"loss_factor": 0.30000000000000004}}
+    ]
+    (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
+    assert stored_model(tmp_path / "model.json", experiment)[0].effects[0].values["loss_factor"] > 0.3
+
+
+def test_urdf_has_payload_and_friction(tmp_path: Path) -> None:
+    _, base = hub_experiment(())
+    model = replace(base, effects=(PAYLOAD, FRICTION))
+    file = model.to_urdf(tmp_path / "arm.urdf")
+    assert chain_from_urdf(file).links[0].payload == PAYLOAD.mass
+    assert friction_from_urdf(file) == {"beam": FRICTION.torque}
+
+
+def test_no_effect_is_present_in_reference_recordings() -> None:
+    experiment, base = hub_experiment((PAYLOAD,))
+    with_it = replace(base, effects=(PAYLOAD,))
+    first = experiment.recordings[0]
+    reference = replace(first, condition="reference")
+    plain = base.replay(first).simulation.markers
+    assert np.array_equal(with_it.replay(reference).simulation.markers, plain)
+    one, other = with_it.replays([first, reference])
+    assert not np.array_equal(one.simulation.markers, plain)
+    assert np.allclose(other.simulation.markers, plain, atol=1e-4)
+    assert one.marker_rms < other.marker_rms
