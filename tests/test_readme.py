@@ -75,7 +75,7 @@ def test_experiment_file_and_recording_are_valid(tmp_path: Path) -> None:
 
 def test_every_vjm_command_is_one_that_vjm_takes() -> None:
     lines = [part for line in commands() for part in line.split(" && ") if part.startswith("vjm ")]
-    assert {shlex.split(line)[1] for line in lines} == {"demo", "check", "identify", "simulate", "urdf"}
+    assert {shlex.split(line)[1] for line in lines} == {"demo", "check", "identify", "diagnose", "simulate", "urdf"}
     for line in lines:
         parse(shlex.split(line)[1:])
 

@@ -52,7 +52,8 @@ def test_two_causes_are_found(plant: Plant) -> None:
 def test_what_cannot_be_told_apart_is_a_set(plant: Plant) -> None:
     """Without gravity a turned camera and an encoder's offset are the same."""
     file, _ = plant("hub", "camera_rotation", seed=13)
-    diagnosis = diagnosed(file)
+    sensors = [effect.id for effect in BUILTIN if effect.sensor]
+    diagnosis = diagnosed(file, sensors)
     assert diagnosis.verdict == "set"
     assert classes(diagnosis) == [{"camera_rotation", "encoder_offset"}]
     assert diagnosis.next_experiment

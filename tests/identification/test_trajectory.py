@@ -21,8 +21,8 @@ from vjm.identification import Identification, identify
 from vjm.identification.parametrisation import Parametrisation
 from vjm.identification.resampling import Resampled, resample
 from vjm.identification.trajectory_fit import fit_trajectory
-from vjm.identification.trajectory_method import _coarsest
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
+from vjm.identification.trajectory_search import _coarsest
 from vjm.identification.uncertainty import to_physical
 from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Observed

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import Base
-from vjm.diagnosis.beginning import present_before
 from vjm.diagnosis.extension import REFERENCE, Extension
 from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
@@ -33,7 +32,7 @@ _UNLIKELY = 1e-3  # that noise alone leaves so much
 _ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
 _NIL = 0.002  # reduction of the held-out error that is none
 _SLOPE_STEP = 1e-5
-_CLEARLY = 3.0  # times the misfit before the change
+_CLEARLY = 2.0  # times the misfit before the change
 
 
 def conclude(
@@ -44,6 +43,7 @@ def conclude(
     table: tuple[Candidate, ...],
     rules: Rules,
     tell: Callable[[str], None],
+    already: str = "",
 ) -> Diagnosis:
     """What is missing, how sure that is, and what is gained.
 
@@ -55,11 +55,13 @@ def conclude(
         table: the candidates.
         rules: of the search.
         tell: told what is being done.
+        already: what was missing before any change, as a sentence.
     """
     best = found.best
+    new = best.effects[best.everywhere :]
     scale = max(1.0, best.point.misfit**2)
     tell("asking what cannot be told apart")
-    rivals = {id(each): alternatives(found, search, each, scale) for each in best.effects}
+    rivals = {id(each): alternatives(found, search, each, scale) for each in new}
     information, _ = of_trajectory(best.fit, True)
     causes = _causes(best, search.start, found, rivals, covariance(information))
     tell("replaying the recordings")
@@ -71,10 +73,9 @@ def conclude(
     needed = [k for k in range(len(found.last.seen.effects)) if _still(found, k, rules, best)]
     remains = _remains(left, best, search.start, rules) or bool(needed)
     if search.begun.lacking > 1:
-        remains = _worse_than_before(best)
+        remains = _worse_than_before(best, base.point.misfit / search.begun.lacking)
     description = _described(experiment, best, left, found, needed) if remains else ""
     verdict = _verdict(causes, remains)
-    already = present_before(base, search.looked, search.begun.lacking)
     diagnosis = Diagnosis(
         experiment=experiment,
         verdict=verdict,
@@ -153,11 +154,11 @@ def _remains(left: Leftover, best: Explanation, start: Explanation, rules: Rules
     return left.p_value < _UNLIKELY and left.excess > allowed
 
 
-def _worse_than_before(best: Explanation) -> bool:
-    """Whether changed recordings are missed by clearly more than those in the reference condition."""
+def _worse_than_before(best: Explanation, usual: float) -> bool:
+    """Whether changed recordings are missed by clearly more than the reference ones by a model without effects."""
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     squares, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
-    return bool(np.sqrt(squares / max(count, 1)) > _CLEARLY)
+    return bool(np.sqrt(squares / max(count, 1)) > _CLEARLY * usual)
 
 
 def _still(found: Found, k: int, rules: Rules, best: Explanation) -> bool:
@@ -176,7 +177,7 @@ def _causes(
     if not isinstance(extension, Extension):
         return ()
     causes = []
-    for effect, part in zip(best.effects, extension.parts, strict=True):
+    for effect, part in [*zip(best.effects, extension.parts, strict=True)][best.everywhere :]:
         key = (effect.id, effect.link)
         without = found.tried.get(best.names - {key}, start)
         drop = without.chi2 - best.chi2
@@ -231,7 +232,7 @@ def _model(experiment: Experiment, base: Base, explanation: Explanation, informa
 
 def _runner_up(search: Search, best: Explanation, causes: Sequence[Cause]) -> Explanation | None:
     """The next best explanation of as many effects."""
-    others = [each for each in search.tried.values() if len(each.effects) == len(best.effects) > 0]
+    others = [each for each in search.tried.values() if len(each.effects) == len(best.effects) > best.everywhere]
     others = [each for each in others if each.names != best.names]
     return min(others, key=lambda each: each.chi2, default=None)
 

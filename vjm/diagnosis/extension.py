@@ -28,10 +28,12 @@ class Extension:
     Attributes:
         base: the chain's own.
         effects: what is added, at any size.
+        everywhere: number of them, the first ones, that act in the reference recordings too.
     """
 
     base: Parametrisation
     effects: tuple[Effect, ...]
+    everywhere: int = 0
 
     def chain(self, x: Array) -> Chain:
         """The chain, without effects."""
@@ -42,9 +44,9 @@ class Extension:
         return tuple(effect.at(x[part]) for effect, part in zip(self.effects, self.parts, strict=True))
 
     def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
-        """What moves in each of the recordings; in those called reference, no effect is present."""
-        chain = self.chain(x)
-        plain, extended = Arm(chain), Arm.of(chain, self.present(x))
+        """What moves in each of the recordings; in those called reference, only what acts everywhere."""
+        chain, present = self.chain(x), self.present(x)
+        plain, extended = Arm.of(chain, present[: self.everywhere]), Arm.of(chain, present)
         return tuple(plain if each.condition == REFERENCE else extended for each in recordings)
 
     @property

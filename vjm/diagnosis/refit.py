@@ -44,6 +44,12 @@ class Explanation:
         """Sum of squared weighted residuals."""
         return self.fit.point.chi2
 
+    @property
+    def everywhere(self) -> int:
+        """Number of its effects that act in the reference recordings too."""
+        extension = self.fit.point.problem.extension
+        return extension.everywhere if isinstance(extension, Extension) else 0
+
     @cached_property
     def names(self) -> frozenset[tuple[str, int | None]]:
         """Which effects, and where."""
@@ -70,8 +76,11 @@ def refit(
         The fit; None where it cannot be simulated.
     """
     base = start.point.problem.parametrisation
-    extension = Extension(base, tuple(effects))
-    first = [_sized(effect, guess) for effect, guess in zip(effects, sizes, strict=True)]
+    extension = Extension(base, tuple(effects), start.everywhere)
+    first = [
+        effect.coordinates if effect in start.effects else _sized(effect, guess)
+        for effect, guess in zip(effects, sizes, strict=True)
+    ]
     x = np.concatenate([start.point.x[: len(base.coordinates)], *first])
     lower, upper = extension.bounds
     x = np.clip(x, lower, upper)
@@ -85,7 +94,10 @@ def refit(
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):
-        return None
+        if problem.coarse == 1.0:
+            return None
+        finer = replace(start.point, problem=replace(start.point.problem, coarse=1.0))
+        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, sizes, hopeless, lost)
     return Explanation(extension.present(fit.point.x), fit)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import base_fit
+from vjm.diagnosis.before import already_there, told
 from vjm.diagnosis.beginning import beginning
 from vjm.diagnosis.candidates import candidates, chosen_effects, looked_for
 from vjm.diagnosis.conclude import conclude, insufficient
@@ -62,7 +63,8 @@ def diagnose(
     reasons = why_insufficient(experiment)
     tell("fitting the model without effects")
     base = base_fit(experiment, tell.inside)
-    begun = beginning(base)
+    known = already_there(base, chosen, experiment.rig, tell)
+    begun = beginning(base, known)
     looked = looked_for(chosen, experiment.rig, begun.start.point)
     # What a model lacks before a change is no noise: only what explains much of the rest is a change.
     rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
@@ -73,7 +75,8 @@ def diagnose(
         table = candidates(looked, found.first, rules.alpha, floor)
         if reasons:
             return insufficient(experiment, base, table, reasons)
-        return conclude(experiment, base, search, found, table, rules, tell)
+        said = told(base, known, begun.lacking)
+        return conclude(experiment, base, search, found, table, rules, tell, said)
 
 
 @contextmanager

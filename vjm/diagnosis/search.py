@@ -94,12 +94,12 @@ class Search:
         """Add effects while they are needed."""
         best, p_values = self.start, dict[Key, float]()
         first = family = self.judged(best)
-        while len(best.effects) < self.rules.most:
+        while len(best.effects) < self.rules.most + len(self.start.effects):
             needed = self._needed(best, family)
             if not needed:
                 break
             steps: list[Step] = [(best, [k]) for k in needed[: None if self.begun.lost else _BEST]]
-            if len(best.effects) == 1 and not self.begun.lost:
+            if len(best.effects) == len(self.start.effects) + 1 and not self.begun.lost:
                 steps += self._pairs(first, best)
             smooth, abrupt = self._apart(family, first, best, steps)
             self.race(best, family, first, smooth)
@@ -233,10 +233,10 @@ class Search:
 
     def _without_idle(self, explanation: Explanation) -> Explanation:
         """Without effects that the others make needless."""
-        for effect in explanation.effects:
+        for effect in explanation.effects[len(self.start.effects) :]:
             names = explanation.names - {_key(effect)}
             fewer = self.tried.get(names)
-            if fewer is not None and len(names) and not self._worth(fewer, explanation):
+            if fewer is not None and fewer is not self.start and not self._worth(fewer, explanation):
                 return self._without_idle(fewer)
         return explanation
 

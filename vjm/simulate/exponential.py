@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm import dynamics
+from vjm.errors import SimulationDivergedError
 from vjm.simulate.drive import Drive
 from vjm.simulate.integrators import Recorder, System
 from vjm.simulate.phi import phi_functions, rate_scale
@@ -111,7 +112,11 @@ class _Weights:
     def of(cls, system: System, inertia: Array, copies: list[int], step: float) -> _Weights:
         """Of some copies with mass matrices (c, nv, nv)."""
         n = inertia.shape[1]
-        inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
+        try:
+            inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
+        except np.linalg.LinAlgError as error:
+            remedy = "a joint moves nothing: give its hub or its links mass"
+            raise SimulationDivergedError(0.0, step, remedy) from error
         springs = np.zeros((len(copies), n, 2 * n))
         springs[:, range(n), range(n)] = -system.stiffness[copies]
         springs[:, range(n), range(n, 2 * n)] = -system.damping[copies]

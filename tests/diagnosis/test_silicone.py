@@ -1,0 +1,28 @@
+"""A measured beam before and after something was put on its tip: what changed, and what was there already."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import vjm
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "silicone_beam"
+WEIGHED = 0.052  # kg, by the scale of those who measured
+
+pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the measured beam's data are not there")
+
+
+def test_the_mass_on_the_tip_is_named_and_weighed() -> None:
+    diagnosis = vjm.diagnose(vjm.load_experiment(DATA / "experiment.toml"))
+    assert diagnosis.verdict == "named"
+    assert [cause.effect.id for cause in diagnosis.causes] == ["tip_payload"]
+    assert diagnosis.causes[0].parameters["mass"].value == pytest.approx(WEIGHED, rel=0.1)
+    loaded = next(each for each in diagnosis.recordings if each.recording.file == "loaded_b.csv")
+    assert loaded.before is not None
+    assert loaded.after is not None
+    assert loaded.after.marker_rms < 0.3 * loaded.before.marker_rms
+    # The silicone creeps, on the tip or not.
+    (said,) = [warning for warning in diagnosis.warnings if "already in the reference recordings" in warning]
+    assert "viscoelastic_creep" in said
