@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
+# Before NumPy is imported: its matrices are small here, and threads of one test only wait for those of another.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from hypothesis import settings
 
 # A busy machine is no failure, and a failure should come back when the test is run again.

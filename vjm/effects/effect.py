@@ -160,7 +160,7 @@ class Effect:
 
     @property
     def coordinates(self) -> Array:
-        """(p,) numbers that a search varies: of sizes, zero at the null and one at an everyday size; then inner ones."""
+        """(p,) numbers that a search varies: sizes, zero at the null and one at an everyday size; then inner ones."""
         return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied()])
 
     def at(self, coordinates: Array) -> Self:

@@ -12,8 +12,8 @@ from vjm.experiment.records import Array, Recording, Rig
 
 Mask = NDArray[np.bool_]
 
-# A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found, not to
-# be left out. As a share of the distance, and at least [m].
+# A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found, not
+# to be left out. As a share of the distance, and at least [m].
 _SLACK = 0.04
 _SHORT = 0.01
 
