@@ -16,7 +16,7 @@ from vjm.chain.records import Chain
 from vjm.effects.effect import Effect
 from vjm.effects.joint import CoulombFriction
 from vjm.errors import ShapeError
-from vjm.experiment.records import Recording, Rig
+from vjm.experiment.records import REFERENCE, Recording, Rig
 from vjm.files import write_text_atomic
 from vjm.modes import Modes, modes
 from vjm.parameters import Estimate
@@ -56,6 +56,7 @@ class Model:
         encoder_noise: 1-sigma noise of an encoder [rad].
         estimates: the parameters it was identified with; empty for a nominal model.
         effects: what acts on the chain and its sensors beyond it.
+        everywhere: number of them, the first ones, that act in recordings of condition `reference` too.
 
     Raises:
         ShapeError: a chain whose links are not the rig's.
@@ -67,6 +68,7 @@ class Model:
     encoder_noise: float
     estimates: tuple[Estimate, ...] = ()
     effects: tuple[Effect, ...] = ()
+    everywhere: int = 0
 
     def __post_init__(self) -> None:
         chain_links = [(link.name, link.joint) for link in self.chain.links]
@@ -80,12 +82,12 @@ class Model:
         return Arm.of(self.chain, self.effects)
 
     @cached_property
-    def _plain(self) -> Arm:
-        return Arm(self.chain)
+    def _reference(self) -> Arm:
+        return Arm.of(self.chain, self.effects[: self.everywhere])
 
     def arm_in(self, recording: Recording) -> Arm:
-        """What moves in a recording: without effects where its condition is `reference`."""
-        return self._plain if recording.condition == "reference" else self.arm
+        """What moves in a recording: where its condition is `reference`, with what acts everywhere only."""
+        return self._reference if recording.condition == REFERENCE else self.arm
 
     def simulate(self, recording: Recording) -> Simulation:
         """Simulate a recording open loop, from the initial state most likely given the whole of it.
@@ -103,7 +105,7 @@ class Model:
     def replays(
         self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, coarse: float = 1.0
     ) -> list[Replay]:
-        """Replays of several recordings, advanced together; in those of condition `reference`, no effect is present.
+        """Replays of several recordings, advanced together; each is of the arm that moved in it.
 
         Args:
             recordings: T instants each.

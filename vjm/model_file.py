@@ -69,6 +69,7 @@ class EffectEntry(_Entry):
     effect: str
     link: str | None
     parameters: dict[str, float | None]
+    everywhere: bool = False
 
 
 class ModelEntry(_Entry):
@@ -90,11 +91,13 @@ class StoredEffect:
         effect: its id.
         link: name of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
         parameters: by name, SI; None for a value that is infinite.
+        everywhere: whether it acts in recordings of the reference condition too.
     """
 
     effect: str
     link: str | None
     parameters: Mapping[str, float | None]
+    everywhere: bool = False
 
 
 @dataclass(frozen=True)

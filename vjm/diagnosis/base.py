@@ -9,20 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.layout import DEFAULT_LAYOUT
-from vjm.diagnosis.extension import REFERENCE
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Experiment, Recording
+from vjm.experiment.records import REFERENCE, Experiment, Recording
 from vjm.identification.data import Options, read_data
-from vjm.identification.outliers import without_outliers
+from vjm.identification.outliers import trimmed
 from vjm.identification.torque_fit import Progress
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit, simulated
 from vjm.identification.trajectory_problem import Point
 from vjm.identification.trajectory_search import Search
 from vjm.simulate.initial_state import most_likely
-from vjm.simulate.observation import Observed, view
+from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run
 
 Array = NDArray[np.float64]
@@ -39,14 +38,12 @@ class Base:
 
     Attributes:
         fit: of all training recordings; of those in the reference condition, where there are any.
-        search: what further fits start with.
         noise: the camera's.
         others: training recordings that are not in `fit`: those in which something may have changed.
         problems: why recordings are not used, a sentence each.
     """
 
     fit: TrajectoryFit
-    search: Search
     noise: Noise
     others: tuple[Observed, ...]
     problems: tuple[str, ...]
@@ -77,12 +74,12 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     if noise.size is not None and (experiment.rig.marker_noise is None or noise.size > _LARGER * size[0]):
         size = (noise.size, size[1])
     joints = tuple(max(LEAST_JOINTS, link.virtual_joints) for link in fit.point.chain.links)
-    observed = tuple(_prepared(_trimmed(run), size, noise) for run in runs)
+    observed = tuple(_prepared(trimmed(run), size, noise) for run in runs)
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     search = replace(search, observed=observed, rough=fit.point.misfit > _ROUGH)
     fit = search.near(joints, fit)
     others = tuple(_prepared(each, size, noise) for each in changed)
-    return Base(fit, search, noise, others, (*problems, *more))
+    return Base(fit, noise, others, (*problems, *more))
 
 
 def _further(experiment: Experiment, search: Search) -> tuple[list[Observed], list[Observed], tuple[str, ...]]:
@@ -119,14 +116,6 @@ def _followed(point: Point, observed: Sequence[Observed]) -> list[Run]:
     return found
 
 
-def _trimmed(run: Run) -> Observed:
-    """What was measured, without outliers."""
-    seen = run.observed
-    markers = view(run.arm, seen.arcs, run.steps, seen.recording.time)
-    recording, count = without_outliers(seen.recording, markers, seen.noise[0])
-    return _seen_again(seen, recording, seen.noise) if count else seen
-
-
 def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Observed:
     """With the noise that was found, and without frames that a delayed camera would have taken outside of it."""
     recording = observed.recording
@@ -135,12 +124,4 @@ def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Ob
         if inside.sum() > recording.time.size / 2:
             shown = np.where(inside[:, None, None], recording.markers, np.nan)
             recording = replace(recording, markers=shown)
-    return whitened(_seen_again(observed, recording, size), noise)
-
-
-def _seen_again(observed: Observed, recording: Recording, size: tuple[float, float]) -> Observed:
-    frames = recording.frames
-    seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
-    markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
-    values = np.concatenate([seen[markers], theta[angles]])
-    return Observed(recording, observed.arcs, frames, markers, angles, values, size, observed.loss)
+    return whitened(observed.again(recording, size), noise)

@@ -12,7 +12,7 @@ from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.search import Rules, Search
 from vjm.effects import Effect
-from vjm.experiment.records import Rig
+from vjm.experiment.records import REFERENCE, Rig
 from vjm.identification.trajectory_problem import Point
 
 _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
@@ -32,12 +32,13 @@ def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callabl
         return plain
     start = Explanation((), replace(base.fit, point=_as(base.point, None)))
     looked = looked_for([effect for effect in effects if not effect.abrupt], rig, start.point)
-    best = Search(Beginning(start, start), looked, _MUCH, tell).run().best
+    search = Search(Beginning(start, start), looked, _MUCH, tell)
+    best = search.run(search.judged(start)).best
     if not best.effects:
         return plain
     problem = best.point.problem
     extension = Extension(problem.parametrisation, best.effects, everywhere=len(best.effects))
-    point = _as(replace(best.point, problem=replace(problem, extension=extension)), "reference")
+    point = _as(replace(best.point, problem=replace(problem, extension=extension)), REFERENCE)
     return Explanation(best.effects, replace(best.fit, point=point))
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from vjm.diagnosis.records import Candidate
-from vjm.diagnosis.screen import Screen
+from vjm.diagnosis.screen import Screen, tail
 from vjm.effects import BUILTIN, Effect, ExternalTone
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.records import Recording, Rig
@@ -134,8 +135,6 @@ class Family:
     @classmethod
     def of(cls, seen: Screen, times: Array, alpha: float, seed: int) -> Family:
         """From the smallest p-values that noise alone gives, candidates being alike as they are (maximum statistic)."""
-        from vjm.diagnosis.screen import tail
-
         if not seen.effects:
             return cls(1.0, times, seen)
         draws = seen.draws(_DRAWS, seed)
@@ -151,8 +150,6 @@ class Family:
 
     def threshold(self, alpha: float) -> Array:
         """(V,) z that a candidate must reach to be below alpha."""
-        from scipy import stats
-
         single = -np.expm1(np.log1p(-alpha) / (self.looks * self.times))
         sizes, one_sided = self.seen.kinds
         return np.asarray(np.sqrt(stats.chi2.isf(np.where(one_sided, 2 * single, single), sizes)))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import Base
-from vjm.diagnosis.extension import REFERENCE, Extension
+from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
 from vjm.diagnosis.probes import described
@@ -20,7 +20,7 @@ from vjm.diagnosis.replays import follow, found_symptoms
 from vjm.diagnosis.rivals import alternatives
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.effects import Effect
-from vjm.experiment.records import Experiment
+from vjm.experiment.records import REFERENCE, Experiment
 from vjm.identification.information import Information, of_trajectory
 from vjm.identification.uncertainty import covariance, estimates, to_physical
 from vjm.model import Model
@@ -66,14 +66,12 @@ def conclude(
     causes = _causes(best, search.start, found, rivals, covariance(information))
     tell("replaying the recordings")
     model, plain = _model(experiment, base, best, information), _model(experiment, base, search.begun.before, None)
-    runner_up = _runner_up(search, best, causes)
+    runner_up = _runner_up(search, best)
     followed = follow(experiment, base, search.begun.before, best, runner_up)
     gained = gain(followed, rules.seed)
     left = leftover(best.point.runs)
-    needed = [k for k in range(len(found.last.seen.effects)) if _still(found, k, rules, best)]
-    remains = _remains(left, best, search.start, rules) or bool(needed)
-    if search.begun.lacking > 1:
-        remains = _worse_than_before(best, base.point.misfit / search.begun.lacking)
+    needed = _still_needed(best, search.start, found, rules)
+    remains = _remains(best, base, search, left, needed)
     description = _described(experiment, best, left, found, needed) if remains else ""
     verdict = _verdict(causes, remains)
     diagnosis = Diagnosis(
@@ -146,12 +144,27 @@ def _verdict(causes: Sequence[Cause], remains: bool) -> Verdict:
     return "set" if any(cause.rivals for cause in causes) else "named"
 
 
-def _remains(left: Leftover, best: Explanation, start: Explanation, rules: Rules) -> bool:
-    """Whether what is left is no noise, and matters."""
-    allowed = rules.matters * best.point.count
+def _allowed(best: Explanation, start: Explanation, rules: Rules) -> float:
+    """Chi^2 that may be left to explain without mattering."""
+    least = rules.least(best.chi2)
     if any(effect.abrupt for effect in best.effects):
-        allowed = max(allowed, _ABRUPT * (start.chi2 - best.chi2))
-    return left.p_value < _UNLIKELY and left.excess > allowed
+        return max(least, _ABRUPT * (start.chi2 - best.chi2))
+    return least
+
+
+def _still_needed(best: Explanation, start: Explanation, found: Found, rules: Rules) -> list[int]:
+    """Candidates of the last screen that are certain and matter."""
+    allowed = _allowed(best, start, rules)
+    certain = (found.last.p_values < rules.alpha) & (found.last.seen.statistics > allowed)
+    return [int(k) for k in np.flatnonzero(certain)]
+
+
+def _remains(best: Explanation, base: Base, search: Search, left: Leftover, needed: Sequence[int]) -> bool:
+    """Whether the explanation leaves more than noise; more than before the change, where that was more than noise."""
+    if search.begun.lacking > 1:
+        return _worse_than_before(best, base.point.misfit / search.begun.lacking)
+    unlikely = left.p_value < _UNLIKELY and left.excess > _allowed(best, search.start, search.rules)
+    return unlikely or bool(needed)
 
 
 def _worse_than_before(best: Explanation, usual: float) -> bool:
@@ -159,15 +172,6 @@ def _worse_than_before(best: Explanation, usual: float) -> bool:
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     squares, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
     return bool(np.sqrt(squares / max(count, 1)) > _CLEARLY * usual)
-
-
-def _still(found: Found, k: int, rules: Rules, best: Explanation) -> bool:
-    """Whether a candidate is needed beside the best explanation."""
-    certain = found.last.p_values[k] < rules.alpha
-    allowed = rules.matters * best.chi2
-    if any(effect.abrupt for effect in best.effects):
-        allowed = max(allowed, _ABRUPT * best.chi2)
-    return bool(certain and found.last.seen.statistics[k] > allowed)
 
 
 def _causes(
@@ -227,10 +231,10 @@ def _model(experiment: Experiment, base: Base, explanation: Explanation, informa
     kept = Information(information.normal[:own, :own], information.spread[:own, :own])
     found: tuple[Estimate, ...] = estimates(parametrisation, x, kept, to_physical(parametrisation, x, inside))
     noise = base.fit.point.runs[0].observed.noise
-    return Model(parametrisation.chain(x), experiment.rig, *noise, found, explanation.effects)
+    return Model(parametrisation.chain(x), experiment.rig, *noise, found, explanation.effects, explanation.everywhere)
 
 
-def _runner_up(search: Search, best: Explanation, causes: Sequence[Cause]) -> Explanation | None:
+def _runner_up(search: Search, best: Explanation) -> Explanation | None:
     """The next best explanation of as many effects."""
     others = [each for each in search.tried.values() if len(each.effects) == len(best.effects) > best.everywhere]
     others = [each for each in others if each.names != best.names]

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
 from vjm.effects.effect import Effect
-from vjm.experiment.records import Recording
+from vjm.experiment.records import REFERENCE, Recording
 from vjm.identification.parametrisation import Parametrisation
 from vjm.simulate.arm import Arm
 
 Array = NDArray[np.float64]
 
-REFERENCE = "reference"
 _LEAST_JOINT = 1e-3  # of an everyday size: an effect that is a joint of its own must not lose it on the way
 
 

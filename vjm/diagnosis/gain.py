@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.extension import REFERENCE
 from vjm.diagnosis.records import Followed, Gain
+from vjm.experiment.records import REFERENCE
 
 Array = NDArray[np.float64]
 

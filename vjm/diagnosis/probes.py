@@ -1,4 +1,4 @@
-"""Where something acts that no candidate explains, and what it looks like: generic forces and sensor errors."""
+"""Where something acts that no candidate explains, and what it looks like: generic forces."""
 
 from __future__ import annotations
 

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.extension import Extension
+from vjm.diagnosis.race import ALIKE
 from vjm.diagnosis.records import Rival
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.screen import Screen, screen
-from vjm.diagnosis.search import ALIKE, Found, Search
+from vjm.diagnosis.search import Found, Search
 from vjm.effects import Effect
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
     variants = [v for v in variants if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)]
     seen = _beside(best, cause, variants)
     wanted = _near(seen, cause, ALIKE * scale)
-    search.replacements(best, others, [seen.effects[k] for k in wanted])
+    search.replacements(others, [seen.effects[k] for k in wanted])
     rest = frozenset((effect.id, effect.link) for effect in others)
     rivals = []
     for names, tried in search.tried.items():

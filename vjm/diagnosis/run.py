@@ -7,9 +7,6 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vjm.diagnosis.base import base_fit
 from vjm.diagnosis.before import already_there, told
 from vjm.diagnosis.beginning import beginning
@@ -22,10 +19,9 @@ from vjm.effects import Effect
 from vjm.errors import ShapeError
 from vjm.experiment.records import Experiment
 
-Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
-_CHANGE = 1.0  # share of what it leaves
+_CHANGE = 1.0  # times what it leaves
 
 
 def diagnose(
@@ -70,13 +66,12 @@ def diagnose(
     rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
     with _workers(jobs) as executor:
         search = Search(begun, looked, rules, tell, executor, jobs)
-        found = search.run()
-        floor = rules.matters * begun.start.chi2
-        table = candidates(looked, found.first, rules.alpha, floor)
+        first = search.judged(begun.start)
+        table = candidates(looked, first, rules.alpha, rules.least(begun.start.chi2))
         if reasons:
             return insufficient(experiment, base, table, reasons)
         said = told(base, known, begun.lacking)
-        return conclude(experiment, base, search, found, table, rules, tell, said)
+        return conclude(experiment, base, search, search.run(first), table, rules, tell, said)
 
 
 @contextmanager

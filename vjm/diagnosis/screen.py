@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from vjm.diagnosis.extension import REFERENCE, adds_joint
+from vjm.diagnosis.extension import adds_joint
 from vjm.effects.effect import Effect
+from vjm.experiment.records import REFERENCE
 from vjm.identification.trajectory_problem import Point
 from vjm.simulate.arm import Arm
 from vjm.simulate.run import Run, Start, run_all, transferred

@@ -12,25 +12,19 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked
+from vjm.diagnosis.race import Job, begun_with, finished, proposal
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.diagnosis.screen import Screen, screen
 from vjm.effects import Effect
-from vjm.identification.trajectory_problem import Point
 
 Array = NDArray[np.float64]
 Tell = Callable[[str], None]
 Key = tuple[str, int | None]
 Step = tuple[Explanation, Sequence[int]]
-Job = tuple[Explanation, list[Effect], list[Array], bool]
 
 _BEST = 8  # candidates refitted a round
-_FIRST_STEPS = 2  # of each of them, before the most promising are followed to the end
 _PAIRS = 4  # pairs refitted that no single step leads to
-_MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
-# Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
-_DONE = ((1.5, 1e-2), (1.01, 1e-3))
 _NOISE = 1.02  # misfit that leaves nothing to explain
-ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Rules:
 
     Attributes:
         alpha: chance that any effect is found where there is none.
-        matters: share of chi^2 that an effect must explain to matter.
+        matters: by how much chi^2 must fall for an effect to matter, as a share of what is left then.
         most: number of effects at most.
         seed: of what is drawn.
     """
@@ -49,6 +43,10 @@ class Rules:
     most: int = 3
     seed: int = 0
 
+    def least(self, chi2: float) -> float:
+        """By how much chi^2 must fall from there."""
+        return chi2 * self.matters / (1 + self.matters)
+
 
 @dataclass(frozen=True)
 class Found:
@@ -56,7 +54,7 @@ class Found:
 
     Attributes:
         best: the explanation.
-        tried: every explanation that was fitted to its end, by what is in it.
+        tried: every explanation that was fitted, by what is in it; hopeless ones not to their end.
         first: the screen beside the model without effects, and its p-values.
         last: the same beside the best explanation.
         p_values: of each effect of the best explanation, when it was added.
@@ -90,10 +88,13 @@ class Search:
         self.start = begun.start
         self.tried: dict[frozenset[Key], Explanation] = {begun.start.names: begun.start}
 
-    def run(self) -> Found:
-        """Add effects while they are needed."""
-        best, p_values = self.start, dict[Key, float]()
-        first = family = self.judged(best)
+    def run(self, first: Family) -> Found:
+        """Add effects while they are needed.
+
+        Args:
+            first: the candidates beside the start.
+        """
+        best, p_values, family = self.start, dict[Key, float](), first
         while len(best.effects) < self.rules.most + len(self.start.effects):
             needed = self._needed(best, family)
             if not needed:
@@ -109,7 +110,9 @@ class Search:
             if trial is None or not self._worth(best, trial):
                 break
             best = self._polished(self._without_idle(trial))
-            p_values |= {key: float(family.p_values[needed[0]]) for key in best.names if key not in p_values}
+            p_values |= {
+                key: min(_p_value(each, key) for each in (family, first)) for key in best.names - p_values.keys()
+            }
             family = self.judged(best)
         return Found(best, self.tried, first, family, p_values)
 
@@ -155,12 +158,11 @@ class Search:
                 jobs.append((names, job))
         self._fit(jobs)
 
-    def replacements(self, best: Explanation, others: Sequence[Effect], added: Sequence[Effect]) -> None:
+    def replacements(self, others: Sequence[Effect], added: Sequence[Effect]) -> None:
         """Fit explanations in which a cause is replaced, from the best without it.
 
         Args:
-            best: the explanation.
-            others: its effects but the cause.
+            others: the explanation's effects but the cause.
             added: what may stand in its place, one at a time.
         """
         names = frozenset(_key(effect) for effect in others)
@@ -176,7 +178,7 @@ class Search:
         self.tell("trying " + ", ".join(sorted({name for names, _ in jobs for name, _ in names})))
         if not jobs:
             return
-        begun = [found for found in self._map(_begun, [job for _, job in jobs]) if found is not None]
+        begun = [found for found in self._map(begun_with, [job for _, job in jobs]) if found is not None]
         begun.sort(key=lambda each: each.chi2)
         record = min((each.chi2 for each in begun), default=np.inf)
         for first in range(0, len(begun), self.workers):
@@ -195,13 +197,12 @@ class Search:
     def _needed(self, best: Explanation, family: Family) -> list[int]:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
         seen = family.seen
-        matters = self.rules.matters * best.chi2
+        least = self.rules.least(best.chi2)
         lost = self.begun.lost and best is self.start
         needed = [
             k
             for k in range(len(seen.effects))
-            if (lost and not seen.absorbed[k])
-            or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > matters)
+            if (lost and not seen.absorbed[k]) or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
         ]
         return one_each(seen, needed) if needed else []
 
@@ -218,7 +219,7 @@ class Search:
         return min(found, key=lambda each: each.chi2, default=None)
 
     def _worth(self, fewer: Explanation, more: Explanation) -> bool:
-        return fewer.chi2 - more.chi2 > self.rules.matters * more.chi2
+        return fewer.chi2 - more.chi2 > self.rules.least(fewer.chi2)
 
     def _polished(self, explanation: Explanation) -> Explanation:
         """Fitted to the very end, unless that is of no use."""
@@ -245,54 +246,15 @@ def _key(effect: Effect) -> Key:
     return effect.id, effect.link
 
 
+def _p_value(family: Family, key: Key) -> float:
+    """The smallest of an effect's variants; one where it was not among the candidates."""
+    found = zip(family.seen.effects, family.p_values.tolist(), strict=True)
+    return min((p for effect, p in found if _key(effect) == key), default=1.0)
+
+
 def one_each(seen: Screen, chosen: Sequence[int]) -> list[int]:
     """Of several variants of one effect at one place the one that explains most; the most needed first."""
     best: dict[Key, int] = {}
     for k in sorted(chosen, key=lambda k: -seen.statistics[k]):
         best.setdefault(_key(seen.effects[k]), k)
     return list(best.values())
-
-
-def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], lost: bool = False) -> Job:
-    """What to fit: an explanation with further effects, of sizes that a screen guesses.
-
-    Args:
-        start: the explanation.
-        seen: the screen.
-        chosen: of its effects.
-        lost: whether the start does not follow the recordings: then sizes are everyday ones.
-    """
-    added = [seen.effects[k] for k in chosen]
-    guess = np.ones(sum(effect.sizes for effect in added)) if lost else seen.guess(chosen)
-    stops = np.cumsum([effect.sizes for effect in added])
-    sizes = [guess[stop - effect.sizes : stop] for stop, effect in zip(stops, added, strict=True)]
-    known = [effect.coordinates[: effect.sizes] for effect in start.effects]
-    return start, [*start.effects, *added], [*known, *sizes], lost
-
-
-def _begun(job: Job) -> Explanation | None:
-    """A refit's first steps."""
-    start, effects, sizes, lost = job
-    return refit(start, effects, sizes, _Patience(_FIRST_STEPS), lost)
-
-
-def finished(begun: Explanation, record: float = np.inf) -> Explanation | None:
-    """A refit to its end; given up once it will not come near the record."""
-    if begun.fit.converged:
-        return begun
-    own = [effect.coordinates[: effect.sizes] for effect in begun.effects]
-    return refit(begun, begun.effects, own, _Patience(np.inf, record))
-
-
-class _Patience:
-    """Ends a fit after some steps, or when it will not come near a record, or when it is wrong and as good as done."""
-
-    def __init__(self, steps: float, record: float = np.inf) -> None:
-        self.left = steps
-        self.record = record
-
-    def __call__(self, point: Point, predicted: float) -> bool:
-        self.left -= 1
-        share = predicted / point.chi2
-        wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
-        return self.left < 0 or wrong or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE

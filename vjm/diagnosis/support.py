@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vjm.diagnosis.extension import REFERENCE
-from vjm.experiment.records import Experiment, Recording
+from vjm.experiment.records import REFERENCE, Experiment, Recording
 
 _LEAST_FRAMES = 30
 

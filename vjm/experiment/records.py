@@ -15,6 +15,8 @@ Role = Literal["train", "holdout"]
 MarkersFrame = Literal["base", "link"]
 Array = NDArray[np.float64]
 
+REFERENCE = "reference"  # the condition in which the effect being sought is known to be absent
+
 
 @dataclass(frozen=True)
 class Link:

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from vjm.experiment.records import Recording
+from vjm.simulate.observation import Observed, view
+from vjm.simulate.run import Run
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,6 +47,14 @@ def without_outliers(recording: Recording, markers: Array, noise: float) -> tupl
     if count == 0 or count > max(1.0, _MOST * np.isfinite(residual).sum()):
         return recording, 0
     return replace(recording, markers=np.where(wrong, np.nan, recording.markers)), count
+
+
+def trimmed(run: Run) -> Observed:
+    """What was measured in a recording that a model follows, without outliers; the same where there are none."""
+    seen = run.observed
+    markers = view(run.arm, seen.arcs, run.steps, seen.recording.time)
+    recording, count = without_outliers(seen.recording, markers, seen.noise[0])
+    return seen.again(recording) if count else seen
 
 
 def _outlying(values: Array) -> Mask:

@@ -13,7 +13,7 @@ from vjm.angles.estimate import Angles, ShapeSettings, estimate_angles
 from vjm.chain.layout import Layout
 from vjm.derivatives import Derivatives, Smoother, interpolate
 from vjm.errors import ChoiceError, InsufficientDataError
-from vjm.experiment.records import Recording, Rig
+from vjm.experiment.records import REFERENCE, Recording, Rig
 from vjm.shape.order import choose_order
 from vjm.spectrum import MeasuredModes, measure_modes
 
@@ -93,13 +93,13 @@ def fitted_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
     Raises:
         InsufficientDataError: there is none.
     """
-    reference = any(recording.condition == "reference" for recording in recordings)
+    reference = any(recording.condition == REFERENCE for recording in recordings)
     chosen = tuple(
         recording
         for recording in recordings
         if recording.role == "train"
         and recording.kind in ("driven", "decay")
-        and (not reference or recording.condition == "reference")
+        and (not reference or recording.condition == REFERENCE)
     )
     if not chosen:
         raise InsufficientDataError(

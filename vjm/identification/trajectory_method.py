@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.errors import InsufficientDataError
-from vjm.experiment.records import Experiment, Recording, Rig
+from vjm.experiment.records import Experiment, Recording
 from vjm.identification.data import Data
-from vjm.identification.outliers import without_outliers
+from vjm.identification.outliers import trimmed
 from vjm.identification.select import JointChoice, choose_virtual_joints
 from vjm.identification.torque_fit import Progress, TorqueFit, TorqueProblem
 from vjm.identification.torque_method import driven_hubs, fit_uniform
@@ -19,7 +19,7 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_search import Search
 from vjm.simulate.drive import measured_torque
 from vjm.simulate.loss import LOSSES
-from vjm.simulate.observation import Observed, view
+from vjm.simulate.observation import Observed
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def first_fit(
     search = Search(experiment, data, observed, driven_hubs(experiment, recordings), progress, rough)
     joints = search.candidates()[0]
     fit = search.far(joints, torque)
-    observed = _without_outliers(experiment.rig, fit)
+    observed = tuple(trimmed(run) for run in fit.point.runs)
     if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
         fit = search.near(joints, fit)
@@ -123,13 +123,3 @@ def simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], t
             "record the column LINK.tau, or use method 'torque'",
         )
     return tuple(kept), tuple(problems)
-
-
-def _without_outliers(rig: Rig, fit: TrajectoryFit) -> tuple[Observed, ...]:
-    found = []
-    for run in fit.point.runs:
-        seen = run.observed
-        markers = view(run.arm, seen.arcs, run.steps, seen.recording.time)
-        recording, count = without_outliers(seen.recording, markers, seen.noise[0])
-        found.append(Observed.of(rig, recording, seen.noise, seen.loss) if count else seen)
-    return tuple(found)

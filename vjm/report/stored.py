@@ -74,8 +74,9 @@ def stored_effects(model: Model) -> list[StoredEffect]:
             effect.id,
             None if effect.link is None else names[effect.link],
             {name: value if math.isfinite(value) else None for name, value in effect.values.items()},
+            k < model.everywhere,
         )
-        for effect in model.effects
+        for k, effect in enumerate(model.effects)
     ]
 
 
@@ -105,9 +106,12 @@ def stored_model(
         raise ModelFileError(path, "key 'extra' holds no usable estimates", "a model.json written by vjm") from error
     noise = sensor_noise(experiment.rig, experiment.recordings)
     model = Model(stored.chain, experiment.rig, *noise, estimates)
-    read = _read_effects(path, stored.chain, stored.effects, effects)
+    # Those that act everywhere come first.
+    ordered = sorted(stored.effects, key=lambda each: not each.everywhere)
+    read = _read_effects(path, stored.chain, ordered, effects)
     placed = tuple(_placed(path, k, effect, experiment) for k, effect in enumerate(read))
-    return replace(model, effects=placed), covariance, stored.extra
+    everywhere = sum(each.everywhere for each in ordered)
+    return replace(model, effects=placed, everywhere=everywhere), covariance, stored.extra
 
 
 def stored_chain(path: Path | str, effects: Sequence[Effect] = BUILTIN) -> tuple[Chain, tuple[Effect, ...]]:

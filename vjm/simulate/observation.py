@@ -118,11 +118,24 @@ class Observed:
     @classmethod
     def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:
         """Everything measured in a recording, with the sensors' 1-sigma noise [m, rad]."""
+        return cls._of(Arcs.of(rig), recording, noise, loss)
+
+    @classmethod
+    def _of(cls, arcs: Arcs, recording: Recording, noise: tuple[float, float], loss: Loss) -> Observed:
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
         values = np.concatenate([seen[markers], theta[angles]])
-        return cls(recording, Arcs.of(rig), frames, markers, angles, values, noise, loss)
+        return cls(recording, arcs, frames, markers, angles, values, noise, loss)
+
+    def again(self, recording: Recording, noise: tuple[float, float] | None = None) -> Observed:
+        """The same arm in another recording, or in this one with other values left out; its noise is not whitened.
+
+        Args:
+            recording: of the same rig.
+            noise: 1-sigma of a marker coordinate [m] and of an angle [rad]; as it is when None.
+        """
+        return self._of(self.arcs, recording, noise or self.noise, self.loss)
 
     @cached_property
     def weights(self) -> Array:
