@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from vjm.chain import uniform_chain
 from vjm.chain.layout import layout
 from vjm.chain.records import Chain
+from vjm.diagnosis.noise import Noise, whitened
 from vjm.effects import Effect
 from vjm.experiment.records import Link, Recording, Rig
 from vjm.identification.parametrisation import Parametrisation
@@ -28,8 +30,24 @@ def chain_of(joints: int = 3) -> Chain:
     return Chain("rig", (uniform_chain(LINK, layout(1.0, joints), kelvin_voigt=5e-4),))
 
 
-def recorded(arm: Arm, seed: int, condition: str | None = None, duration: float = 2.0) -> list[Recording]:
-    """Two drives of different size, as a camera at 100 Hz and an encoder at 200 Hz see them."""
+def recorded(
+    arm: Arm,
+    seed: int,
+    condition: str | None = None,
+    duration: float = 2.0,
+    noise: tuple[float, float] = NOISE,
+    correlation: float = 0.0,
+) -> list[Recording]:
+    """Two drives of different size, as a camera at 100 Hz and an encoder at 200 Hz see them.
+
+    Args:
+        arm: what moves.
+        seed: of the noise.
+        condition: of the recordings.
+        duration: of each [s].
+        noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
+        correlation: of a marker's noise from frame to frame.
+    """
     time = np.arange(round(200 * duration) + 1) / 200
     found = []
     for k, size in enumerate((0.05, 0.12)):
@@ -39,17 +57,27 @@ def recorded(arm: Arm, seed: int, condition: str | None = None, duration: float 
         rest = np.zeros(arm.chain.size)
         motion = simulate(arm, RIG, blank, rest, rest)
         random = np.random.default_rng([seed, k])
-        markers = motion.markers + NOISE[0] * random.standard_normal(motion.markers.shape)
-        markers[1::2] = np.nan
-        theta = motion.theta + NOISE[1] * random.standard_normal(motion.theta.shape)
+        markers = np.full(motion.markers.shape, np.nan)
+        white = random.standard_normal(motion.markers[::2].shape)
+        white[0] /= np.sqrt(1 - correlation**2)
+        colour = np.sqrt(1 - correlation**2) * lfilter([1.0], [1.0, -correlation], white, axis=0)
+        markers[::2] = motion.markers[::2] + noise[0] * colour
+        theta = motion.theta + noise[1] * random.standard_normal(motion.theta.shape)
         found.append(replace(blank, theta=theta, markers=markers, condition=condition))
     return found
 
 
-def point_of(chain: Chain, effects: Sequence[Effect], recordings: Sequence[Recording]) -> Point:
+def point_of(
+    chain: Chain,
+    effects: Sequence[Effect],
+    recordings: Sequence[Recording],
+    noise: tuple[float, float] = NOISE,
+    correlation: float = 0.0,
+) -> Point:
     """An arm at rest at the start of recordings, beside them."""
     parametrisation = Parametrisation(chain, "uniform", (0,))
-    observed = tuple(Observed.of(RIG, each, NOISE) for each in recordings)
+    colour = Noise(noise[0], np.array([correlation] if correlation else []), "")
+    observed = tuple(whitened(Observed.of(RIG, each, noise), colour) for each in recordings)
     problem = TrajectoryProblem(parametrisation, observed)
     arm = Arm.of(chain, effects)
     starts = [Start.of(arm, each) for each in recordings]

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _STEP = 0.1  # everyday sizes, over which the slope is taken
 _ABSORBED = 1e-7  # share of a direction's square left once all else has been projected out, below which it is none
+_LARGEST = 1e12  # slope, in units of the noise
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Screen:
         effects: V absent effects.
         parts: the columns of each one's sizes.
         R: (c + 1, c + 1) triangle with R^T R their inner products; the last column stands for the residuals.
-        whole: (c,) squares of the directions before anything was projected out.
+        whole: (c,) squares of the directions before anything was projected out; infinite where they have no end.
     """
 
     effects: tuple[Effect, ...]
@@ -243,5 +244,9 @@ class _Rows:
             for given, columns in zip(self.secants, self.parts, strict=True):
                 if given is not None:
                     part[:, first + columns.start] = given[measured]
+            # Beside a motion that is all wrong an effect's slope may grow beyond all bounds: it says nothing then.
+            wild = ~(np.abs(part[:, first:]) < _LARGEST).all(axis=0)
+            part[:, first:][:, wild] = 0.0
+            self.squares[wild] = np.inf
             self.squares += np.sum(part[:, first:] ** 2, axis=0)
             yield kept[measured, None] * part, kept[measured] * residual[measured]
