@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.layout import DEFAULT_LAYOUT
+from vjm.diagnosis.coarseness import CLOSE, Coarseness, coarseness, corrected
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
@@ -41,12 +42,14 @@ class Base:
         noise: the camera's.
         others: training recordings that are not in `fit`: those in which something may have changed.
         problems: why recordings are not used, a sentence each.
+        coarseness: of the chain; None where the model lacks so much that it does not matter.
     """
 
     fit: TrajectoryFit
     noise: Noise
     others: tuple[Observed, ...]
     problems: tuple[str, ...]
+    coarseness: Coarseness | None = None
 
     @property
     def point(self) -> Point:
@@ -78,8 +81,9 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     search = replace(search, observed=observed, rough=fit.point.misfit > _ROUGH)
     fit = search.near(joints, fit)
+    found = coarseness(fit.point, experiment.rig) if fit.point.misfit < CLOSE else None
     others = tuple(_prepared(each, size, noise) for each in changed)
-    return Base(fit, noise, others, (*problems, *more))
+    return Base(corrected(fit, found), noise, others, (*problems, *more), found)
 
 
 def _further(experiment: Experiment, search: Search) -> tuple[list[Observed], list[Observed], tuple[str, ...]]:

@@ -27,12 +27,12 @@ def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callabl
         rig: the arm.
         tell: told what is being done.
     """
-    plain = Explanation((), base.fit)
+    plain = Explanation((), base.fit, None if base.coarseness is None else base.coarseness.shift)
     if not base.others or base.point.misfit < LACKING:
         return plain
     start = Explanation((), replace(base.fit, point=_as(base.point, None)))
     looked = looked_for([effect for effect in effects if not effect.abrupt], rig, start.point)
-    search = Search(Beginning(start, start), looked, _MUCH, tell)
+    search = Search(rig, Beginning(start, start), looked, _MUCH, tell)
     best = search.run(search.judged(start)).best
     if not best.effects:
         return plain

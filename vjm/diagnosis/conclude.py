@@ -181,6 +181,7 @@ def _causes(
     if not isinstance(extension, Extension):
         return ()
     causes = []
+    estimated = extension.present(best.estimate)
     for effect, part in [*zip(best.effects, extension.parts, strict=True)][best.everywhere :]:
         key = (effect.id, effect.link)
         without = found.tried.get(best.names - {key}, start)
@@ -193,7 +194,7 @@ def _causes(
         causes.append(
             Cause(
                 effect,
-                _sizes(effect, spread[part, part]),
+                _sizes(estimated[best.effects.index(effect)], spread[part, part]),
                 max(found.p_values.get(key, 0.0), 1e-300),
                 drop,
                 rivals[id(effect)],
@@ -224,12 +225,14 @@ def _model(experiment: Experiment, base: Base, explanation: Explanation, informa
     """The model of an explanation, with its parameters' estimates."""
     parametrisation = explanation.point.problem.parametrisation
     own = len(parametrisation.coordinates)
-    x = explanation.point.x[:own]
+    x, estimate = explanation.point.x[:own], explanation.estimate[:own]
     if information is None:
         information, _ = of_trajectory(explanation.fit, True)
     inside = covariance(information)[:own, :own]
     kept = Information(information.normal[:own, :own], information.spread[:own, :own])
-    found: tuple[Estimate, ...] = estimates(parametrisation, x, kept, to_physical(parametrisation, x, inside))
+    found: tuple[Estimate, ...] = estimates(
+        parametrisation, estimate, kept, to_physical(parametrisation, estimate, inside)
+    )
     noise = base.fit.point.runs[0].observed.noise
     return Model(parametrisation.chain(x), experiment.rig, *noise, found, explanation.effects, explanation.everywhere)
 

@@ -27,12 +27,14 @@ class Explanation:
     """A model with effects, fitted.
 
     Attributes:
-        effects: with their estimated parameters; none: the model without effects.
+        effects: with the parameters with which its chain follows the recordings; none: the model without effects.
         fit: the minimum.
+        shift: (p,) from its chain's coordinates to those of a beam, whose joints have no end; None: not known.
     """
 
     effects: tuple[Effect, ...]
     fit: TrajectoryFit
+    shift: Array | None = None
 
     @property
     def point(self) -> Point:
@@ -43,6 +45,13 @@ class Explanation:
     def chi2(self) -> float:
         """Sum of squared weighted residuals."""
         return self.fit.point.chi2
+
+    @property
+    def estimate(self) -> Array:
+        """(p,) coordinates, as a beam has them."""
+        if self.shift is None:
+            return self.point.x
+        return np.clip(self.point.x + self.shift, *self.point.problem.varied.bounds)
 
     @property
     def everywhere(self) -> int:

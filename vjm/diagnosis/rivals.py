@@ -42,7 +42,7 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
     rivals = []
     for names, tried in search.tried.items():
         new = [effect for effect in tried.effects if (effect.id, effect.link) not in rest]
-        same = len(names) == len(best.names) and rest <= names and len(new) == 1
+        same = len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.stale
         if same and (new[0].id, new[0].link) != (cause.id, cause.link):
             worse = tried.chi2 - best.chi2
             if worse < ALIKE * scale:

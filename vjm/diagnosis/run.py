@@ -65,7 +65,7 @@ def diagnose(
     # What a model lacks before a change is no noise: only what explains much of the rest is a change.
     rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
     with _workers(jobs) as executor:
-        search = Search(begun, looked, rules, tell, executor, jobs)
+        search = Search(experiment.rig, begun, looked, rules, tell, executor, jobs)
         first = search.judged(begun.start)
         table = candidates(looked, first, rules.alpha, rules.least(begun.start.chi2))
         if reasons:

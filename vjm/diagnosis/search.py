@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked
+from vjm.diagnosis.coarseness import CLOSE, beside, coarseness, corrected
+from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.race import Job, begun_with, finished, proposal
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.diagnosis.screen import Screen, screen
 from vjm.effects import Effect
+from vjm.experiment.records import Rig
 
 Array = NDArray[np.float64]
 Tell = Callable[[str], None]
@@ -72,6 +75,7 @@ class Search:
 
     def __init__(
         self,
+        rig: Rig,
         begun: Beginning,
         looked: Looked,
         rules: Rules,
@@ -79,6 +83,7 @@ class Search:
         executor: Executor | None = None,
         workers: int = 1,
     ) -> None:
+        self.rig = rig
         self.looked = looked
         self.rules = rules
         self.tell = tell
@@ -87,6 +92,8 @@ class Search:
         self.begun = begun
         self.start = begun.start
         self.tried: dict[frozenset[Key], Explanation] = {begun.start.names: begun.start}
+        self.stale: set[frozenset[Key]] = set()  # fitted before the chain's coarseness was known
+        self.surplus: list[Array] | None = None
 
     def run(self, first: Family) -> Found:
         """Add effects while they are needed.
@@ -109,7 +116,7 @@ class Search:
             trial = self._best(len(best.effects) + 1)
             if trial is None or not self._worth(best, trial):
                 break
-            best = self._polished(self._without_idle(trial))
+            best = self._sharpened(self._polished(self._without_idle(trial)))
             p_values |= {
                 key: min(_p_value(each, key) for each in (family, first)) for key in best.names - p_values.keys()
             }
@@ -152,7 +159,7 @@ class Search:
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            job = proposal(start, seen, chosen, self.begun.lost and start is self.start)
+            job = proposal(self._beside(start), seen, chosen, self.begun.lost and start is self.start)
             names = frozenset(_key(effect) for effect in job[1])
             if names not in self.tried and len(names) == len(job[1]):
                 jobs.append((names, job))
@@ -167,11 +174,29 @@ class Search:
         """
         names = frozenset(_key(effect) for effect in others)
         start = self.tried.get(names, self.start)
+        self._refreshed([names | {_key(effect)} for effect in added])
         new = [effect for effect in added if names | {_key(effect)} not in self.tried]
         if new:
             seen = screen(start.point, start.effects, new)
-            lost = self.begun.lost and start is self.start
+            lost, start = self.begun.lost and start is self.start, self._beside(start)
             self._fit([(names | {_key(effect)}, proposal(start, seen, [k], lost)) for k, effect in enumerate(new)])
+
+    def _refreshed(self, wanted: Sequence[frozenset[Key]]) -> None:
+        """Fit again what was fitted before the chain's coarseness was known."""
+        for names in self.stale.intersection(wanted):
+            known = self._beside(self.tried[names])
+            own = [effect.coordinates[: effect.sizes] for effect in known.effects]
+            found = refit(known, known.effects, own)
+            if found is not None:
+                self.tried[names] = found
+        self.stale.difference_update(wanted)
+
+    def _beside(self, explanation: Explanation) -> Explanation:
+        """An explanation beside what is known of the chain's coarseness."""
+        if self.surplus is None or explanation.names not in self.stale:
+            return explanation
+        fit = replace(explanation.fit, point=beside(explanation.point, self.surplus))
+        return replace(explanation, fit=fit)
 
     def _fit(self, jobs: Sequence[tuple[frozenset[Key], Job]]) -> None:
         """A few steps for each; then to the end for those that may be the best, the most promising first."""
@@ -232,10 +257,28 @@ class Search:
         self.tried[found.names] = found
         return found
 
+    def _sharpened(self, explanation: Explanation) -> Explanation:
+        """Once it follows the recordings, with its chain's coarseness known, which all later fits know too."""
+        if explanation.point.misfit > CLOSE or any(effect.abrupt for effect in explanation.effects):
+            return explanation
+        self.tell("asking what more virtual joints would show")
+        found = coarseness(explanation.point, self.rig)
+        if found is None:
+            return explanation
+        fit = corrected(explanation.fit, found)
+        extension = fit.point.problem.extension
+        effects = extension.present(fit.point.x) if isinstance(extension, Extension) else ()
+        known = Explanation(effects, fit, found.shift)
+        self.surplus, self.stale = [*found.surplus], {*self.tried} - {known.names}
+        self.tried[known.names] = known
+        return known
+
     def _without_idle(self, explanation: Explanation) -> Explanation:
         """Without effects that the others make needless."""
         for effect in explanation.effects[len(self.start.effects) :]:
             names = explanation.names - {_key(effect)}
+            if names in self.tried and self.tried[names].point.misfit < CLOSE:
+                self._refreshed([names])
             fewer = self.tried.get(names)
             if fewer is not None and fewer is not self.start and not self._worth(fewer, explanation):
                 return self._without_idle(fewer)

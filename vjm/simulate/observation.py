@@ -103,6 +103,7 @@ class Observed:
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
         whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
+        surplus: (N_m + N_t,) what is known to be shown beyond any simulation [m, rad]; None: nothing.
     """
 
     recording: Recording
@@ -114,6 +115,7 @@ class Observed:
     noise: tuple[float, float]
     loss: Loss = LINEAR
     whitening: sparse.csr_array | None = None
+    surplus: Array | None = None
 
     @classmethod
     def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:
@@ -161,7 +163,8 @@ class Observed:
 
     def residual(self, arm: Arm, steps: Steps) -> Array:
         """(N_m + N_t,) measured less predicted, weighted and whitened."""
-        return self.whitened(self.weights * (self.values - self.predicted(arm, steps)))
+        left = self.values - self.predicted(arm, steps)
+        return self.whitened(self.weights * (left if self.surplus is None else left - self.surplus))
 
     def whitened(self, weighted: Array) -> Array:
         """Weighted values (N_m + N_t, ...), so that their noise is white."""
@@ -208,6 +211,7 @@ class Observed:
             angles=angles,
             values=self.values[kept],
             whitening=whitening,
+            surplus=None if self.surplus is None else self.surplus[kept],
         )
 
     def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:
