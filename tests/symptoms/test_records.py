@@ -64,6 +64,15 @@ def test_sensors_that_are_missing_are_done_without() -> None:
     assert symptoms([], FREQUENCIES).found == ()
 
 
+@pytest.mark.parametrize("factor", [1e-4, 30.0])
+def test_a_motion_that_is_nothing_like_the_models_is_not_compared_with_it(factor: float) -> None:
+    """An amplitude ratio of e^800 is none; what is shown is the residual."""
+    small = replace(MOTION, amplitudes=(0.02 * factor, 0.005 * factor), slew=(0.1, 0.3))
+    symptoms_ = found(followed(0, replace(MOTION, slew=(0.4, 0.35)), small))
+    assert symptoms_.found
+    assert all(symptom.band is None for symptom in symptoms_.found if symptom.kind in ("amplitude", "phase"))
+
+
 def test_gaps_and_uneven_instants_do_not_move_the_values() -> None:
     whole = followed(0, replace(MOTION, frequencies=(1.195, 7.5)))
     recording = whole.recording

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 from vjm.diagnosis.base import Base
 from vjm.diagnosis.beginning import LACKING, Beginning
-from vjm.diagnosis.candidates import looked_for
 from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.search import Rules, Search
@@ -31,8 +30,8 @@ def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callabl
     if not base.others or base.point.misfit < LACKING:
         return plain
     start = Explanation((), replace(base.fit, point=_as(base.point, None)))
-    looked = looked_for([effect for effect in effects if not effect.abrupt], rig, start.point)
-    search = Search(rig, Beginning(start, start), looked, _MUCH, tell)
+    smooth = [effect for effect in effects if not effect.abrupt]
+    search = Search(rig, Beginning(start, start), smooth, _MUCH, tell)
     best = search.run(search.judged(start)).best
     if not best.effects:
         return plain

@@ -239,7 +239,7 @@ def _model(experiment: Experiment, base: Base, explanation: Explanation, informa
 
 def _runner_up(search: Search, best: Explanation) -> Explanation | None:
     """The next best explanation of as many effects."""
-    others = [each for each in search.tried.values() if len(each.effects) == len(best.effects) > best.everywhere]
+    others = [each for each in search.trials.tried.values() if len(each.effects) == len(best.effects) > best.everywhere]
     others = [each for each in others if each.names != best.names]
     return min(others, key=lambda each: each.chi2, default=None)
 

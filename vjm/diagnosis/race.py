@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,21 +11,38 @@ from numpy.typing import NDArray
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.diagnosis.screen import Screen
 from vjm.effects import Effect
-from vjm.identification.trajectory_problem import Point
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 
 Array = NDArray[np.float64]
-# What to start from, the effects wanted, their guessed sizes, and whether the start does not follow the recordings.
-Job = tuple[Explanation, list[Effect], list[Array], bool]
-
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
+_NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which an explanation may be best in the end
+_EXPLAINED = 1.1  # misfit of what explains them
+_KEPT = 3  # explanations that are followed where none does
 _FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
 # Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
 _DONE = ((1.5, 1e-2), (1.01, 1e-3))
 
 
+@dataclass(frozen=True)
+class Job:
+    """A refit to try.
+
+    Attributes:
+        start: the explanation to begin with.
+        effects: those wanted, with the inner parameters from which their search starts.
+        sizes: of each, in everyday sizes.
+        lost: whether the start does not follow the recordings.
+    """
+
+    start: Explanation
+    effects: tuple[Effect, ...]
+    sizes: tuple[Array, ...]
+    lost: bool = False
+
+
 def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], lost: bool = False) -> Job:
-    """What to fit: an explanation with further effects, of sizes that a screen guesses.
+    """An explanation with further effects, of sizes that a screen guesses.
 
     Args:
         start: the explanation.
@@ -36,22 +54,52 @@ def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], lost: bool
     guess = np.ones(sum(effect.sizes for effect in added)) if lost else seen.guess(chosen)
     stops = np.cumsum([effect.sizes for effect in added])
     sizes = [guess[stop - effect.sizes : stop] for stop, effect in zip(stops, added, strict=True)]
-    known = [effect.coordinates[: effect.sizes] for effect in start.effects]
-    return start, [*start.effects, *added], [*known, *sizes], lost
+    return Job(start, (*start.effects, *added), (*_own(start), *sizes), lost)
 
 
-def begun_with(job: Job) -> Explanation | None:
-    """A refit's first steps."""
-    start, effects, sizes, lost = job
-    return refit(start, effects, sizes, Patience(_FIRST_STEPS), lost)
+def begun_with(job: Job, whole: float) -> Explanation | None:
+    """A refit's first steps; of recordings' beginnings, all steps.
+
+    Args:
+        job: the refit.
+        whole: duration of the longest recording [s].
+    """
+    steps = np.inf if is_short(job.start, whole) else _FIRST_STEPS
+    return refit(job.start, job.effects, job.sizes, Patience(steps), job.lost)
 
 
-def finished(begun: Explanation, record: float = np.inf) -> Explanation | None:
-    """A refit to its end; given up once it will not come near the record."""
-    if begun.fit.converged:
+def is_short(explanation: Explanation, whole: float) -> bool:
+    """Whether it is of the recordings' beginnings only."""
+    return explanation.point.problem.longest < whole
+
+
+def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:
+    """The best first; of those that were tried on the recordings' beginnings, the ones that may be best in the end."""
+    ordered = sorted(begun, key=lambda each: each.chi2)
+    if not any(is_short(each, whole) for each in ordered):
+        return ordered
+    best = ordered[0].point.misfit
+    near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in ordered)
+    return ordered[: near if best < _EXPLAINED else max(near, _KEPT)]
+
+
+def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Explanation | None:
+    """A refit to its end; given up once it will not come near the record.
+
+    Args:
+        begun: where it has come to.
+        record: chi^2 of the best so far.
+        whole: all of the recordings.
+    """
+    short = is_short(begun, whole.longest)
+    if begun.fit.converged and not short:
         return begun
-    own = [effect.coordinates[: effect.sizes] for effect in begun.effects]
-    return refit(begun, begun.effects, own, Patience(np.inf, record))
+    return refit(begun, begun.effects, _own(begun), Patience(np.inf, record), whole=whole if short else None)
+
+
+def _own(explanation: Explanation) -> list[Array]:
+    """Sizes of its effects."""
+    return [effect.coordinates[: effect.sizes] for effect in explanation.effects]
 
 
 class Patience:

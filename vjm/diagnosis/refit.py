@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from vjm.diagnosis.extension import Extension
 from vjm.effects.effect import Effect
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
-from vjm.identification.trajectory_problem import Point
+from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
 
-_ADRIFT = 100.0  # misfit of a start that does not follow the recordings for long
+ADRIFT = 10.0  # misfit of a start that does not follow the recordings for long
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
 
 
@@ -71,6 +71,7 @@ def refit(
     sizes: Sequence[Array],
     hopeless: Callable[[Point, float], bool] | None = None,
     lost: bool = False,
+    whole: TrajectoryProblem | None = None,
 ) -> Explanation | None:
     """Fit a model with other effects, from a fit with some of them or with none.
 
@@ -80,6 +81,7 @@ def refit(
         sizes: (s,) guessed size of each, in everyday sizes.
         hopeless: may end the search, as of `fit_trajectory`.
         lost: whether the start does not follow the recordings.
+        whole: the problem to solve, where the start is of the recordings' first seconds only; None: the start's.
 
     Returns:
         The fit; None where it cannot be simulated.
@@ -93,21 +95,37 @@ def refit(
     x = np.concatenate([start.point.x[: len(base.coordinates)], *first])
     lower, upper = extension.bounds
     x = np.clip(x, lower, upper)
-    problem = replace(start.point.problem, extension=extension)
+    problem = replace(whole or start.point.problem, extension=extension)
     arms = problem.arms(x)
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
-    # What sticks and slips is found from the recordings' beginnings.
-    new = [each for each in extension.effects if (each.id, each.link) not in start.names]
-    adrift = lost or start.point.misfit > _ADRIFT
-    known = 0.0 if adrift or any(each.abrupt for each in new) else np.inf
+    known = _followed(start, extension.effects, lost) if whole is None else start.point.problem.longest
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):
         if problem.coarse == 1.0:
             return None
         finer = replace(start.point, problem=replace(start.point.problem, coarse=1.0))
-        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, sizes, hopeless, lost)
+        whole = None if whole is None else replace(whole, coarse=1.0)
+        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, sizes, hopeless, lost, whole)
     return Explanation(extension.present(fit.point.x), fit)
+
+
+def _followed(start: Explanation, effects: Sequence[Effect], lost: bool) -> float:
+    """How long an explanation is known to follow the recordings [s], with further effects."""
+    # What sticks and slips is found from the recordings' beginnings.
+    new = [each for each in effects if (each.id, each.link) not in start.names]
+    adrift = lost or start.point.misfit > ADRIFT
+    return 0.0 if adrift or any(each.abrupt for each in new) else np.inf
+
+
+def shortened(explanation: Explanation) -> Explanation:
+    """The same explanation of the recordings' first periods only, which it follows better."""
+    point = explanation.point
+    part = point.problem.until(first_horizon(point.problem, point.x))
+    fit = fit_trajectory(part, point.x, None, [run.state for run in point.runs], rough=True)
+    extension = part.extension
+    effects = extension.present(fit.point.x) if isinstance(extension, Extension) else ()
+    return Explanation(effects, fit)
 
 
 def _sized(effect: Effect, guess: Array) -> Array:

@@ -40,9 +40,9 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
     search.replacements(others, [seen.effects[k] for k in wanted])
     rest = frozenset((effect.id, effect.link) for effect in others)
     rivals = []
-    for names, tried in search.tried.items():
+    for names, tried in search.trials.tried.items():
         new = [effect for effect in tried.effects if (effect.id, effect.link) not in rest]
-        same = len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.stale
+        same = len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.trials.stale
         if same and (new[0].id, new[0].link) != (cause.id, cause.link):
             worse = tried.chi2 - best.chi2
             if worse < ALIKE * scale:

@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from vjm.diagnosis.base import base_fit
 from vjm.diagnosis.before import already_there, told
 from vjm.diagnosis.beginning import beginning
-from vjm.diagnosis.candidates import candidates, chosen_effects, looked_for
+from vjm.diagnosis.candidates import candidates, chosen_effects
 from vjm.diagnosis.conclude import conclude, insufficient
 from vjm.diagnosis.records import Diagnosis
 from vjm.diagnosis.search import Rules, Search
@@ -61,13 +61,12 @@ def diagnose(
     base = base_fit(experiment, tell.inside)
     known = already_there(base, chosen, experiment.rig, tell)
     begun = beginning(base, known)
-    looked = looked_for(chosen, experiment.rig, begun.start.point)
     # What a model lacks before a change is no noise: only what explains much of the rest is a change.
     rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
     with _workers(jobs) as executor:
-        search = Search(experiment.rig, begun, looked, rules, tell, executor, jobs)
+        search = Search(experiment.rig, begun, chosen, rules, tell, executor, jobs)
         first = search.judged(begun.start)
-        table = candidates(looked, first, rules.alpha, rules.least(begun.start.chi2))
+        table = candidates(search.looked, first, rules.alpha, search.matters(begun.start))
         if reasons:
             return insufficient(experiment, base, table, reasons)
         said = told(base, known, begun.lacking)

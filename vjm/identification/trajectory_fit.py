@@ -82,9 +82,8 @@ def fit_trajectory(
 
 def _horizons(problem: TrajectoryProblem, x: Array, known: float) -> list[float]:
     """Lengths of the recordings' beginnings to fit, beyond what is known, each a few times the one before [s]."""
-    longest = max(float(o.recording.time[-1] - o.recording.time[0]) for o in problem.observed)
     horizon, found = first_horizon(problem, x), []
-    while horizon < longest / 1.5:
+    while horizon < problem.longest / 1.5:
         if horizon > _LONGER / 2 * known:
             found.append(horizon)
         horizon *= _LONGER

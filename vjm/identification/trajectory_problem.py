@@ -80,6 +80,11 @@ class TrajectoryProblem:
         """What the search varies."""
         return self.parametrisation if self.extension is None else self.extension
 
+    @property
+    def longest(self) -> float:
+        """Duration of the longest recording [s]."""
+        return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
+
     def until(self, duration: float) -> TrajectoryProblem:
         """The same with the recordings' first seconds only."""
         parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]

@@ -26,6 +26,7 @@ _LEAST_PART = 0.1  # of the motion of the coordinate that moves most in a band
 _ALIVE = 0.05  # of its largest amplitude: where a band's motion begins and ends
 _BLUR = 0.04  # relative error of what is found in a band: none is cut out of its surroundings perfectly
 _SURE = 3.0  # standard errors
+_FAR = 2.0  # logarithm of an amplitude ratio, or phase, from which one motion is no longer the other one changed
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,11 @@ class Band:
     shapes: tuple[tuple[str, Estimate, float], ...]
     sensors: tuple[int, ...]
     demodulated: tuple[Demodulated, ...]
+
+    @property
+    def comparable(self) -> bool:
+        """Whether what was measured swings so much like what was simulated that the two can be compared."""
+        return bool(np.hypot(self.gain.value, self.phase.value) < _FAR)
 
     @property
     def ahead(self) -> float:
@@ -138,7 +144,7 @@ def compare_bands(sensors: Sequence[Channels], frequencies: Sequence[float]) -> 
     ]
     (gain, *_), (delay, *_), (lag, *_), (clock, *_) = others
     shares = (others[0][1], others[1][1], others[2][1], others[3][1])
-    return Bands(tuple(bands), gain, delay, lag, clock, shares, left)
+    return Bands(tuple(band for band in bands if band.comparable), gain, delay, lag, clock, shares, left)
 
 
 def _certain(found: Estimate) -> float:

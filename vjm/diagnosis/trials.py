@@ -1,0 +1,147 @@
+"""Explanations that were fitted, each beside the same knowledge of what the chain's coarseness does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.diagnosis.beginning import Beginning
+from vjm.diagnosis.coarseness import CLOSE, beside, coarseness, corrected
+from vjm.diagnosis.extension import Extension
+from vjm.diagnosis.race import Job, begun_with, finished, is_short, promising
+from vjm.diagnosis.refit import ADRIFT, Explanation, refit, shortened
+from vjm.effects import Effect
+from vjm.experiment.records import Rig
+
+Array = NDArray[np.float64]
+Tell = Callable[[str], None]
+Key = tuple[str, int | None]
+Names = frozenset[Key]
+
+
+class Trials:
+    """All that a search has fitted, by the names of the effects.
+
+    Attributes:
+        start: the explanation from which effects are looked for.
+        lost: whether it does not follow what has changed.
+        tried: explanations; hopeless ones not to their end.
+        stale: those that do not know what `surplus` says.
+        surplus: what more virtual joints would show, for each recording; None: not known yet.
+    """
+
+    def __init__(self, rig: Rig, begun: Beginning, tell: Tell, executor: Executor | None, workers: int) -> None:
+        self.rig = rig
+        self.start = begun.start
+        self.lost = begun.lost
+        self.tell = tell
+        self.executor = executor
+        self.workers = workers
+        self.tried: dict[Names, Explanation] = {begun.start.names: begun.start}
+        self.stale: set[Names] = set()
+        self.surplus: tuple[Array, ...] | None = None
+        self._guides: dict[Names, Explanation] = {}
+
+    def guide(self, explanation: Explanation) -> Explanation:
+        """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
+        if self.from_afar(explanation) or explanation.point.misfit < ADRIFT:
+            return explanation
+        if explanation.names not in self._guides:
+            self._guides[explanation.names] = shortened(explanation)
+        return self._guides[explanation.names]
+
+    def from_afar(self, explanation: Explanation) -> bool:
+        """Whether nothing is a guide from there."""
+        return self.lost and explanation is self.start
+
+    def best(self, count: int) -> Explanation | None:
+        """The best explanation of so many effects."""
+        found = [each for each in self.tried.values() if len(each.effects) == count]
+        return min(found, key=lambda each: each.chi2, default=None)
+
+    def fit(self, jobs: Sequence[Job]) -> None:
+        """A few steps for each; then to the end for those that may be the best, the most promising first."""
+        wanted = {named(job.effects): job for job in jobs}
+        wanted = {names: job for names, job in wanted.items() if names not in self.tried}
+        self.tell("trying " + ", ".join(sorted({name for names in wanted for name, _ in names})))
+        if not wanted:
+            return
+        whole = self._beside(self.start).point.problem
+        jobs = [replace(job, start=self._known(job.start)) for job in wanted.values()]
+        begun = self._map(partial(begun_with, whole=whole.longest), jobs)
+        best = promising([found for found in begun if found is not None], whole.longest)
+        record = min((each.chi2 for each in best if not is_short(each, whole.longest)), default=np.inf)
+        for first in range(0, len(best), self.workers):
+            together = best[first : first + self.workers]
+            self.tell("fitting " + " and ".join(sorted({name for each in together for name, _ in each.names})))
+            for found in self._map(partial(finished, record=record, whole=whole), together):
+                if found is not None:
+                    self.tried[found.names] = found
+                    record = min(record, found.chi2)
+
+    def refresh(self, wanted: Sequence[Names]) -> None:
+        """Fit again what was fitted before the chain's coarseness was known."""
+        for names in self.stale.intersection(wanted):
+            known = self._beside(self.tried[names])
+            found = refit(known, known.effects, [effect.coordinates[: effect.sizes] for effect in known.effects])
+            if found is not None:
+                self.tried[names] = found
+        self.stale.difference_update(wanted)
+
+    def polish(self, explanation: Explanation) -> Explanation:
+        """Fitted to the very end, unless that is of no use."""
+        if explanation.fit.converged or any(effect.abrupt for effect in explanation.effects):
+            return explanation
+        own = [effect.coordinates[: effect.sizes] for effect in explanation.effects]
+        found = refit(explanation, explanation.effects, own)
+        if found is None or found.chi2 > explanation.chi2:
+            return explanation
+        self.tried[found.names] = found
+        return found
+
+    def sharpen(self, explanation: Explanation) -> Explanation:
+        """Once it follows the recordings, with its chain's coarseness known, which all later fits know too."""
+        if explanation.point.misfit > CLOSE or any(effect.abrupt for effect in explanation.effects):
+            return explanation
+        self.tell("asking what more virtual joints would show")
+        found = coarseness(explanation.point, self.rig)
+        if found is None:
+            return explanation
+        fit = corrected(explanation.fit, found)
+        extension = fit.point.problem.extension
+        effects = extension.present(fit.point.x) if isinstance(extension, Extension) else ()
+        known = Explanation(effects, fit, found.shift)
+        self.surplus, self.stale = found.surplus, {*self.tried} - {known.names}
+        self._guides.clear()
+        self.tried[known.names] = known
+        return known
+
+    def _known(self, start: Explanation) -> Explanation:
+        """The start of a fit; short ones are good enough as they are."""
+        return start if is_short(start, self.start.point.problem.longest) else self._beside(start)
+
+    def _beside(self, explanation: Explanation) -> Explanation:
+        """An explanation beside what is known of the chain's coarseness."""
+        if self.surplus is None or explanation.names not in self.stale:
+            return explanation
+        return replace(explanation, fit=replace(explanation.fit, point=beside(explanation.point, self.surplus)))
+
+    def _map(self, work: Callable[..., Explanation | None], jobs: Sequence[object]) -> list[Explanation | None]:
+        if self.executor is None or len(jobs) < 2:
+            return [work(job) for job in jobs]
+        return [*self.executor.map(work, jobs)]
+
+
+def key_of(effect: Effect) -> Key:
+    """What an effect at a place is known by."""
+    return effect.id, effect.link
+
+
+def named(effects: Sequence[Effect]) -> Names:
+    """What several effects are known by."""
+    return frozenset(key_of(effect) for effect in effects)
