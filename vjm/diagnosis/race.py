@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
 _NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which an explanation may be best in the end
 _EXPLAINED = 1.1  # misfit of what explains them
+_LITTLE = 2.0  # the same of whole recordings, before a fit has ended
 _KEPT = 3  # explanations that are followed where none does
 _FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
@@ -71,6 +72,11 @@ def begun_with(job: Job, whole: float) -> Explanation | None:
 def is_short(explanation: Explanation, whole: float) -> bool:
     """Whether it is of the recordings' beginnings only."""
     return explanation.point.problem.longest < whole
+
+
+def near_noise(begun: Explanation, whole: float) -> bool:
+    """Whether so little is left that its fit is worth ending before others are tried."""
+    return begun.point.misfit < (_EXPLAINED if is_short(begun, whole) else _LITTLE)
 
 
 def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:

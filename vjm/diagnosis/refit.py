@@ -18,7 +18,7 @@ from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
 
-ADRIFT = 10.0  # misfit of a start that does not follow the recordings for long
+ADRIFT = 4.0  # misfit of a start that does not follow the recordings for long
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
 
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
-from vjm.diagnosis.coarseness import CLOSE
 from vjm.diagnosis.race import proposal
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.screen import Screen, screen
-from vjm.diagnosis.trials import Key, Names, Tell, Trials, key_of, named
+from vjm.diagnosis.trials import NOISE, Key, Names, Tell, Trials, key_of, named
 from vjm.effects import Effect
 from vjm.experiment.records import Rig
 
@@ -24,7 +23,6 @@ Step = tuple[Explanation, Sequence[int]]
 
 _BEST = 8  # candidates refitted a round
 _PAIRS = 4  # pairs refitted that no single step leads to
-_NOISE = 1.02  # misfit that leaves nothing to explain
 
 
 @dataclass(frozen=True)
@@ -105,7 +103,7 @@ class Search:
                 steps += self._pairs(first, best)
             smooth, abrupt = self._apart(family, first, best, steps)
             self.race(best, family, first, smooth)
-            if not self._explained(len(best.effects) + 1):
+            if not self.trials.explained(len(best.effects) + 1):
                 self.race(best, family, first, abrupt)
             trial = self.trials.best(len(best.effects) + 1)
             if trial is None or not self._worth(best, trial):
@@ -123,7 +121,7 @@ class Search:
         names = explanation.names
         looked = self.looked if explanation is self.start else self._looked(explanation)
         # What sticks and slips is slow to try, and not what could be left where all but noise is explained.
-        quick = explanation is not self.start and explanation.point.misfit < _NOISE
+        quick = explanation is not self.start and explanation.point.misfit < NOISE
         kept = [
             k
             for k, variant in enumerate(looked.variants)
@@ -179,11 +177,6 @@ class Search:
             (abrupt if any(seen.effects[k].abrupt for k in chosen) else smooth).append((start, chosen))
         return smooth, abrupt
 
-    def _explained(self, count: int) -> bool:
-        """Whether so many effects leave nothing but noise."""
-        found = self.trials.best(count)
-        return found is not None and found.point.misfit < _NOISE
-
     def _needed(self, best: Explanation, family: Family) -> list[int]:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
         seen, least, lost = family.seen, self.matters(best), self.trials.from_afar(best)
@@ -207,13 +200,11 @@ class Search:
 
     def _without_idle(self, explanation: Explanation) -> Explanation:
         """Without effects that the others make needless."""
-        tried = self.trials.tried
         for effect in explanation.effects[len(self.start.effects) :]:
-            names = explanation.names - {key_of(effect)}
-            if names in tried and tried[names].point.misfit < CLOSE:
-                self.trials.refresh([names])
-            fewer = tried.get(names)
-            if fewer is not None and fewer is not self.start and not self._worth(fewer, explanation):
+            if len(explanation.effects) == len(self.start.effects) + 1:
+                break  # the step to a first effect is judged against the start
+            fewer = self.trials.without(explanation, effect, explanation.chi2 * (1 + self.rules.matters))
+            if fewer is not None and not self._worth(fewer, explanation):
                 return self._without_idle(fewer)
         return explanation
 

@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.coarseness import CLOSE, beside, coarseness, corrected
 from vjm.diagnosis.extension import Extension
-from vjm.diagnosis.race import Job, begun_with, finished, is_short, promising
+from vjm.diagnosis.race import Job, Patience, begun_with, finished, is_short, near_noise, promising
 from vjm.diagnosis.refit import ADRIFT, Explanation, refit, shortened
 from vjm.effects import Effect
 from vjm.experiment.records import Rig
+from vjm.identification.trajectory_problem import TrajectoryProblem
 
 Array = NDArray[np.float64]
+NOISE = 1.02  # misfit that leaves nothing to explain
+COARSE = 1.15  # the same as long as the chain's coarseness is not known
 Tell = Callable[[str], None]
 Key = tuple[str, int | None]
 Names = frozenset[Key]
@@ -72,17 +75,62 @@ class Trials:
         if not wanted:
             return
         whole = self._beside(self.start).point.problem
-        jobs = [replace(job, start=self._known(job.start)) for job in wanted.values()]
-        begun = self._map(partial(begun_with, whole=whole.longest), jobs)
-        best = promising([found for found in begun if found is not None], whole.longest)
-        record = min((each.chi2 for each in best if not is_short(each, whole.longest)), default=np.inf)
-        for first in range(0, len(best), self.workers):
-            together = best[first : first + self.workers]
+        pending = [replace(job, start=self._known(job.start)) for job in wanted.values()]
+        begun: list[Explanation] = []
+        while pending:
+            together, pending = pending[: self.workers], pending[self.workers :]
+            found = self._map(partial(begun_with, whole=whole.longest), together)
+            new = [each for each in found if each is not None]
+            begun += new
+            # What leaves nothing but noise cannot be bettered, and what equals it is asked for in the end.
+            if self._explained(self._finish([each for each in new if near_noise(each, whole.longest)], whole)):
+                return
+        rest = [each for each in promising(begun, whole.longest) if each.names not in self.tried]
+        self._finish(rest, whole)
+
+    def _finish(self, begun: Sequence[Explanation], whole: TrajectoryProblem) -> list[Explanation]:
+        """Fits to their end, as long as they may be the best of so many effects."""
+        known = [each.chi2 for each in self.tried.values() if begun and len(each.effects) == len(begun[0].effects)]
+        record = min([*known, *(each.chi2 for each in begun if not is_short(each, whole.longest))], default=np.inf)
+        ended: list[Explanation] = []
+        for first in range(0, len(begun), self.workers):
+            together = begun[first : first + self.workers]
             self.tell("fitting " + " and ".join(sorted({name for each in together for name, _ in each.names})))
-            for found in self._map(partial(finished, record=record, whole=whole), together):
-                if found is not None:
-                    self.tried[found.names] = found
-                    record = min(record, found.chi2)
+            found = self._map(partial(finished, record=record, whole=whole), together)
+            ended += [each for each in found if each is not None]
+            self.tried |= {each.names: each for each in ended}
+            record = min([record, *(each.chi2 for each in ended)])
+        return ended
+
+    def explained(self, count: int) -> bool:
+        """Whether so many effects leave nothing but noise."""
+        found = self.best(count)
+        return found is not None and self._explained([found])
+
+    def without(self, explanation: Explanation, effect: Effect, record: float) -> Explanation | None:
+        """The same explanation without one of its effects, fitted again; None where that cannot be simulated.
+
+        Args:
+            explanation: the explanation.
+            effect: one of its effects.
+            record: chi^2 of no interest beyond; the fit is given up once it will not come near.
+        """
+        names = explanation.names - {key_of(effect)}
+        if names in self.tried:
+            if self.tried[names].point.misfit < CLOSE:
+                self.refresh([names])
+            return self.tried[names]
+        kept = tuple(each for each in explanation.effects if each is not effect)
+        sizes = [each.coordinates[: each.sizes] for each in kept]
+        found = refit(explanation, kept, sizes, Patience(np.inf, record))
+        if found is not None:
+            self.tried[names] = found
+        return found
+
+    def _explained(self, explanations: Sequence[Explanation]) -> bool:
+        """Whether one of them leaves nothing but noise, and what the chain's coarseness may."""
+        least = COARSE if self.surplus is None else NOISE
+        return any(each.point.misfit < least for each in explanations)
 
     def refresh(self, wanted: Sequence[Names]) -> None:
         """Fit again what was fitted before the chain's coarseness was known."""
