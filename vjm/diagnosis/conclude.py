@@ -29,8 +29,8 @@ from vjm.parameters import Estimate
 Array = NDArray[np.float64]
 
 _UNLIKELY = 1e-3  # that noise alone leaves so much
-_ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
 _NIL = 0.002  # reduction of the held-out error that is none
+_LITTLE = 0.02  # share of chi^2; what explains more is real, whether the recordings held out show it or not
 _SLOPE_STEP = 1e-5
 _CLEARLY = 2.0  # times the misfit before the change
 
@@ -70,7 +70,7 @@ def conclude(
     followed = follow(experiment, base, search.begun.before, best, runner_up)
     gained = gain(followed, rules.seed)
     left = leftover(best.point.runs)
-    needed = _still_needed(best, search.start, found, rules)
+    needed = _still_needed(best, search, found)
     remains = _remains(best, base, search, left, needed)
     description = _described(experiment, best, left, found, needed) if remains else ""
     verdict = _verdict(causes, remains)
@@ -91,12 +91,13 @@ def conclude(
         warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
         notes=_notes(base, best, left, remains),
     )
-    useless = bool(causes) and (gained is None or gained.reduction < _NIL)
+    little = search.start.chi2 - best.chi2 < _LITTLE * best.chi2
+    useless = bool(causes) and little and (gained is None or gained.reduction < _NIL)
     return _without_causes(diagnosis, rules.seed) if useless and not remains else diagnosis
 
 
 def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
-    """The diagnosis where what is significant is of no use: the chain's own coarseness looks like that."""
+    """The diagnosis where what is significant is small, and of no use."""
     named = ", ".join(cause.effect.id for cause in diagnosis.causes)
     warning = f"{named} would explain a little of the training recordings and nothing of those held out: not a cause"
     followed = tuple(replace(each, after=each.before, runner_up=None) for each in diagnosis.recordings)
@@ -144,18 +145,9 @@ def _verdict(causes: Sequence[Cause], remains: bool) -> Verdict:
     return "set" if any(cause.rivals for cause in causes) else "named"
 
 
-def _allowed(best: Explanation, start: Explanation, rules: Rules) -> float:
-    """Chi^2 that may be left to explain without mattering."""
-    least = rules.least(best.chi2)
-    if any(effect.abrupt for effect in best.effects):
-        return max(least, _ABRUPT * (start.chi2 - best.chi2))
-    return least
-
-
-def _still_needed(best: Explanation, start: Explanation, found: Found, rules: Rules) -> list[int]:
+def _still_needed(best: Explanation, search: Search, found: Found) -> list[int]:
     """Candidates of the last screen that are certain and matter."""
-    allowed = _allowed(best, start, rules)
-    certain = (found.last.p_values < rules.alpha) & (found.last.seen.statistics > allowed)
+    certain = (found.last.p_values < search.rules.alpha) & (found.last.seen.statistics > search.matters(best))
     return [int(k) for k in np.flatnonzero(certain)]
 
 
@@ -163,7 +155,7 @@ def _remains(best: Explanation, base: Base, search: Search, left: Leftover, need
     """Whether the explanation leaves more than noise; more than before the change, where that was more than noise."""
     if search.begun.lacking > 1:
         return _worse_than_before(best, base.point.misfit / search.begun.lacking)
-    unlikely = left.p_value < _UNLIKELY and left.excess > _allowed(best, search.start, search.rules)
+    unlikely = left.p_value < _UNLIKELY and left.excess > search.matters(best)
     return unlikely or bool(needed)
 
 

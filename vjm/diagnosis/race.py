@@ -20,6 +20,7 @@ _EXPLAINED = 1.1  # misfit of what explains them
 _LITTLE = 2.0  # the same of whole recordings, before a fit has ended
 _KEPT = 3  # explanations that are followed where none does
 _FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
+_STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
 # Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
 _DONE = ((1.5, 1e-2), (1.01, 1e-3))
@@ -66,7 +67,7 @@ def begun_with(job: Job, whole: float) -> Explanation | None:
         whole: duration of the longest recording [s].
     """
     steps = np.inf if is_short(job.start, whole) else _FIRST_STEPS
-    return refit(job.start, job.effects, job.sizes, Patience(steps), job.lost)
+    return refit(job.start, job.effects, job.sizes, Patience(steps, abrupt=is_abrupt(job.effects)), job.lost)
 
 
 def is_short(explanation: Explanation, whole: float) -> bool:
@@ -100,7 +101,13 @@ def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Exp
     short = is_short(begun, whole.longest)
     if begun.fit.converged and not short:
         return begun
-    return refit(begun, begun.effects, _own(begun), Patience(np.inf, record), whole=whole if short else None)
+    return refit(
+        begun,
+        begun.effects,
+        _own(begun),
+        Patience(np.inf, record, is_abrupt(begun.effects)),
+        whole=whole if short else None,
+    )
 
 
 def _own(explanation: Explanation) -> list[Array]:
@@ -109,15 +116,27 @@ def _own(explanation: Explanation) -> list[Array]:
 
 
 class Patience:
-    """Ends a fit after some steps, or when it will not come near a record, or when it is wrong and as good as done."""
+    """Ends a fit after some steps, or when it will not come near a record, or when it is wrong and as good as done.
 
-    def __init__(self, steps: float, record: float = np.inf) -> None:
+    Where something sticks and slips, slopes are only roughly a guide: once many steps have gained little, none will.
+    """
+
+    def __init__(self, steps: float, record: float = np.inf, abrupt: bool = False) -> None:
         self.left = steps
         self.record = record
+        self.abrupt = abrupt
+        self.seen: list[float] = []
 
     def __call__(self, point: Point, predicted: float) -> bool:
         """Whether to end it where it is, given by how much its next step may lower chi^2."""
         self.left -= 1
+        self.seen.append(point.chi2)
         share = predicted / point.chi2
         wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
-        return self.left < 0 or wrong or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
+        stuck = self.abrupt and len(self.seen) > _STUCK and point.chi2 > _GAINED * self.seen[-_STUCK]
+        return self.left < 0 or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
+
+
+def is_abrupt(effects: Sequence[Effect]) -> bool:
+    """Whether something sticks and slips."""
+    return any(effect.abrupt for effect in effects)

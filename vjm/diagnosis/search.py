@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
-from vjm.diagnosis.race import proposal
+from vjm.diagnosis.race import is_abrupt, proposal
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.screen import Screen, screen
 from vjm.diagnosis.trials import NOISE, Key, Names, Tell, Trials, key_of, named
@@ -21,6 +21,7 @@ from vjm.experiment.records import Rig
 Array = NDArray[np.float64]
 Step = tuple[Explanation, Sequence[int]]
 
+_ABRUPT = 0.005  # share of what they explain that models of what sticks and slips may leave
 _BEST = 8  # candidates refitted a round
 _PAIRS = 4  # pairs refitted that no single step leads to
 
@@ -102,6 +103,8 @@ class Search:
             if len(best.effects) == len(self.start.effects) + 1 and not self.begun.lost:
                 steps += self._pairs(first, best)
             smooth, abrupt = self._apart(family, first, best, steps)
+            if self.trials.guide(best) is not best:
+                smooth, abrupt = steps, []  # over first periods only, nothing takes long
             self.race(best, family, first, smooth)
             if not self.trials.explained(len(best.effects) + 1):
                 self.race(best, family, first, abrupt)
@@ -138,7 +141,10 @@ class Search:
 
     def matters(self, explanation: Explanation) -> float:
         """By how much candidates beside an explanation must lower the chi^2 that they are judged by."""
-        return self.rules.least(self.trials.guide(explanation).chi2)
+        least = self.rules.least(self.trials.guide(explanation).chi2)
+        if is_abrupt(explanation.effects):
+            return max(least, _ABRUPT * (self.start.chi2 - explanation.chi2))
+        return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
         """Refit explanations, giving up those that will not come near the best."""
@@ -196,7 +202,7 @@ class Search:
         return [(self.start, [i, j]) for _, i, j in scored[:_PAIRS]]
 
     def _worth(self, fewer: Explanation, more: Explanation) -> bool:
-        return fewer.chi2 - more.chi2 > self.rules.least(fewer.chi2)
+        return fewer.chi2 - more.chi2 > max(self.rules.least(fewer.chi2), self.matters(fewer))
 
     def _without_idle(self, explanation: Explanation) -> Explanation:
         """Without effects that the others make needless."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.coarseness import CLOSE, beside, coarseness, corrected
 from vjm.diagnosis.extension import Extension
-from vjm.diagnosis.race import Job, Patience, begun_with, finished, is_short, near_noise, promising
+from vjm.diagnosis.race import Job, Patience, begun_with, finished, is_abrupt, is_short, near_noise, promising
 from vjm.diagnosis.refit import ADRIFT, Explanation, refit, shortened
 from vjm.effects import Effect
 from vjm.experiment.records import Rig
@@ -143,7 +143,7 @@ class Trials:
 
     def polish(self, explanation: Explanation) -> Explanation:
         """Fitted to the very end, unless that is of no use."""
-        if explanation.fit.converged or any(effect.abrupt for effect in explanation.effects):
+        if explanation.fit.converged or is_abrupt(explanation.effects):
             return explanation
         own = [effect.coordinates[: effect.sizes] for effect in explanation.effects]
         found = refit(explanation, explanation.effects, own)
@@ -154,7 +154,7 @@ class Trials:
 
     def sharpen(self, explanation: Explanation) -> Explanation:
         """Once it follows the recordings, with its chain's coarseness known, which all later fits know too."""
-        if explanation.point.misfit > CLOSE or any(effect.abrupt for effect in explanation.effects):
+        if explanation.point.misfit > CLOSE or is_abrupt(explanation.effects):
             return explanation
         self.tell("asking what more virtual joints would show")
         found = coarseness(explanation.point, self.rig)

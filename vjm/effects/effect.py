@@ -218,6 +218,10 @@ class Effect:
         """
         return None
 
+    def smooth(self) -> Effect:
+        """What stands for it where derivatives are taken: itself, unless it has none at instants."""
+        return self
+
     def states(self, chain: Chain) -> int:
         """Number of its internal states."""
         return 0

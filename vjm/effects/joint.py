@@ -8,23 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
-from vjm.effects.effect import Motion, size
+from vjm.effects.effect import Effect, Motion, size
 from vjm.effects.places import JointEffect, active_coordinate, changed_link
 
 Array = NDArray[np.float64]
 
-# Sticking is creeping: below torque / _STEEPNESS dry friction is viscous with this coefficient [N m s/rad]. An everyday
-# torque of 0.008 N m then sticks below 5e-4 rad/s. A slope that is the same for every torque makes the force
-# proportional to the parameter, and makes sticking no stiffer for larger torques: the joint's rate is at most
-# 16 / 0.005 = 3200 1/s with the lightest of usual hubs [kg m^2], where an explicit step of fourth order is stable up
-# to 2.5 / 3200 = 0.8 ms.
-_STEEPNESS = 16.0
-_LONGEST_STEP = 5e-4
+# Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows, and that an
+# arm which sticks with an everyday torque (0.008 N m) swings on it at some 10 Hz, which steps of a millisecond resolve.
+_PRESLIDING = 1e-5
+_SETTLING = 2e-3  # s, in which a bristle that was bent too far comes back
+_LONGEST_STEP = 1e-3
+_GRADUAL = 0.05  # rad/s; what the joint's rate changes by between instants at which derivatives are taken
 
 
 @dataclass(frozen=True)
 class CoulombFriction(JointEffect):
-    """Dry friction at the active joint: constant against the motion, with a smooth stand-in for sticking.
+    """Dry friction at the active joint: constant against the motion, and sticking.
+
+    A bristle bends elastically by up to z_s and slips beyond: its angle z follows the joint's where |z| < z_s or the
+    joint turns back, and stays where it is otherwise; the torque is -torque z / z_s.
 
     Attributes:
         torque: [N m].
@@ -35,31 +37,74 @@ class CoulombFriction(JointEffect):
     id = "coulomb_friction"
     says = "dry friction at the active joint"
     reference = (
-        "B. Armstrong-Helouvry, P. Dupont and C. Canudas de Wit, A survey of models, analysis tools and compensation "
-        "methods for the control of machines with friction, Automatica 30(7), 1994"
+        "P. Dupont, V. Hayward, B. Armstrong and F. Altpeter, Single state elastoplastic friction models, IEEE "
+        "Transactions on Automatic Control 47(5), 2002"
     )
     apart_by = "slow sweeps in both directions, and motion that comes to a stop"
     dissipative = True
     in_urdf = True
     abrupt = True
 
+    def smooth(self) -> Effect:
+        """Without the bristle: reversals take as long as derivatives are apart."""
+        return _SmoothFriction(link=self.link, torque=self.torque)
+
+    def states(self, chain: Chain) -> int:
+        """The bristle."""
+        return 0 if self.is_null else 1
+
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Against the joint's motion."""
+        """Of the bristle."""
         if self.is_null:
             return None
-        joint, torque, steepness = active_coordinate(chain, self.index), self.torque, _STEEPNESS / self.torque
+        joint, torque = active_coordinate(chain, self.index), self.torque
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
             found = np.zeros(v.shape)
-            found[..., joint] = -torque * np.tanh(steepness * v[..., joint])
+            found[..., joint] = -torque * np.clip(z[..., 0] / _PRESLIDING, -1.0, 1.0)
             return found
 
         return force
 
+    def rates(self, chain: Chain) -> Motion | None:
+        """With the joint, as far as it does not slip."""
+        if self.is_null:
+            return None
+        joint = active_coordinate(chain, self.index)
+
+        def rates(time: Array, q: Array, v: Array, z: Array) -> Array:
+            rate = v[..., joint, None]
+            slips = (np.abs(z) >= _PRESLIDING) & (rate * z > 0)
+            return np.where(slips, (np.copysign(_PRESLIDING, z) - z) / _SETTLING, rate)
+
+        return rates
+
     @property
     def longest_step(self) -> float:
-        """At which sticking is stable."""
+        """That resolves sticking."""
         return np.inf if self.is_null else _LONGEST_STEP
+
+
+@dataclass(frozen=True)
+class _SmoothFriction(JointEffect):
+    """Dry friction whose sign changes gradually."""
+
+    torque: float = size("N m", 0.008, lower=0.0)
+
+    id = "coulomb_friction"
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Against the joint's motion."""
+        if self.is_null:
+            return None
+        joint, torque = active_coordinate(chain, self.index), self.torque
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            found = np.zeros(v.shape)
+            found[..., joint] = -torque * np.tanh(v[..., joint] / _GRADUAL)
+            return found
+
+        return force
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,19 @@ class Arm:
         return tuple(effect for effect in self.effects if effect.sensor)
 
     @cached_property
+    def smooth(self) -> tuple[Arm, NDArray[np.intp]]:
+        """The arm of which derivatives are taken, and which of this arm's internal states it has."""
+        effects = tuple(effect.smooth() for effect in self.effects)
+        if all(one is two for one, two in zip(effects, self.effects, strict=True)):
+            return self, np.arange(sum(self.states))
+        kept = [
+            np.arange(part.start, part.stop)
+            for part, effect in zip(self._parts, effects, strict=True)
+            if effect.states(self.chain)
+        ]
+        return Arm(self.chain, effects), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
+
+    @cached_property
     def _parts(self) -> list[slice]:
         stops = np.cumsum(self.states, dtype=int).tolist()
         return [slice(stop - count, stop) for stop, count in zip(stops, self.states, strict=True)]

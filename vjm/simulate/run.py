@@ -137,7 +137,10 @@ class Run:
 
     def slopes(self, moved: Sequence[Moved]) -> Iterator[tuple[Indices, Array]]:
         """Derivatives (r, 2 slow + p) of the weighted and whitened predictions that indices (r,) name."""
-        parts = jacobian(self.observed, self.arm, self.basis, moved, self.steps, self.stride)
+        arm, kept = self.arm.smooth
+        steps = self.steps if kept.size == self.steps.z.shape[2] else replace(self.steps, z=self.steps.z[:, :, kept])
+        smooth = [Moved(each.arm.smooth[0], each.by) for each in moved]
+        parts = jacobian(self.observed, arm, self.basis, smooth, steps, self.stride)
         if self.observed.whitening is None:
             yield from parts
             return
