@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -119,10 +120,21 @@ def _followed(start: Explanation, effects: Sequence[Effect], lost: bool) -> floa
 
 
 def shortened(explanation: Explanation) -> Explanation:
-    """The same explanation of the recordings' first periods only, which it follows better."""
+    """The same explanation of the recordings' first periods only, which it follows better.
+
+    A fit of recordings that it cannot follow may have ended anywhere: the search begins there and at the nominal chain.
+    """
     point = explanation.point
-    part = point.problem.until(first_horizon(point.problem, point.x))
-    fit = fit_trajectory(part, point.x, None, [run.state for run in point.runs], rough=True)
+    nominal = point.problem.parametrisation.start
+    plain = np.concatenate([nominal, point.x[nominal.size :]])
+    part = point.problem.until(min(first_horizon(point.problem, x) for x in (point.x, plain)))
+    fits: list[TrajectoryFit] = []
+    for x, states in ((point.x, [run.state for run in point.runs]), (plain, None)):
+        with contextlib.suppress(SimulationDivergedError, InsufficientDataError):
+            fits.append(fit_trajectory(part, x, None, states, rough=True))
+    if not fits:
+        return explanation
+    fit = min(fits, key=lambda each: each.point.chi2)
     extension = part.extension
     effects = extension.present(fit.point.x) if isinstance(extension, Extension) else ()
     return Explanation(effects, fit)

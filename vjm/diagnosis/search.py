@@ -21,7 +21,7 @@ from vjm.experiment.records import Rig
 Array = NDArray[np.float64]
 Step = tuple[Explanation, Sequence[int]]
 
-_ABRUPT = 0.005  # share of what they explain that models of what sticks and slips may leave
+_ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
 _BEST = 8  # candidates refitted a round
 _PAIRS = 4  # pairs refitted that no single step leads to
 

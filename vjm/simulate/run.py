@@ -51,7 +51,11 @@ class Start:
 
     @classmethod
     def of(cls, arm: Arm, recording: Recording) -> Start:
-        """Of an arm at a recording's beginning."""
+        """Of an arm at a recording's beginning.
+
+        Raises:
+            SimulationDivergedError: joints that move nothing.
+        """
         chain, recording = arm.chain, arm.inputs(recording)
         theta = first_angles(recording)
         q = equilibrium(chain, recording.payload, recording.gravity, theta)
@@ -62,7 +66,11 @@ class Start:
         root = np.zeros((2 * n, 2 * n))
         root[range(n), range(n)] = np.sqrt(chain.stiffness / (2 * energy))
         root[chain.active, chain.active] = 1 / _USUAL_TURN
-        root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
+        try:
+            root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
+        except np.linalg.LinAlgError:
+            remedy = "a joint moves nothing that has inertia: give the hub some"
+            raise SimulationDivergedError(float(recording.time[0]), 0.0, remedy) from None
         return cls(np.concatenate([q, np.zeros(n)]), root)
 
 
