@@ -1,4 +1,4 @@
-"""Make the demo's data: a clamped stainless steel beam, released and left to vibrate.
+"""Make the demo's data: a clamped stainless steel beam, released and left to vibrate; and again once it has changed.
 
 Run from the repository's root: python -m tests.fine_beam.make_demo
 """
@@ -6,6 +6,8 @@ Run from the repository's root: python -m tests.fine_beam.make_demo
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +15,10 @@ import numpy as np
 from scipy.optimize import brentq
 
 from tests.fine_beam.beam import Beam, Numerics, Trajectory, simulate
-from tests.fine_beam.sensors import Camera, observe
+from tests.fine_beam.hidden import Physics
+from tests.fine_beam.motion import Motion, Run, simulate_runs
+from tests.fine_beam.sensor_faults import Faults, shown_markers
+from tests.fine_beam.sensors import Camera, film, observe
 from tests.fine_beam.states import linear_modes, modal_state
 from tests.fine_beam.write import RecordingEntry, write_experiment, write_recording
 
@@ -50,11 +55,21 @@ class DemoRecording(NamedTuple):
     seed: int
 
 
+# What has happened to the beam by the time of the later recordings: its clamp has come loose a little.
+LATER = Physics(clamp_compliance_compliance=3.37e-3)
+
 RECORDINGS = (
     DemoRecording(RecordingEntry("quiet.csv", "quiet", "train"), 2.0, [0.0], 7301),
     DemoRecording(RecordingEntry("first_mode.csv", "decay", "train"), 10.0, [0.1, 0.0025], 7302),
     DemoRecording(RecordingEntry("second_mode.csv", "decay", "train"), 10.0, [0.004, 0.02], 7303),
     DemoRecording(RecordingEntry("both_modes.csv", "decay", "holdout"), 10.0, [0.065, -0.013], 7304),
+)
+
+LATER_RECORDINGS = (
+    DemoRecording(RecordingEntry("later_first_mode.csv", "decay", "train"), 10.0, [0.09, 0.003], 7311),
+    DemoRecording(RecordingEntry("later_second_mode.csv", "decay", "train"), 10.0, [0.005, -0.018], 7312),
+    DemoRecording(RecordingEntry("later_loaded.csv", "decay", "train", payload=0.05), 10.0, [0.08, 0.004], 7313),
+    DemoRecording(RecordingEntry("later_both_modes.csv", "decay", "holdout"), 10.0, [0.07, 0.012], 7314),
 )
 
 
@@ -65,13 +80,18 @@ def make_demo(directory: Path, truth_file: Path) -> None:
         trajectory = simulate_recording(recording)
         frames = observe(trajectory, MARKERS, CAMERA, recording.seed)
         write_recording(directory / recording.entry.file, "beam", frames)
-    write_experiment(
-        directory / "experiment.toml",
-        name="stainless steel beam, clamped",
-        link=LINK,
-        sensors={"marker_noise": CAMERA.noise},
-        recordings=[recording.entry for recording in RECORDINGS],
-    )
+    for recording, motion in zip(LATER_RECORDINGS, simulate_later(LATER_RECORDINGS), strict=True):
+        stamps = np.arange(round(recording.duration * CAMERA.rate) + 1) / CAMERA.rate
+        frames = film(stamps, shown_markers(motion, stamps, MARKERS, Faults()), CAMERA, recording.seed)
+        write_recording(directory / recording.entry.file, "beam", frames)
+    before = [recording.entry for recording in RECORDINGS]
+    later = [replace(entry, condition="reference") for entry in before]
+    later += [recording.entry for recording in LATER_RECORDINGS]
+    for file, name, entries in (
+        ("experiment.toml", "stainless steel beam, clamped", before),
+        ("later.toml", "the same beam, a week later", later),
+    ):
+        write_experiment(directory / file, name, LINK, {"marker_noise": CAMERA.noise}, entries)
     truth_file.write_bytes((json.dumps(demo_truth(), indent=2) + "\n").encode("utf-8"))
 
 
@@ -80,6 +100,13 @@ def simulate_recording(recording: DemoRecording, numerics: Numerics = NUMERICS) 
     time = np.arange(round(recording.duration * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
     state = modal_state(TRUE_BEAM, recording.tip_amplitudes, numerics)
     return simulate(TRUE_BEAM, time, state=state, numerics=numerics)
+
+
+def simulate_later(recordings: Sequence[DemoRecording], step: float = 1e-3) -> list[Motion]:
+    """The true motions behind later recordings."""
+    time = np.arange(round(max(each.duration for each in recordings) * STEPS_PER_SECOND) + 1) / STEPS_PER_SECOND
+    runs = [Run(None, tuple(each.tip_amplitudes), each.entry.payload or 0.0) for each in recordings]
+    return simulate_runs(TRUE_BEAM, LATER, time, runs, step)
 
 
 def demo_truth() -> dict[str, object]:
@@ -91,6 +118,7 @@ def demo_truth() -> dict[str, object]:
         "bending_stiffness_nominal": _rounded(NOMINAL_STIFFNESS),
         "kelvin_voigt_time": TRUE_BEAM.kelvin_voigt_time,
         "marker_noise": CAMERA.noise,
+        "clamp_compliance_later": LATER.clamp_compliance_compliance,
         "simulator": {
             "frequencies_hz": [_rounded(value) for value in modes.frequencies[:3]],
             "damping_ratios": [_rounded(value) for value in modes.damping_ratios[:3]],
