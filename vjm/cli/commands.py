@@ -49,12 +49,12 @@ _MOST_CANDIDATES = 6
 def demo(arguments: argparse.Namespace) -> None:
     """`vjm demo`."""
     with resources.as_file(resources.files("vjm") / "demo") as folder:
-        experiment = folder / "experiment.toml"
-        found = _identify(arguments, experiment, DEFAULT_METHOD, None, "uniform")
+        found = _identify(arguments, folder / "experiment.toml", DEFAULT_METHOD, None, "uniform")
         if not arguments.json:
             _print_identification(arguments, found)
         place = arguments.out / DIAGNOSIS
-        diagnosis = _diagnose(arguments, experiment, place, None, DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED)
+        later = folder / "later.toml"
+        diagnosis = _diagnose(arguments, later, place, None, DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED)
     if arguments.json:
         print_json({**identification_result(found), "diagnosis": diagnosis_result(diagnosis)})
     else:
