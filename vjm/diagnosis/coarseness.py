@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm import dynamics
 from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.extension import Extension
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -26,7 +27,8 @@ from vjm.identification.select import cuts_of, nominal_chain
 from vjm.identification.torque_method import START_DAMPING
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.identification.trajectory_problem import Coordinates, Point
-from vjm.simulate.run import Start, run_all, transferred
+from vjm.simulate.arm import Arm
+from vjm.simulate.run import Run, Start, run_all, transferred
 
 Array = NDArray[np.float64]
 
@@ -117,9 +119,28 @@ def _shown(finer: Coordinates, point: Point) -> list[Array]:
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [each.recording for each in observed])
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
-    states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(point.runs, arms, strict=True)]
+    states = [_carried_over(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
     runs = run_all(arms, observed, starts, states, point.problem.coarse)
     return [run.observed.predicted(run.arm, run.steps) for run in runs]
+
+
+def _carried_over(run: Run, arm: Arm) -> Array:
+    """(2 nv,) a run's initial state in a finer chain, with the same momentum of its active joints.
+
+    The rates with which fast modes begin are told differently by different chains; a joint that is free must not drift
+    away with the difference.
+    """
+    state = transferred(run.chain, arm.chain, run.state)
+    active = arm.chain.active
+    if not active.size:
+        return state
+    recording = run.observed.recording
+    (q, v), (fine_q, fine_v) = np.split(run.state, 2), np.split(state, 2)
+    coarse = dynamics.mass_matrix(dynamics.build(run.chain, run.arm.inputs(recording).payload), q[None])[0]
+    fine = dynamics.mass_matrix(dynamics.build(arm.chain, arm.inputs(recording).payload), fine_q[None])[0]
+    missing = (coarse @ v)[run.chain.active] - (fine @ fine_v)[active]
+    fine_v[active] += np.linalg.solve(fine[np.ix_(active, active)], missing)
+    return np.concatenate([fine_q, fine_v])
 
 
 def _predicted(point: Point, k: int) -> Array:

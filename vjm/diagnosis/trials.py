@@ -110,16 +110,18 @@ class Trials:
             record: chi^2 of no interest beyond; the fit is given up once it will not come near.
         """
         names = explanation.names - {key_of(effect)}
-        if names in self.tried:
-            if self.tried[names].point.misfit < CLOSE:
-                self.refresh([names])
-            return self.tried[names]
+        known = self.tried.get(names)
+        if known is not None and (known.point.misfit > CLOSE or known.chi2 > 2 * record):
+            return known
+        # Also what was fitted before may be fitted better from here.
         kept = tuple(each for each in explanation.effects if each is not effect)
         sizes = [each.coordinates[: each.sizes] for each in kept]
-        found = refit(explanation, kept, sizes, Patience(np.inf, record))
-        if found is not None:
-            self.tried[names] = found
-        return found
+        found = refit(explanation, kept, sizes, Patience(np.inf, record, is_abrupt(kept)))
+        if found is None or (known is not None and names not in self.stale and known.chi2 < found.chi2):
+            return known
+        self.tried[names] = replace(found, shift=None if known is None else known.shift)
+        self.stale.discard(names)
+        return self.tried[names]
 
     def _explained(self, explanations: Sequence[Explanation]) -> bool:
         """Whether one of them leaves nothing but noise, and what the chain's coarseness may."""
