@@ -140,8 +140,12 @@ class Search:
         return looked_for(self.effects, self.rig, self.trials.guide(explanation).point)
 
     def matters(self, explanation: Explanation) -> float:
-        """By how much candidates beside an explanation must lower the chi^2 that they are judged by."""
-        least = self.rules.least(self.trials.guide(explanation).chi2)
+        """By how much candidates beside an explanation must lower the chi^2 that they are judged by.
+
+        A share of what noise leaves: much more may be left beside an explanation that lacks something else.
+        """
+        point = self.trials.guide(explanation).point
+        least = self.rules.least(min(point.chi2, point.count))
         if is_abrupt(explanation.effects):
             return max(least, _ABRUPT * (self.start.chi2 - explanation.chi2))
         return least

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain, LinkChain
-from vjm.effects.effect import Motion, size
+from vjm.effects.effect import Effect, Motion, size
 from vjm.effects.places import JointEffect, LinkEffect
 
 Array = NDArray[np.float64]
@@ -23,6 +24,7 @@ _FLANK_DAMPING = 2.0
 # Over which flanks come into contact, of the gap. Steps must be short against the flanks' own oscillation (a light hub
 # of 0.005 kg m^2 on its flank: 5 ms a period), which is no part of the chain's linear springs while the gap is open.
 _SOFTNESS = 0.03
+_GRADUAL = 0.15  # the same where derivatives are taken
 _LONGEST_STEP = 4e-4
 
 
@@ -89,11 +91,16 @@ class Backlash(JointEffect):
 
     id = "backlash"
     abrupt = True
+    softness: ClassVar[float] = _SOFTNESS
     says = "play between the motor and the hub"
     reference = (
         "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002"
     )
     apart_by = "a marker on the hub, and slow motion that changes its direction"
+
+    def smooth(self) -> Effect:
+        """With flanks so soft that contact does not begin between two instants at which derivatives are taken."""
+        return _SmoothBacklash(link=self.link, gap=self.gap)
 
     def chain(self, chain: Chain) -> Chain:
         """With the stiff flanks in contact for good; `force` makes the gap."""
@@ -109,7 +116,7 @@ class Backlash(JointEffect):
             return None
         link, root = chain.links[self.index], chain.passive_slices[self.index].start - 1
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping
-        soft = 2 * _SOFTNESS * self.gap
+        soft = 2 * self.softness * self.gap
         ends = np.array([[0.5], [-0.5]]) * self.gap / soft
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
@@ -128,6 +135,13 @@ class Backlash(JointEffect):
     def longest_step(self) -> float:
         """That resolves an impact."""
         return np.inf if self.is_null else _LONGEST_STEP
+
+
+@dataclass(frozen=True)
+class _SmoothBacklash(Backlash):
+    """Play whose contact begins gradually."""
+
+    softness = _GRADUAL
 
 
 def in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> LinkChain:
