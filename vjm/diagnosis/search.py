@@ -38,7 +38,7 @@ class Rules:
     """
 
     alpha: float = 0.01
-    matters: float = 0.008
+    matters: float = 0.0025
     most: int = 3
     seed: int = 0
 
