@@ -1,0 +1,37 @@
+"""What the few joints of the search's chain do is known before anything is looked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import vjm
+from tests.hidden.conftest import Plant
+from vjm.diagnosis.base import base_fit
+from vjm.diagnosis.coarseness import beside
+from vjm.diagnosis.refit import Explanation
+from vjm.diagnosis.screen import screen
+from vjm.effects import CubicStiffness
+from vjm.identification.trajectory_problem import Point
+
+
+def cubic(point: Point) -> float:
+    """Standard errors at which a cubic stiffness seems to be needed."""
+    return float(np.sqrt(screen(point, (), [CubicStiffness(link=0)]).statistics[0]))
+
+
+def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) -> None:
+    """The drives of this seed are large: a cubic stiffness would explain a sixth of chi^2."""
+    file, truth = plant("hub", seed=3)
+    experiment = vjm.load_experiment(file)
+    base = base_fit(experiment)
+    assert base.coarseness is not None
+    plain = beside(base.point, [None] * len(base.point.runs))
+    assert plain.misfit > 1.05
+    assert cubic(plain) > 50
+    assert base.point.misfit < 1.005
+    assert cubic(base.point) < 4
+    found = Explanation((), base.fit, base.coarseness.shift).estimate
+    physical = base.point.problem.parametrisation.physical(found)
+    assert physical[0] == pytest.approx(truth.beam.bending_stiffness, rel=3e-4)
+    assert physical[2] == pytest.approx(truth.beam.hub_inertia, rel=3e-4)
