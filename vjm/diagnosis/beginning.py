@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vjm.diagnosis.base import Base
-from vjm.diagnosis.race import Patience
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_problem import Point
@@ -15,6 +14,7 @@ from vjm.simulate.initial_state import most_likely
 from vjm.simulate.run import Run
 
 LACKING = 1.5  # misfit of the reference recordings from which something was missing before the change
+_LOST = 0.3  # share of the motion; a larger residual does not follow it
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,13 @@ class Beginning:
     Attributes:
         before: the model as it was before any change, beside all training recordings.
         start: the best model without effects, from which effects are looked for.
+        lost: whether it does not follow what has changed: then no slope is a guide.
         lacking: misfit of the reference recordings, in units of the noise, that is taken as noise; one: it is noise.
     """
 
     before: Explanation
     start: Explanation
+    lost: bool = False
     lacking: float = 1.0
 
 
@@ -51,9 +53,11 @@ def beginning(base: Base, plain: Explanation) -> Beginning:
     runs = (*known, *new)
     problem = replace(problem, observed=tuple(run.observed for run in runs))
     before = Explanation(plain.effects, TrajectoryFit(Point(problem, point.x, runs), False, 0))
+    if any(_lost(run) for run in new):
+        return Beginning(before, before, True, lacking)
     own = [effect.coordinates[: effect.sizes] for effect in before.effects]
-    start = refit(before, before.effects, own, Patience(np.inf))
-    return Beginning(before, start or before, lacking)
+    start = refit(before, before.effects, own)
+    return Beginning(before, start or before, False, lacking)
 
 
 def _scaled(run: Run, factor: float) -> Run:
@@ -62,3 +66,12 @@ def _scaled(run: Run, factor: float) -> Run:
         return run
     noise = run.observed.noise
     return replace(run, observed=replace(run.observed, noise=(factor * noise[0], factor * noise[1])))
+
+
+def _lost(run: Run) -> bool:
+    """Whether a run does not follow its recording."""
+    seen = run.observed
+    markers, _ = seen.spread(seen.values - seen.predicted(run.arm, run.steps))
+    measured, _ = seen.spread(seen.values)
+    motion = np.nanstd(measured, axis=0)
+    return bool(np.sqrt(np.nanmean(markers**2)) > _LOST * np.sqrt(np.mean(motion**2)))

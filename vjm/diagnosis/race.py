@@ -34,26 +34,29 @@ class Job:
         start: the explanation to begin with.
         effects: those wanted, with the inner parameters from which their search starts.
         sizes: of each, in everyday sizes.
+        lost: whether the start does not follow the recordings.
     """
 
     start: Explanation
     effects: tuple[Effect, ...]
     sizes: tuple[Array, ...]
+    lost: bool = False
 
 
-def proposal(start: Explanation, seen: Screen, chosen: Sequence[int]) -> Job:
+def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], lost: bool = False) -> Job:
     """An explanation with further effects, of sizes that a screen guesses.
 
     Args:
         start: the explanation.
         seen: the screen.
         chosen: of its effects.
+        lost: whether the start does not follow the recordings: then sizes are everyday ones.
     """
     added = [seen.effects[k] for k in chosen]
-    guess = seen.guess(chosen)
+    guess = np.ones(sum(effect.sizes for effect in added)) if lost else seen.guess(chosen)
     stops = np.cumsum([effect.sizes for effect in added])
     sizes = [guess[stop - effect.sizes : stop] for stop, effect in zip(stops, added, strict=True)]
-    return Job(start, (*start.effects, *added), (*_own(start), *sizes))
+    return Job(start, (*start.effects, *added), (*_own(start), *sizes), lost)
 
 
 def begun_with(job: Job, whole: float) -> Explanation | None:
@@ -64,7 +67,7 @@ def begun_with(job: Job, whole: float) -> Explanation | None:
         whole: duration of the longest recording [s].
     """
     steps = np.inf if is_short(job.start, whole) else _FIRST_STEPS
-    return refit(job.start, job.effects, job.sizes, Patience(steps, abrupt=is_abrupt(job.effects)))
+    return refit(job.start, job.effects, job.sizes, Patience(steps, abrupt=is_abrupt(job.effects)), job.lost)
 
 
 def is_short(explanation: Explanation, whole: float) -> bool:

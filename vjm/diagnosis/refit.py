@@ -71,6 +71,7 @@ def refit(
     effects: Sequence[Effect],
     sizes: Sequence[Array],
     hopeless: Callable[[Point, float], bool] | None = None,
+    lost: bool = False,
     whole: TrajectoryProblem | None = None,
 ) -> Explanation | None:
     """Fit a model with other effects, from a fit with some of them or with none.
@@ -80,6 +81,7 @@ def refit(
         effects: those wanted, with the inner parameters from which their search starts.
         sizes: (s,) guessed size of each, in everyday sizes.
         hopeless: may end the search, as of `fit_trajectory`.
+        lost: whether the start does not follow the recordings.
         whole: the problem to solve, where the start is of the recordings' first seconds only; None: the start's.
 
     Returns:
@@ -97,7 +99,7 @@ def refit(
     problem = replace(whole or start.point.problem, extension=extension)
     arms = problem.arms(x)
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
-    known = _followed(start, extension.effects) if whole is None else start.point.problem.longest
+    known = _followed(start, extension.effects, lost) if whole is None else start.point.problem.longest
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):
@@ -105,15 +107,15 @@ def refit(
             return None
         finer = replace(start.point, problem=replace(start.point.problem, coarse=1.0))
         whole = None if whole is None else replace(whole, coarse=1.0)
-        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, sizes, hopeless, whole)
+        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, sizes, hopeless, lost, whole)
     return Explanation(extension.present(fit.point.x), fit)
 
 
-def _followed(start: Explanation, effects: Sequence[Effect]) -> float:
+def _followed(start: Explanation, effects: Sequence[Effect], lost: bool) -> float:
     """How long an explanation is known to follow the recordings [s], with further effects."""
     # What sticks and slips is found from the recordings' beginnings.
     new = [each for each in effects if (each.id, each.link) not in start.names]
-    adrift = start.point.misfit > ADRIFT
+    adrift = lost or start.point.misfit > ADRIFT
     return 0.0 if adrift or any(each.abrupt for each in new) else np.inf
 
 

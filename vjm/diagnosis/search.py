@@ -99,8 +99,8 @@ class Search:
             needed = self._needed(best, family)
             if not needed:
                 break
-            steps: list[Step] = [(best, [k]) for k in needed[:_BEST]]
-            if len(best.effects) == len(self.start.effects) + 1:
+            steps: list[Step] = [(best, [k]) for k in needed[: None if self.begun.lost else _BEST]]
+            if len(best.effects) == len(self.start.effects) + 1 and not self.begun.lost:
                 steps += self._pairs(first, best)
             smooth, abrupt = self._apart(family, first, best, steps)
             if self.trials.guide(best) is not best:
@@ -155,7 +155,7 @@ class Search:
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            job = proposal(self.trials.guide(start), seen, chosen)
+            job = proposal(self.trials.guide(start), seen, chosen, self.trials.from_afar(start))
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
         self.trials.fit(jobs)
@@ -174,7 +174,7 @@ class Search:
             start = trials.tried.get(names, self.start)
             guide = trials.guide(start)
             seen = screen(guide.point, guide.effects, new)
-            trials.fit([proposal(guide, seen, [k]) for k in range(len(new))])
+            trials.fit([proposal(guide, seen, [k], trials.from_afar(start)) for k in range(len(new))])
 
     def _apart(
         self, family: Family, first: Family, best: Explanation, steps: Sequence[Step]
@@ -189,9 +189,11 @@ class Search:
 
     def _needed(self, best: Explanation, family: Family) -> list[int]:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
-        seen, least = family.seen, self.matters(best)
+        seen, least, lost = family.seen, self.matters(best), self.trials.from_afar(best)
         needed = [
-            k for k in range(len(seen.effects)) if family.p_values[k] < self.rules.alpha and seen.statistics[k] > least
+            k
+            for k in range(len(seen.effects))
+            if (lost and not seen.absorbed[k]) or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
         ]
         return one_each(seen, needed) if needed else []
 

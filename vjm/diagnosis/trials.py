@@ -32,6 +32,7 @@ class Trials:
 
     Attributes:
         start: the explanation from which effects are looked for.
+        lost: whether it does not follow what has changed.
         tried: explanations; hopeless ones not to their end.
         stale: those that do not know what `surplus` says.
         surplus: what more virtual joints would show, for each recording; None: not known yet.
@@ -40,6 +41,7 @@ class Trials:
     def __init__(self, rig: Rig, begun: Beginning, tell: Tell, executor: Executor | None, workers: int) -> None:
         self.rig = rig
         self.start = begun.start
+        self.lost = begun.lost
         self.tell = tell
         self.executor = executor
         self.workers = workers
@@ -50,11 +52,15 @@ class Trials:
 
     def guide(self, explanation: Explanation) -> Explanation:
         """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
-        if explanation.point.misfit < ADRIFT:
+        if self.from_afar(explanation) or explanation.point.misfit < ADRIFT:
             return explanation
         if explanation.names not in self._guides:
             self._guides[explanation.names] = shortened(explanation)
         return self._guides[explanation.names]
+
+    def from_afar(self, explanation: Explanation) -> bool:
+        """Whether nothing is a guide from there."""
+        return self.lost and explanation is self.start
 
     def best(self, count: int) -> Explanation | None:
         """The best explanation of so many effects."""
