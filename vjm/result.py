@@ -14,7 +14,7 @@ from vjm.report.link_results import bending_stiffness, finite, model_result
 
 if TYPE_CHECKING:
     from vjm.checking import Check
-    from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Followed, Gain
+    from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain, Replayed
     from vjm.effects.effect import Effect
     from vjm.report.comparison import Comparison
 
@@ -131,7 +131,7 @@ def _candidate(candidate: Candidate, model: Model) -> Result:
     }
 
 
-def _followed(followed: Followed) -> Result:
+def _followed(followed: Replayed) -> Result:
     replays = followed.before, followed.after, followed.runner_up
     before, after, runner_up = (finite(None if each is None else each.marker_rms) for each in replays)
     return {

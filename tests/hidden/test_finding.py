@@ -12,8 +12,8 @@ from tests.hidden.rigs import Conditions, Truth
 from vjm.effects import BUILTIN
 
 
-def diagnosed(file: Path, effects: list[str] | None = None) -> vjm.Diagnosis:
-    return vjm.diagnose(vjm.load_experiment(file), effects=effects)
+def diagnosed(file: Path, effects: list[str] | None = None, max_effects: int = 3) -> vjm.Diagnosis:
+    return vjm.diagnose(vjm.load_experiment(file), effects=effects, max_effects=max_effects)
 
 
 def classes(diagnosis: vjm.Diagnosis) -> list[set[str]]:
@@ -72,7 +72,7 @@ def test_a_cause_that_is_not_in_the_list_is_not_named(plant: Plant) -> None:
     file, _ = plant("hub", "time_offset", seed=15)
     clocks = {"time_offset", "clock_scale", "rolling_shutter"}
     others = [effect.id for effect in BUILTIN if effect.id not in clocks and not effect.abrupt]
-    diagnosis = diagnosed(file, others)
+    diagnosis = diagnosed(file, others, max_effects=1)
     assert diagnosis.verdict == "unknown"
     assert diagnosis.remaining.description
     assert diagnosis.remaining.p_value is not None

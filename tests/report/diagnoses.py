@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.report.fits import DEMO, _chain
-from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Followed, Gain, Remaining, Rival, Size
+from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Rival, Size
 from vjm.effects import (
     BUILTIN,
     ClampCompliance,
@@ -27,8 +27,7 @@ from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.pictures import Picture
 from vjm.simulate import simulate
 from vjm.simulate.arm import Arm
-from vjm.symptoms import Followed as Shown
-from vjm.symptoms import symptoms
+from vjm.symptoms import Followed, symptoms
 
 Array = NDArray[np.float64]
 
@@ -95,14 +94,14 @@ def _estimates(rig: Rig) -> tuple[Estimate, ...]:
     return tuple(Estimate(*each) for each in known)
 
 
-def followed_by(experiment: Experiment, base: Model, model: Model, runner_up: Model | None) -> tuple[Followed, ...]:
+def followed_by(experiment: Experiment, base: Model, model: Model, runner_up: Model | None) -> tuple[Replayed, ...]:
     """Every recording, replayed by all models."""
     models = [each for each in (base, model, runner_up) if each is not None]
     replays = [each.replays(experiment.recordings) for each in models]
     if runner_up is None:
         replays.append([None] * len(experiment.recordings))  # type: ignore[list-item]
     return tuple(
-        Followed(recording, *three, NOISE[0]) for recording, *three in zip(experiment.recordings, *replays, strict=True)
+        Replayed(recording, *three, NOISE[0]) for recording, *three in zip(experiment.recordings, *replays, strict=True)
     )
 
 
@@ -144,7 +143,7 @@ def make_diagnosis(
     runner_up = replace(base, effects=other) if other else None
     followed = followed_by(experiment, base, model, runner_up)
     shown = [
-        Shown(base.rig, each.recording, each.before.simulation.markers, each.before.simulation.theta, NOISE)
+        Followed(base.rig, each.recording, each.before.simulation.markers, each.before.simulation.theta, NOISE)
         for each in followed
         if each.before is not None
     ]
@@ -173,7 +172,7 @@ def make_diagnosis(
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def _rms(followed: list[Followed], name: str) -> float | None:
+def _rms(followed: list[Replayed], name: str) -> float | None:
     found = [getattr(each, name) for each in followed]
     if not found or any(each is None for each in found):
         return None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.records import Followed, Gain
+from vjm.diagnosis.records import Gain, Replayed
 from vjm.experiment.records import REFERENCE
 
 Array = NDArray[np.float64]
@@ -16,7 +16,7 @@ _BLOCK = 0.25  # s; residuals farther apart are taken to be independent
 _DRAWS = 2000
 
 
-def gain(followed: Sequence[Followed], seed: int) -> Gain | None:
+def gain(followed: Sequence[Replayed], seed: int) -> Gain | None:
     """On the held-out ones among the recordings; None where none can be simulated by both models.
 
     Args:
@@ -44,7 +44,7 @@ def gain(followed: Sequence[Followed], seed: int) -> Gain | None:
     )
 
 
-def _blocks(each: Followed) -> Array:
+def _blocks(each: Replayed) -> Array:
     """(B, 4) sums over stretches of time: squares before, after [m^2], number of values, squares of the runner-up."""
     recording = each.recording
     known = np.isfinite(recording.markers)

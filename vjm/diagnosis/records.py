@@ -96,7 +96,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Followed:
+class Replayed:
     """A recording, replayed by the model without effects, by the extended one, and by the next best explanation.
 
     Attributes:
@@ -175,7 +175,7 @@ class Diagnosis:
     model: Model
     base: Model
     parameters: tuple[Estimate, ...]
-    recordings: tuple[Followed, ...]
+    recordings: tuple[Replayed, ...]
     gain: Gain | None
     remaining: Remaining
     symptoms: Symptoms | None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from vjm.diagnosis.base import Base
-from vjm.diagnosis.records import Followed
+from vjm.diagnosis.records import Replayed
 from vjm.diagnosis.refit import Explanation
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
@@ -15,15 +15,14 @@ from vjm.model import Model
 from vjm.simulate.initial_state import Replay, most_likely, report
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run
-from vjm.symptoms import Followed as Shown
-from vjm.symptoms import Symptoms, symptoms
+from vjm.symptoms import Followed, Symptoms, symptoms
 
 _MOST_MODES = 4
 
 
 def follow(
     experiment: Experiment, base: Base, plain: Explanation, best: Explanation, runner_up: Explanation | None
-) -> tuple[Followed, ...]:
+) -> tuple[Replayed, ...]:
     """All recordings, in the experiment's order."""
     noise = base.point.runs[0].observed.noise
     known = [_trained(each) for each in (plain, best)] + [_trained(runner_up) if runner_up else {}]
@@ -32,7 +31,7 @@ def follow(
         if recording.file in known[0]:
             run = known[0][recording.file]
             replays = [_reported(each.get(recording.file)) for each in known]
-            found.append(Followed(run.observed.recording, *_three(replays), noise[0]))
+            found.append(Replayed(run.observed.recording, *_three(replays), noise[0]))
             continue
         part = cleaned(experiment.rig, recording)
         after = _replayed(experiment, best, part, noise)
@@ -41,7 +40,7 @@ def follow(
             after = _replayed(experiment, best, part, noise)
         before = after if plain is best else _replayed(experiment, plain, part, noise)
         other = _replayed(experiment, runner_up, part, noise) if runner_up else None
-        found.append(Followed(part, before, after, other, noise[0]))
+        found.append(Replayed(part, before, after, other, noise[0]))
     return tuple(found)
 
 
@@ -71,7 +70,7 @@ def _replayed(
         return None
 
 
-def found_symptoms(experiment: Experiment, plain: Model, followed: Sequence[Followed], base: Base) -> Symptoms | None:
+def found_symptoms(experiment: Experiment, plain: Model, followed: Sequence[Replayed], base: Base) -> Symptoms | None:
     """What the model without effects gets wrong."""
     frequencies = plain.modes().frequencies[:_MOST_MODES].tolist()
     shown = []
@@ -83,5 +82,5 @@ def found_symptoms(experiment: Experiment, plain: Model, followed: Sequence[Foll
             own = tuple(plain.modes(each.recording.payload).frequencies[:_MOST_MODES].tolist())
         simulation = each.before.simulation
         noise = (plain.marker_noise, plain.encoder_noise)
-        shown.append(Shown(experiment.rig, each.recording, simulation.markers, simulation.theta, noise, own))
+        shown.append(Followed(experiment.rig, each.recording, simulation.markers, simulation.theta, noise, own))
     return symptoms(shown, frequencies) if shown else None

@@ -16,7 +16,7 @@ from vjm.experiment.records import Recording
 from vjm.simulate.initial_state import Replay
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Diagnosis, Followed
+    from vjm.diagnosis.records import Diagnosis, Replayed
 
 Array = NDArray[np.float64]
 Abscissa = Literal["time", "amplitude", "velocity", "position", "radius", "turn", "marker", "frequency", "joint"]
@@ -67,13 +67,13 @@ def abscissa_of(effect: Effect) -> Abscissa:
     return _OF.get(effect.id, "time")
 
 
-def most_improved(diagnosis: Diagnosis) -> Followed | None:
+def most_improved(diagnosis: Diagnosis) -> Replayed | None:
     """The recording in which the causes gain most; a held-out one where that gains about as much. None: nowhere."""
     known = [each for each in diagnosis.recordings if each.before is not None and each.after is not None]
     known = [each for each in known if each.recording.kind != "quiet" and each.recording.frames.size >= _LEAST_FRAMES]
     known = known or [each for each in diagnosis.recordings if each.before is not None and each.after is not None]
 
-    def gained(each: Followed) -> float:
+    def gained(each: Replayed) -> float:
         before, after = (0.0 if replay is None else replay.marker_rms for replay in (each.before, each.after))
         return (before**2 - after**2) / each.noise**2 * (2.0 if each.recording.role == "holdout" else 1.0)
 

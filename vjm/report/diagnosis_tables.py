@@ -11,7 +11,7 @@ from vjm.report.tables import Table, unit
 from vjm.report.wording import UNKNOWN, millimetres, number, with_error
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Candidate, Diagnosis, Followed
+    from vjm.diagnosis.records import Candidate, Diagnosis, Replayed
 
 
 def cause_table(diagnosis: Diagnosis) -> Table:
@@ -89,10 +89,10 @@ def _without(headers: tuple[str, ...], first: str) -> tuple[str, ...]:
     return (*headers[: headers.index(first)], "noise")
 
 
-def _rms(each: Followed, name: str) -> float | None:
+def _rms(each: Replayed, name: str) -> float | None:
     replay = getattr(each, name)
     return None if replay is None else float(replay.marker_rms)
 
 
-def _ratio(each: Followed) -> float | None:
+def _ratio(each: Replayed) -> float | None:
     return None if each.after is None else each.after.marker_rms / each.noise

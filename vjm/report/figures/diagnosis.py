@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from matplotlib.figure import Figure
 
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.experiment.records import REFERENCE
 from vjm.report.abscissae import most_improved
 from vjm.report.choose import tip_signal
 from vjm.report.effect_words import named
@@ -20,7 +21,7 @@ from vjm.report.figures.symptoms import symptom_pictures
 from vjm.report.wording import short
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Cause, Diagnosis, Followed
+    from vjm.diagnosis.records import Cause, Diagnosis, Replayed
 
 _MOST_CAUSES = 4
 _MOST_HELD_OUT = 3
@@ -52,7 +53,7 @@ def _causes(diagnosis: Diagnosis) -> Iterator[Picture]:
         yield _picture(f"cause_{k + 1}", caption, evidence(cause, diagnosis, shown))
 
 
-def _without(cause: Cause, diagnosis: Diagnosis) -> list[Followed]:
+def _without(cause: Cause, diagnosis: Diagnosis) -> list[Replayed]:
     """Recordings followed without this cause but with the others, the one in which all causes gain most first."""
     first = most_improved(diagnosis)
     if first is None:
@@ -78,7 +79,7 @@ def _gained(diagnosis: Diagnosis) -> Iterator[Picture]:
         yield _picture(f"held_out_{k + 1}", caption, before_and_after(each, diagnosis))
 
 
-def _held_out(diagnosis: Diagnosis) -> list[Followed]:
+def _held_out(diagnosis: Diagnosis) -> list[Replayed]:
     """Held-out recordings, the one that gains most first; a training one where none is held out."""
     rig = diagnosis.model.rig
     usable = [
@@ -91,7 +92,8 @@ def _held_out(diagnosis: Diagnosis) -> list[Followed]:
     ]
     usable.sort(key=lambda each: -each.before.marker_rms if each.before else 0.0)
     held_out = [each for each in usable if each.recording.role == "holdout"]
-    return held_out[:_MOST_HELD_OUT] or usable[:1]
+    changed = [each for each in held_out if each.recording.condition != REFERENCE]
+    return (changed or held_out)[:_MOST_HELD_OUT] or usable[:1]
 
 
 def _picture(name: str, caption: str, figure: Figure) -> Picture:

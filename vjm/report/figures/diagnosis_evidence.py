@@ -32,13 +32,13 @@ from vjm.report.figures.style import (
 from vjm.report.residuals import spectrum
 from vjm.report.wording import short
 from vjm.simulate.initial_state import Replay
-from vjm.symptoms import Followed as Shown
+from vjm.symptoms import Followed
 from vjm.symptoms.joints import profiles
 from vjm.symptoms.profiles import Profile, joined
 from vjm.symptoms.signals import observe
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Cause, Diagnosis, Followed
+    from vjm.diagnosis.records import Cause, Diagnosis, Replayed
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ _PALE_BEFORE, _PALE_AFTER = "#f3c793", "#8fa5c4"
 
 
 @styled
-def evidence(cause: Cause, diagnosis: Diagnosis, followed: Sequence[Followed]) -> Figure:
+def evidence(cause: Cause, diagnosis: Diagnosis, followed: Sequence[Replayed]) -> Figure:
     """Residual without and with a cause against what makes it plain; beside it, what was missing against what it adds.
 
     Args:
@@ -80,7 +80,7 @@ def _legend(page: Sheet) -> None:
 
 
 def _draw_left(
-    axes: Axes, effect: Effect, model: Model, followed: Sequence[Followed], replays: tuple[Replay, Replay]
+    axes: Axes, effect: Effect, model: Model, followed: Sequence[Replayed], replays: tuple[Replay, Replay]
 ) -> None:
     kind, first = abscissa_of(effect), followed[0]
     if kind == "joint":
@@ -151,7 +151,7 @@ def _some(count: int) -> NDArray[np.intp]:
     return np.sort(np.random.default_rng(0).permutation(count)[:_MOST_DOTS])
 
 
-def _draw_added(axes: Axes, followed: Followed, before: Replay, after: Replay) -> None:
+def _draw_added(axes: Axes, followed: Replayed, before: Replay, after: Replay) -> None:
     x, y = (1e3 * each for each in added(followed.recording, before, after))
     some = _some(x.size)
     reach = max(float(np.percentile(np.abs(x), 99.5)), 3e3 * followed.noise) * 1.15
@@ -176,7 +176,7 @@ def _missing_torque(
     for k, (recording, replay) in enumerate(replayed):
         if replay is None or recording.kind != "driven":
             continue
-        shown = Shown(model.rig, recording, replay.simulation.markers, replay.simulation.theta, noise)
+        shown = Followed(model.rig, recording, replay.simulation.markers, replay.simulation.theta, noise)
         own = profiles(k, shown, observe(shown))
         found += [each for each in own if each.quantity == "torque" and each.motion == name]
     return joined(found) or next(iter(found), None)
@@ -202,7 +202,7 @@ def _draw_joint(axes: Axes, effect: Effect, found: Sequence[Profile]) -> None:
     panel_title(axes, "Torque that the model misses at the joint")
 
 
-def _draw_spectrum(axes: Axes, followed: Followed, replays: tuple[Replay, Replay]) -> bool:
+def _draw_spectrum(axes: Axes, followed: Replayed, replays: tuple[Replay, Replay]) -> bool:
     """Amplitude of the residual against frequency; false where there is too little to show."""
     found = [spectrum(followed.recording, each, followed.noise) for each in replays]
     if found[0] is None or found[1] is None:

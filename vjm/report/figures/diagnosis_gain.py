@@ -34,7 +34,7 @@ from vjm.report.wording import millimetres, short
 from vjm.simulate.initial_state import Replay
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Diagnosis, Followed
+    from vjm.diagnosis.records import Diagnosis, Replayed
 
 Array = NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def gain_of_recordings(diagnosis: Diagnosis) -> Figure:
     return page.figure
 
 
-def _any(shown: Sequence[Followed], name: str) -> bool:
+def _any(shown: Sequence[Replayed], name: str) -> bool:
     return any(getattr(each, name) is not None for each in shown)
 
 
@@ -100,13 +100,13 @@ def _title(diagnosis: Diagnosis) -> str:
     return f"{text}; noise {millimetres(gain.noise)}"
 
 
-def _label(each: Followed) -> str:
+def _label(each: Replayed) -> str:
     role = "held out" if each.recording.role == "holdout" else "train"
     return printable(f"{short(each.recording.file, 24)} ({role})")
 
 
 @styled
-def before_and_after(followed: Followed, diagnosis: Diagnosis) -> Figure:
+def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
     """Tip of one recording, measured and by the models without and with the causes; residuals underneath.
 
     Args:
@@ -138,14 +138,14 @@ def before_and_after(followed: Followed, diagnosis: Diagnosis) -> Figure:
     return page.figure
 
 
-def _at(replay: Replay, followed: Followed, signal: Signal) -> Array:
+def _at(replay: Replay, followed: Replayed, signal: Signal) -> Array:
     rows = np.isfinite(followed.recording.markers[:, signal.marker, signal.axis])
     values: Array = replay.simulation.markers[rows, signal.marker, signal.axis]
     return values
 
 
 def _draw_motion(
-    axes: Axes, followed: Followed, diagnosis: Diagnosis, signal: Signal, window: tuple[float, float]
+    axes: Axes, followed: Replayed, diagnosis: Diagnosis, signal: Signal, window: tuple[float, float]
 ) -> None:
     rows = (signal.time >= window[0]) & (signal.time <= window[1])
     axes.plot(signal.time[rows], 1e3 * signal.value[rows], **_MEASURED)
@@ -163,7 +163,7 @@ def _draw_motion(
     panel_title(axes, "" if whole else "Where the model without the causes is off most")
 
 
-def _draw_residuals(axes: Axes, followed: Followed, signal: Signal, left: dict[str, Array]) -> None:
+def _draw_residuals(axes: Axes, followed: Replayed, signal: Signal, left: dict[str, Array]) -> None:
     noise = 1e3 * followed.noise
     axes.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
     axes.axhline(0.0, color="#444444", linewidth=0.6)
