@@ -11,7 +11,7 @@ from scipy import stats
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.records import Chain
-from vjm.diagnosis.candidates import Family
+from vjm.diagnosis.candidates import Family, looked_for
 from vjm.diagnosis.screen import screen
 from vjm.effects import (
     CameraRotation,
@@ -20,6 +20,7 @@ from vjm.effects import (
     CubicStiffness,
     Effect,
     EncoderOffset,
+    ExternalTone,
     InPlaneGravity,
     JointSpring,
     LinearDrag,
@@ -201,3 +202,13 @@ def test_reference_recordings_say_nothing_of_an_effect() -> None:
     chain = chain_of()
     point = point_of(chain, (), recorded(Arm(chain), 5, condition="reference"))
     assert screen(point, (), [bound(TipPayload())]).whole[0] == 0
+
+
+@pytest.mark.parametrize("noise", [(3e-6, 1e-2), (1e-1, 1e-6)], ids=["markers", "encoder"])
+def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, float]) -> None:
+    chain = chain_of()
+    tone = replace(sized(bound(ExternalTone()), 1.0), frequency=9.3)
+    point = point_of(chain, (), recorded(Arm.of(chain, (tone,)), 7, noise=noise), noise)
+    looked = looked_for([ExternalTone()], RIG, point)
+    frequencies = [effect.values["frequency"] for effect in looked.variants]
+    assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25

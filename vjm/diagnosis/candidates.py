@@ -23,7 +23,7 @@ COARSENESS = "unmodelled_mode"
 _DRAWS = 4000
 _POWER = 1.2816  # standard deviations: nine times in ten
 _TONES = 3  # peaks of the residuals' spectrum that are looked at
-_FINER = 8  # points of the spectrum a bin
+_FINER = 4  # points of the spectrum a bin
 _APART = 2.0  # bins between peaks
 
 
@@ -94,28 +94,41 @@ def looked_for(effects: Sequence[Effect], rig: Rig, point: Point) -> Looked:
 
 
 def _tones(effect: ExternalTone, rig: Rig, runs: Sequence[Run]) -> tuple[list[Effect], float]:
-    """Tones at the peaks of the residuals' spectrum, and how many independent frequencies there were to look at."""
-    quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
-    chosen = quiet or list(runs)
-    time = max((run.observed.recording.time[run.observed.frames] for run in chosen), key=lambda t: float(np.ptp(t)))
+    """Tones at peaks of the residuals' spectra, and how many independent frequencies there were to look at.
+
+    Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
+    """
+    time = max((run.observed.recording.time[run.observed.frames] for run in runs), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
     frequencies = np.arange(1 / duration, 0.45 / step, 1 / (_FINER * duration))
-    power = np.zeros(frequencies.size)
-    for run in chosen:
-        seen = run.observed
-        residual, _ = seen.spread(run.residual)
-        instants = seen.recording.time[seen.frames] - seen.recording.time[0]
-        waves = np.exp(-2j * np.pi * np.outer(frequencies, instants))
-        power += np.sum(np.abs(waves @ np.nan_to_num(residual)) ** 2, axis=1) / max(len(instants), 1)
+    quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
     peaks: list[float] = []
-    for k in np.argsort(power)[::-1].tolist():
-        if all(abs(frequencies[k] - other) > _APART / duration for other in peaks):
-            peaks.append(float(frequencies[k]))
-        if len(peaks) == _TONES:
-            break
+    for chosen in (quiet, runs):
+        power, first = _power(chosen, frequencies), len(peaks)
+        for k in np.argsort(power)[::-1].tolist() if chosen else ():
+            if all(abs(frequencies[k] - other) > _APART / duration for other in peaks):
+                peaks.append(float(frequencies[k]))
+            if len(peaks) == first + _TONES:
+                break
     places = effect.places(rig)
     found = [replace(effect, link=link, frequency=peak) for link in places for peak in peaks]
     return [*found], duration * 0.45 / step / max(len(found), 1)
+
+
+def _power(runs: Sequence[Run], frequencies: Array) -> Array:
+    """(F,) power of the residuals, all recordings, marker coordinates and encoders together."""
+    power = np.zeros(frequencies.size)
+    for run in runs:
+        seen, time = run.observed, run.observed.recording.time - run.observed.recording.time[0]
+        markers, angles = seen.spread(run.residual)
+        for instants, residual in ((time[seen.frames], markers), (time, angles)):
+            known = np.isfinite(residual).any(axis=1)
+            if known.any():
+                # Hann's window: what drifts slowly must not leak into all other frequencies.
+                window = np.sin(np.pi * instants[known] / max(float(time[-1]), 1e-300)) ** 2
+                waves = np.exp(-2j * np.pi * np.outer(frequencies, instants[known])) * window
+                power += np.sum(np.abs(waves @ np.nan_to_num(residual[known])) ** 2, axis=1) / np.sum(window**2)
+    return power
 
 
 @dataclass(frozen=True)
