@@ -9,7 +9,6 @@ import vjm
 from tests.hidden.conftest import Plant
 from vjm.diagnosis.base import base_fit
 from vjm.diagnosis.coarseness import beside
-from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.screen import screen
 from vjm.effects import CubicStiffness
 from vjm.identification.trajectory_problem import Point
@@ -31,7 +30,7 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     assert cubic(plain) > 50
     assert base.point.misfit < 1.005
     assert cubic(base.point) < 4
-    found = Explanation((), base.fit, base.coarseness.shift).estimate
+    found = base.plain.estimate
     physical = base.point.problem.parametrisation.physical(found)
     assert physical[0] == pytest.approx(truth.beam.bending_stiffness, rel=3e-4)
     assert physical[2] == pytest.approx(truth.beam.hub_inertia, rel=3e-4)

@@ -1,4 +1,4 @@
-"""The model without effects: fitted to everything, with joints enough that its own coarseness is no effect."""
+"""The model without effects: fitted to everything, its chain's own coarseness measured and known."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.coarseness import CLOSE, Coarseness, coarseness, corrected
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
+from vjm.diagnosis.refit import Explanation
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import REFERENCE, Experiment, Recording
@@ -55,6 +56,11 @@ class Base:
     def point(self) -> Point:
         """Where the fit is."""
         return self.fit.point
+
+    @property
+    def plain(self) -> Explanation:
+        """The model without effects, as an explanation."""
+        return Explanation(self.fit, None if self.coarseness is None else self.coarseness.shift)
 
 
 def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:

@@ -26,19 +26,18 @@ def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callabl
         rig: the arm.
         tell: told what is being done.
     """
-    plain = Explanation((), base.fit, None if base.coarseness is None else base.coarseness.shift)
     if not base.others or base.point.misfit < LACKING:
-        return plain
-    start = Explanation((), replace(base.fit, point=_as(base.point, None)))
+        return base.plain
+    start = Explanation(replace(base.fit, point=_as(base.point, None)))
     smooth = [effect for effect in effects if not effect.abrupt]
     search = Search(rig, Beginning(start, start), smooth, _MUCH, tell)
     best = search.run(search.judged(start)).best
     if not best.effects:
-        return plain
+        return base.plain
     problem = best.point.problem
     extension = Extension(problem.parametrisation, best.effects, everywhere=len(best.effects))
     point = _as(replace(best.point, problem=replace(problem, extension=extension)), REFERENCE)
-    return Explanation(best.effects, replace(best.fit, point=point))
+    return Explanation(replace(best.fit, point=point))
 
 
 def _as(point: Point, condition: str | None) -> Point:

@@ -52,11 +52,10 @@ def beginning(base: Base, plain: Explanation) -> Beginning:
     new = [run for run, _ in most_likely(arms, others, coarse=problem.coarse)]
     runs = (*known, *new)
     problem = replace(problem, observed=tuple(run.observed for run in runs))
-    before = Explanation(plain.effects, TrajectoryFit(Point(problem, point.x, runs), False, 0))
+    before = Explanation(TrajectoryFit(Point(problem, point.x, runs), False, 0))
     if any(_lost(run) for run in new):
         return Beginning(before, before, True, lacking)
-    own = [effect.coordinates[: effect.sizes] for effect in before.effects]
-    start = refit(before, before.effects, own)
+    start = refit(before, before.effects)
     return Beginning(before, start or before, False, lacking)
 
 

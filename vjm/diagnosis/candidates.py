@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 COARSENESS = "unmodelled_mode"
 _DRAWS = 4000
-_POWER = 1.2816  # standard deviations: nine times in ten
+_SURELY = 1.2816  # standard deviations: nine times in ten
 _TONES = 3  # peaks of the residuals' spectrum that are looked at
 _FINER = 4  # points of the spectrum a bin
 _APART = 2.0  # bins between peaks
@@ -184,14 +184,9 @@ def candidates(looked: Looked, family: Family, alpha: float, floor: float) -> tu
         floor: fall of chi^2 below which an effect does not matter, whatever its p-value.
     """
     seen, p = family.seen, family.p_values
-    best: dict[tuple[str, int | None], int] = {}
-    for k, effect in enumerate(seen.effects):
-        key = (effect.id, effect.link)
-        if key not in best or seen.statistics[k] > seen.statistics[best[key]]:
-            best[key] = k
-    wanted = np.maximum(family.threshold(alpha), np.sqrt(floor)) + _POWER
+    wanted = np.maximum(family.threshold(alpha), np.sqrt(floor)) + _SURELY
     found = []
-    for k in sorted(best.values(), key=lambda k: -seen.statistics[k]):
+    for k in seen.one_each(range(len(seen.effects))):
         effect = seen.effects[k]
         if seen.absorbed[k]:
             reason = "whatever its size, other parameters explain these recordings as well"

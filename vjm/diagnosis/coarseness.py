@@ -66,15 +66,16 @@ def coarseness(point: Point, rig: Rig) -> Coarseness | None:
     finer = _finer(bare, rig)
     best, found, here = np.inf, None, bare
     try:
-        for _ in range(_PASSES):
+        for left in reversed(range(_PASSES)):
             shown, own = _shown(finer, here), [_predicted(here, k) for k in range(len(here.runs))]
             chi2 = sum(_chi2(here, k, each) for k, each in enumerate(shown))
             if not chi2 < best * (1 - _SETTLED):
                 break
             best, found = chi2, (shown, here.x)
-            surplus = [one - two for one, two in zip(shown, own, strict=True)]
-            fit = _fitted(beside(here, surplus), rough=True)
-            here = beside(fit.point, [None] * len(shown))
+            if left:
+                surplus = [one - two for one, two in zip(shown, own, strict=True)]
+                fit = _fitted(beside(here, surplus), rough=True)
+                here = beside(fit.point, [None] * len(shown))
     except (SimulationDivergedError, InsufficientDataError):
         return None
     if found is None:

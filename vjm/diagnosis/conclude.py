@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import Base
-from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
 from vjm.diagnosis.probes import described
@@ -18,8 +17,9 @@ from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Remaining, Rival,
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.replays import follow, found_symptoms
 from vjm.diagnosis.rivals import alternatives
-from vjm.diagnosis.search import Found, Rules, Search
+from vjm.diagnosis.search import Found, Search
 from vjm.effects import Effect
+from vjm.effects.effect import Key
 from vjm.experiment.records import REFERENCE, Experiment
 from vjm.identification.information import Information, of_trajectory
 from vjm.identification.uncertainty import covariance, estimates, to_physical
@@ -41,8 +41,6 @@ def conclude(
     search: Search,
     found: Found,
     table: tuple[Candidate, ...],
-    rules: Rules,
-    tell: Callable[[str], None],
     already: str = "",
 ) -> Diagnosis:
     """What is missing, how sure that is, and what is gained.
@@ -53,22 +51,20 @@ def conclude(
         search: can fit more.
         found: where it ended.
         table: the candidates.
-        rules: of the search.
-        tell: told what is being done.
         already: what was missing before any change, as a sentence.
     """
     best = found.best
     new = best.effects[best.everywhere :]
     scale = max(1.0, best.point.misfit**2)
-    tell("asking what cannot be told apart")
-    rivals = {id(each): alternatives(found, search, each, scale) for each in new}
+    search.tell("asking what cannot be told apart")
+    rivals = {each.key: alternatives(found, search, each, scale) for each in new}
     information, _ = of_trajectory(best.fit, True)
-    causes = _causes(best, search.start, found, rivals, covariance(information))
-    tell("replaying the recordings")
+    causes = _causes(search, found, rivals, covariance(information))
+    search.tell("replaying the recordings")
     model, plain = _model(experiment, base, best, information), _model(experiment, base, search.begun.before, None)
     runner_up = _runner_up(search, best)
     followed = follow(experiment, base, search.begun.before, best, runner_up)
-    gained = gain(followed, rules.seed)
+    gained = gain(followed, search.rules.seed)
     left = leftover(best.point.runs)
     needed = _still_needed(best, search, found)
     remains = _remains(best, base, search, left, needed)
@@ -93,7 +89,7 @@ def conclude(
     )
     little = search.start.chi2 - best.chi2 < _LITTLE * best.chi2
     useless = bool(causes) and little and (gained is None or gained.reduction < _NIL)
-    return _without_causes(diagnosis, rules.seed) if useless and not remains else diagnosis
+    return _without_causes(diagnosis, search.rules.seed) if useless and not remains else diagnosis
 
 
 def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
@@ -116,9 +112,8 @@ def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
 
 def insufficient(experiment: Experiment, base: Base, table: tuple[Candidate, ...], reasons: Sequence[str]) -> Diagnosis:
     """What can be said where the recordings support no statement."""
-    start = Explanation((), base.fit)
-    plain = _model(experiment, base, start, None)
-    followed = follow(experiment, base, start, start, None)
+    plain = _model(experiment, base, base.plain, None)
+    followed = follow(experiment, base, base.plain, base.plain, None)
     return Diagnosis(
         experiment=experiment,
         verdict="insufficient",
@@ -166,17 +161,11 @@ def _worse_than_before(best: Explanation, usual: float) -> bool:
     return bool(np.sqrt(squares / max(count, 1)) > _CLEARLY * usual)
 
 
-def _causes(
-    best: Explanation, start: Explanation, found: Found, rivals: dict[int, tuple[Rival, ...]], spread: Array
-) -> tuple[Cause, ...]:
-    extension = best.point.problem.extension
-    if not isinstance(extension, Extension):
-        return ()
-    causes = []
-    estimated = extension.present(best.estimate)
-    for effect, part in [*zip(best.effects, extension.parts, strict=True)][best.everywhere :]:
-        key = (effect.id, effect.link)
-        without = found.tried.get(best.names - {key}, start)
+def _causes(search: Search, found: Found, rivals: Mapping[Key, tuple[Rival, ...]], spread: Array) -> tuple[Cause, ...]:
+    best, causes = found.best, []
+    estimated = best.extension.present(best.estimate)
+    for effect, beam, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][best.everywhere :]:
+        without = search.trials.tried.get(best.names - {effect.key}, search.start)
         drop = without.chi2 - best.chi2
         before, after = without.point.misfit, best.point.misfit
         evidence = (
@@ -186,10 +175,10 @@ def _causes(
         causes.append(
             Cause(
                 effect,
-                _sizes(estimated[best.effects.index(effect)], spread[part, part]),
-                max(found.p_values.get(key, 0.0), 1e-300),
+                _sizes(beam, spread[part, part]),
+                max(found.p_values.get(effect.key, 0.0), 1e-300),
                 drop,
-                rivals[id(effect)],
+                rivals[effect.key],
                 evidence,
             )
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.refit import Explanation, refit
+from vjm.diagnosis.refit import Explanation, refit, sized
 from vjm.diagnosis.screen import Screen
 from vjm.effects import Effect
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
@@ -32,31 +32,30 @@ class Job:
 
     Attributes:
         start: the explanation to begin with.
-        effects: those wanted, with the inner parameters from which their search starts.
-        sizes: of each, in everyday sizes.
-        lost: whether the start does not follow the recordings.
+        effects: those wanted, with the parameters from which their search starts.
     """
 
     start: Explanation
     effects: tuple[Effect, ...]
-    sizes: tuple[Array, ...]
-    lost: bool = False
 
 
-def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], lost: bool = False) -> Job:
+def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], from_afar: bool = False) -> Job:
     """An explanation with further effects, of sizes that a screen guesses.
 
     Args:
         start: the explanation.
         seen: the screen.
         chosen: of its effects.
-        lost: whether the start does not follow the recordings: then sizes are everyday ones.
+        from_afar: whether the start is no guide: then sizes are everyday ones.
     """
     added = [seen.effects[k] for k in chosen]
-    guess = np.ones(sum(effect.sizes for effect in added)) if lost else seen.guess(chosen)
+    guess = np.ones(sum(effect.sizes for effect in added)) if from_afar else seen.guess(chosen)
     stops = np.cumsum([effect.sizes for effect in added])
-    sizes = [guess[stop - effect.sizes : stop] for stop, effect in zip(stops, added, strict=True)]
-    return Job(start, (*start.effects, *added), (*_own(start), *sizes), lost)
+    new = [
+        sized(effect, guess[stop - effect.sizes : stop], start.point.chain)
+        for stop, effect in zip(stops, added, strict=True)
+    ]
+    return Job(start, (*start.effects, *new))
 
 
 def begun_with(job: Job, whole: float) -> Explanation | None:
@@ -67,7 +66,7 @@ def begun_with(job: Job, whole: float) -> Explanation | None:
         whole: duration of the longest recording [s].
     """
     steps = np.inf if is_short(job.start, whole) else _FIRST_STEPS
-    return refit(job.start, job.effects, job.sizes, Patience(steps, abrupt=is_abrupt(job.effects)), job.lost)
+    return refit(job.start, job.effects, Patience(steps, abrupt=is_abrupt(job.effects)))
 
 
 def is_short(explanation: Explanation, whole: float) -> bool:
@@ -83,11 +82,12 @@ def near_noise(begun: Explanation, whole: float) -> bool:
 def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:
     """The best first; of those that were tried on the recordings' beginnings, the ones that may be best in the end."""
     ordered = sorted(begun, key=lambda each: each.chi2)
-    if not any(is_short(each, whole) for each in ordered):
-        return ordered
-    best = ordered[0].point.misfit
-    near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in ordered)
-    return ordered[: near if best < _EXPLAINED else max(near, _KEPT)]
+    short = [each for each in ordered if is_short(each, whole)]
+    if short:
+        best = short[0].point.misfit
+        near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in short)
+        short = short[: near if best < _EXPLAINED else max(near, _KEPT)]
+    return [*(each for each in ordered if not is_short(each, whole)), *short]
 
 
 def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Explanation | None:
@@ -104,15 +104,9 @@ def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Exp
     return refit(
         begun,
         begun.effects,
-        _own(begun),
         Patience(np.inf, record, is_abrupt(begun.effects)),
         whole=whole if short else None,
     )
-
-
-def _own(explanation: Explanation) -> list[Array]:
-    """Sizes of its effects."""
-    return [effect.coordinates[: effect.sizes] for effect in explanation.effects]
 
 
 class Patience:

@@ -53,8 +53,8 @@ class Cause:
     """An effect that the recordings need.
 
     Attributes:
-        effect: with its estimated parameters.
-        parameters: the same with standard errors, by name.
+        effect: with the parameters with which the model's chain follows the recordings.
+        parameters: those of a beam, whose joints have no end, with standard errors, by name.
         p_value: probability that noise alone makes any of the candidates look as needed as this.
         gain: by how much chi^2 of the training recordings falls with it.
         rivals: effects that cannot be told from it.

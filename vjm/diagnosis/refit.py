@@ -10,17 +10,20 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.extension import Extension
-from vjm.effects.effect import Effect
+from vjm.chain.records import Chain
+from vjm.diagnosis.extension import Extension, adds_joint
+from vjm.effects.effect import Effect, Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
+Names = frozenset[Key]
 
 ADRIFT = 4.0  # misfit of a start that does not follow the recordings for long
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
+_LEAST_START = 0.1  # of a joint: one that is nearly rigid says little of which way to go
 
 
 @dataclass(frozen=True)
@@ -28,12 +31,10 @@ class Explanation:
     """A model with effects, fitted.
 
     Attributes:
-        effects: with the parameters with which its chain follows the recordings; none: the model without effects.
         fit: the minimum.
         shift: (p,) from its chain's coordinates to those of a beam, whose joints have no end; None: not known.
     """
 
-    effects: tuple[Effect, ...]
     fit: TrajectoryFit
     shift: Array | None = None
 
@@ -55,33 +56,44 @@ class Explanation:
         return np.clip(self.point.x + self.shift, *self.point.problem.varied.bounds)
 
     @property
-    def everywhere(self) -> int:
-        """Number of its effects that act in the reference recordings too."""
-        extension = self.fit.point.problem.extension
-        return extension.everywhere if isinstance(extension, Extension) else 0
+    def extension(self) -> Extension:
+        """Its coordinates; without effects, none beside the chain's."""
+        problem = self.point.problem
+        return problem.extension if isinstance(problem.extension, Extension) else Extension(problem.parametrisation, ())
 
     @cached_property
-    def names(self) -> frozenset[tuple[str, int | None]]:
+    def effects(self) -> tuple[Effect, ...]:
+        """Its effects, with the parameters with which its chain follows the recordings."""
+        return self.extension.present(self.point.x)
+
+    @property
+    def everywhere(self) -> int:
+        """Number of its effects that act in the reference recordings too."""
+        return self.extension.everywhere
+
+    @cached_property
+    def names(self) -> Names:
         """Which effects, and where."""
-        return frozenset((effect.id, effect.link) for effect in self.effects)
+        return named(self.effects)
+
+
+def named(effects: Sequence[Effect]) -> Names:
+    """What several effects are known by."""
+    return frozenset(effect.key for effect in effects)
 
 
 def refit(
     start: Explanation,
     effects: Sequence[Effect],
-    sizes: Sequence[Array],
     hopeless: Callable[[Point, float], bool] | None = None,
-    lost: bool = False,
     whole: TrajectoryProblem | None = None,
 ) -> Explanation | None:
     """Fit a model with other effects, from a fit with some of them or with none.
 
     Args:
         start: where to begin.
-        effects: those wanted, with the inner parameters from which their search starts.
-        sizes: (s,) guessed size of each, in everyday sizes.
+        effects: those wanted, with the parameters from which their search starts.
         hopeless: may end the search, as of `fit_trajectory`.
-        lost: whether the start does not follow the recordings.
         whole: the problem to solve, where the start is of the recordings' first seconds only; None: the start's.
 
     Returns:
@@ -89,17 +101,12 @@ def refit(
     """
     base = start.point.problem.parametrisation
     extension = Extension(base, tuple(effects), start.everywhere)
-    first = [
-        effect.coordinates if effect in start.effects else _sized(effect, guess)
-        for effect, guess in zip(effects, sizes, strict=True)
-    ]
-    x = np.concatenate([start.point.x[: len(base.coordinates)], *first])
-    lower, upper = extension.bounds
-    x = np.clip(x, lower, upper)
+    x = np.concatenate([start.point.x[: len(base.coordinates)], *(effect.coordinates for effect in effects)])
+    x = np.clip(x, *extension.bounds)
     problem = replace(whole or start.point.problem, extension=extension)
     arms = problem.arms(x)
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
-    known = _followed(start, extension.effects, lost) if whole is None else start.point.problem.longest
+    known = _followed(start, extension.effects) if whole is None else start.point.problem.longest
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):
@@ -107,16 +114,15 @@ def refit(
             return None
         finer = replace(start.point, problem=replace(start.point.problem, coarse=1.0))
         whole = None if whole is None else replace(whole, coarse=1.0)
-        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, sizes, hopeless, lost, whole)
-    return Explanation(extension.present(fit.point.x), fit)
+        return refit(replace(start, fit=replace(start.fit, point=finer)), effects, hopeless, whole)
+    return Explanation(fit)
 
 
-def _followed(start: Explanation, effects: Sequence[Effect], lost: bool) -> float:
+def _followed(start: Explanation, effects: Sequence[Effect]) -> float:
     """How long an explanation is known to follow the recordings [s], with further effects."""
     # What sticks and slips is found from the recordings' beginnings.
-    new = [each for each in effects if (each.id, each.link) not in start.names]
-    adrift = lost or start.point.misfit > ADRIFT
-    return 0.0 if adrift or any(each.abrupt for each in new) else np.inf
+    new = [each for each in effects if each.key not in start.names]
+    return 0.0 if start.point.misfit > ADRIFT or any(each.abrupt for each in new) else np.inf
 
 
 def shortened(explanation: Explanation) -> Explanation:
@@ -134,14 +140,12 @@ def shortened(explanation: Explanation) -> Explanation:
             fits.append(fit_trajectory(part, x, None, states, rough=True))
     if not fits:
         return explanation
-    fit = min(fits, key=lambda each: each.point.chi2)
-    extension = part.extension
-    effects = extension.present(fit.point.x) if isinstance(extension, Extension) else ()
-    return Explanation(effects, fit)
+    return Explanation(min(fits, key=lambda each: each.point.chi2))
 
 
-def _sized(effect: Effect, guess: Array) -> Array:
-    """(p,) coordinates of an effect of a guessed size."""
-    found = effect.coordinates.copy()
-    found[: effect.sizes] = np.clip(guess, -_LARGEST_START, _LARGEST_START)
-    return found
+def sized(effect: Effect, guess: Array, chain: Chain) -> Effect:
+    """An effect of a guessed size (s,), in everyday sizes, to be fitted beside a chain."""
+    found = effect.coordinates
+    least = _LEAST_START if adds_joint(effect, chain) else -_LARGEST_START
+    found[: effect.sizes] = np.clip(guess, least, _LARGEST_START)
+    return effect.at(np.clip(found, *effect.bounds))

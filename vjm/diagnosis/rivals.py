@@ -7,11 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.race import ALIKE
 from vjm.diagnosis.records import Rival
-from vjm.diagnosis.refit import Explanation
-from vjm.diagnosis.screen import Screen, screen
+from vjm.diagnosis.refit import Explanation, named
+from vjm.diagnosis.screen import Screen, one_each, screen
 from vjm.diagnosis.search import Found, Search
 from vjm.effects import Effect
 
@@ -33,17 +32,17 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
     """
     best = found.best
     others = [effect for effect in best.effects if effect is not cause]
-    variants = [v for v in search.looked.variants if (v.id, v.link) not in best.names]
+    variants = [v for v in search.looked.variants if v.key not in best.names]
     variants = [v for v in variants if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)]
     seen = _beside(best, cause, variants)
     wanted = _near(seen, cause, ALIKE * scale)
     search.replacements(others, [seen.effects[k] for k in wanted])
-    rest = frozenset((effect.id, effect.link) for effect in others)
+    rest = named(others)
     rivals = []
     for names, tried in search.trials.tried.items():
-        new = [effect for effect in tried.effects if (effect.id, effect.link) not in rest]
+        new = [effect for effect in tried.effects if effect.key not in rest]
         same = len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.trials.stale
-        if same and (new[0].id, new[0].link) != (cause.id, cause.link):
+        if same and new[0].key != cause.key:
             worse = tried.chi2 - best.chi2
             if worse < ALIKE * scale:
                 rivals.append(Rival(new[0], float(worse)))
@@ -52,16 +51,14 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
 
 def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
     """Whether another effect does to the model without effects about what the cause does."""
-    one = [k for k, each in enumerate(first.effects) if (each.id, each.link) == (cause.id, cause.link)]
-    two = [k for k, each in enumerate(first.effects) if (each.id, each.link) == (other.id, other.link)]
+    one = [k for k, each in enumerate(first.effects) if each.key == cause.key]
+    two = [k for k, each in enumerate(first.effects) if each.key == other.key]
     return any(first.likeness[i, j] > _ALIKE for i in one for j in two)
 
 
 def _beside(best: Explanation, cause: Effect, variants: Sequence[Effect]) -> Screen:
     """The absent effects beside a cause, which is one among them."""
-    extension = best.point.problem.extension
-    parts = extension.parts if isinstance(extension, Extension) else ()
-    part = next(p for effect, p in zip(best.effects, parts, strict=True) if effect is cause)
+    part = next(p for effect, p in zip(best.effects, best.extension.parts, strict=True) if effect is cause)
     return screen(best.point, best.effects, variants, (cause, part))
 
 
@@ -79,13 +76,4 @@ def _near(seen: Screen, cause: Effect, tolerance: float) -> list[int]:
         lost[k] = power - float(np.sum((columns @ guess) ** 2))
     # A linear guess is the worse the larger the effect.
     close = [k for k in range(1, len(seen.effects)) if lost[k] < _NEAR * tolerance + 0.02 * power]
-    kept = _one_each(seen, close, lost)
-    return kept[:_MOST]
-
-
-def _one_each(seen: Screen, chosen: Sequence[int], lost: Array) -> list[int]:
-    """Of several variants of one effect at one place the one that loses least; the least lossy first."""
-    best: dict[tuple[str, int | None], int] = {}
-    for k in sorted(chosen, key=lambda k: float(lost[k])):
-        best.setdefault((seen.effects[k].id, seen.effects[k].link), k)
-    return list(best.values())
+    return one_each(seen.effects, sorted(close, key=lambda k: float(lost[k])))[:_MOST]

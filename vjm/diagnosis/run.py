@@ -70,7 +70,7 @@ def diagnose(
         if reasons:
             return insufficient(experiment, base, table, reasons)
         said = told(base, known, begun.lacking)
-        return conclude(experiment, base, search, search.run(first), table, rules, tell, said)
+        return conclude(experiment, base, search, search.run(first), table, said)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ sizes, smallest detectable sizes and likenesses between candidates all follow fr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from vjm.diagnosis.extension import adds_joint
-from vjm.effects.effect import Effect
+from vjm.effects.effect import Effect, Key
 from vjm.experiment.records import REFERENCE
 from vjm.identification.trajectory_problem import Point
 from vjm.simulate.arm import Arm
@@ -27,6 +27,7 @@ from vjm.simulate.triangle import Triangle
 Array = NDArray[np.float64]
 
 _STEP = 0.1  # everyday sizes, over which the slope is taken
+_JOINT_STEP = 0.02  # the same where all has to be simulated again, and its curvature told from its slope
 _ABSORBED = 1e-7  # share of a direction's square left once all else has been projected out, below which it is none
 _LARGEST = 1e12  # slope, in units of the noise
 
@@ -74,6 +75,10 @@ class Screen:
         """(V,) numbers of sizes, and (V,) whether the null is a bound of the only size."""
         sizes = np.array([part.stop - part.start for part in self.parts])
         return sizes, np.array([is_one_sided(effect) for effect in self.effects])
+
+    def one_each(self, chosen: Iterable[int]) -> list[int]:
+        """Of several variants of one effect at one place the one that explains most; the most needed first."""
+        return one_each(self.effects, sorted(chosen, key=lambda k: -self.statistics[k]))
 
     def pair(self, one: int, other: int) -> float:
         """By how much two effects together would lower chi^2."""
@@ -146,6 +151,14 @@ def is_one_sided(effect: Effect) -> bool:
     return effect.sizes == 1 and bool(lower[0] == 0 or upper[0] == 0)
 
 
+def one_each(effects: Sequence[Effect], order: Iterable[int]) -> list[int]:
+    """Of several variants of one effect at one place the first in an order."""
+    first: dict[Key, int] = {}
+    for k in order:
+        first.setdefault(effects[k].key, k)
+    return list(first.values())
+
+
 def screen(
     point: Point, present: Sequence[Effect], variants: Sequence[Effect], again: tuple[Effect, slice] | None = None
 ) -> Screen:
@@ -210,8 +223,18 @@ def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
-    """For each recording, (N,) slope of the whitened predictions over the effect's first step off its null."""
-    extended = Arm.of(point.chain, (*present, _unit(variant, 0, _STEP)))
+    """For each recording, (N,) slope of the whitened predictions where the effect leaves its null, to second order.
+
+    A joint that gives way a little shifts frequencies, which in a long recording is soon out of proportion.
+    """
+    one, two = (_residuals(point, present, _unit(variant, 0, size)) for size in (_JOINT_STEP, 2 * _JOINT_STEP))
+    null = [run.residual for run in point.runs]
+    return [(3 * r0 - 4 * r1 + r2) / (2 * _JOINT_STEP) for r0, r1, r2 in zip(null, one, two, strict=True)]
+
+
+def _residuals(point: Point, present: Sequence[Effect], added: Effect) -> list[Array]:
+    """For each recording, (N,) whitened residuals with a further effect, all else as it is."""
+    extended = Arm.of(point.chain, (*present, added))
     arms, states, starts = [], [], []
     for run in point.runs:
         absent = run.observed.recording.condition == REFERENCE
@@ -219,7 +242,7 @@ def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[A
         states.append(run.state if absent else transferred(run.chain, extended.chain, run.state))
         starts.append(Start.of(arms[-1], run.observed.recording))
     runs = run_all(arms, [run.observed for run in point.runs], starts, states, point.problem.coarse)
-    return [(one.residual - two.residual) / _STEP for one, two in zip(point.runs, runs, strict=True)]
+    return [run.residual for run in runs]
 
 
 class _Rows:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
 from vjm.diagnosis.race import is_abrupt, proposal
-from vjm.diagnosis.refit import Explanation
-from vjm.diagnosis.screen import Screen, screen
-from vjm.diagnosis.trials import NOISE, Key, Names, Tell, Trials, key_of, named
+from vjm.diagnosis.refit import Explanation, named
+from vjm.diagnosis.screen import screen
+from vjm.diagnosis.trials import NOISE, Tell, Trials
 from vjm.effects import Effect
+from vjm.effects.effect import Key
 from vjm.experiment.records import Rig
 
 Array = NDArray[np.float64]
@@ -53,14 +54,12 @@ class Found:
 
     Attributes:
         best: the explanation.
-        tried: every explanation that was fitted, by the names of its effects; hopeless ones not to their end.
         first: the screen beside the model without effects, and its p-values.
         last: the same beside the best explanation.
         p_values: of each effect of the best explanation, when it was added.
     """
 
     best: Explanation
-    tried: dict[Names, Explanation]
     first: Family
     last: Family
     p_values: dict[Key, float] = field(default_factory=dict)
@@ -99,8 +98,8 @@ class Search:
             needed = self._needed(best, family)
             if not needed:
                 break
-            steps: list[Step] = [(best, [k]) for k in needed[: None if self.begun.lost else _BEST]]
-            if len(best.effects) == len(self.start.effects) + 1 and not self.begun.lost:
+            steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.from_afar(best) else _BEST]]
+            if len(best.effects) == len(self.start.effects) + 1 and not self.trials.from_afar(self.start):
                 steps += self._pairs(first, best)
             smooth, abrupt = self._apart(family, first, best, steps)
             if self.trials.guide(best) is not best:
@@ -116,7 +115,7 @@ class Search:
                 key: min(_p_value(each, key) for each in (family, first)) for key in best.names - p_values.keys()
             }
             family = self.judged(best)
-        return Found(best, self.trials.tried, first, family, p_values)
+        return Found(best, first, family, p_values)
 
     def judged(self, explanation: Explanation) -> Family:
         """Candidates beside an explanation."""
@@ -128,7 +127,7 @@ class Search:
         kept = [
             k
             for k, variant in enumerate(looked.variants)
-            if key_of(variant) not in names and not (quick and variant.abrupt)
+            if variant.key not in names and not (quick and variant.abrupt)
         ]
         variants = [looked.variants[k] for k in kept]
         guide = self.trials.guide(explanation)
@@ -147,7 +146,7 @@ class Search:
         point = self.trials.guide(explanation).point
         least = self.rules.least(min(point.chi2, point.count))
         if is_abrupt(explanation.effects):
-            return max(least, _ABRUPT * (self.start.chi2 - explanation.chi2))
+            return max(least, _ABRUPT * (self.trials.guide(self.start).point.chi2 - point.chi2))
         return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
@@ -168,8 +167,8 @@ class Search:
             added: what may stand in its place, one at a time.
         """
         names, trials = named(others), self.trials
-        trials.refresh([names | {key_of(effect)} for effect in added])
-        new = [effect for effect in added if names | {key_of(effect)} not in trials.tried]
+        trials.refresh([names | {effect.key} for effect in added])
+        new = [effect for effect in added if names | {effect.key} not in trials.tried]
         if new:
             start = trials.tried.get(names, self.start)
             guide = trials.guide(start)
@@ -195,12 +194,12 @@ class Search:
             for k in range(len(seen.effects))
             if (lost and not seen.absorbed[k]) or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
         ]
-        return one_each(seen, needed) if needed else []
+        return seen.one_each(needed)
 
     def _pairs(self, first: Family, best: Explanation) -> list[Step]:
         """Pairs that explain most by the first screen, without the best single effect."""
         seen = first.seen
-        alone = [k for k in one_each(seen, range(len(seen.effects))) if key_of(seen.effects[k]) not in best.names]
+        alone = [k for k in seen.one_each(range(len(seen.effects))) if seen.effects[k].key not in best.names]
         scored = [(seen.pair(i, j), i, j) for n, i in enumerate(alone) for j in alone[:n]]
         scored.sort(reverse=True)
         return [(self.start, [i, j]) for _, i, j in scored[:_PAIRS]]
@@ -210,9 +209,8 @@ class Search:
 
     def _without_idle(self, explanation: Explanation) -> Explanation:
         """Without effects that the others make needless."""
-        for effect in explanation.effects[len(self.start.effects) :]:
-            if len(explanation.effects) == len(self.start.effects) + 1:
-                break  # the step to a first effect is judged against the start
+        new = explanation.effects[len(self.start.effects) :]
+        for effect in new if len(new) > 1 else ():  # the step to a first effect is judged against the start
             fewer = self.trials.without(explanation, effect, explanation.chi2 * (1 + self.rules.matters))
             if fewer is not None and not self._worth(fewer, explanation):
                 return self._without_idle(fewer)
@@ -222,12 +220,4 @@ class Search:
 def _p_value(family: Family, key: Key) -> float:
     """The smallest of an effect's variants; one where it was not among the candidates."""
     found = zip(family.seen.effects, family.p_values.tolist(), strict=True)
-    return min((p for effect, p in found if key_of(effect) == key), default=1.0)
-
-
-def one_each(seen: Screen, chosen: Sequence[int]) -> list[int]:
-    """Of several variants of one effect at one place the one that explains most; the most needed first."""
-    best: dict[Key, int] = {}
-    for k in sorted(chosen, key=lambda k: -seen.statistics[k]):
-        best.setdefault(key_of(seen.effects[k]), k)
-    return list(best.values())
+    return min((p for effect, p in found if effect.key == key), default=1.0)

@@ -12,19 +12,16 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.coarseness import CLOSE, beside, coarseness, corrected
-from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.race import Job, Patience, begun_with, finished, is_abrupt, is_short, near_noise, promising
-from vjm.diagnosis.refit import ADRIFT, Explanation, refit, shortened
+from vjm.diagnosis.refit import ADRIFT, Explanation, Names, named, refit, shortened
 from vjm.effects import Effect
 from vjm.experiment.records import Rig
 from vjm.identification.trajectory_problem import TrajectoryProblem
 
 Array = NDArray[np.float64]
 NOISE = 1.02  # misfit that leaves nothing to explain
-COARSE = 1.15  # the same as long as the chain's coarseness is not known
+_COARSE = 1.15  # the same as long as the chain's coarseness is not known
 Tell = Callable[[str], None]
-Key = tuple[str, int | None]
-Names = frozenset[Key]
 
 
 class Trials:
@@ -82,7 +79,6 @@ class Trials:
             found = self._map(partial(begun_with, whole=whole.longest), together)
             new = [each for each in found if each is not None]
             begun += new
-            # What leaves nothing but noise cannot be bettered, and what equals it is asked for in the end.
             if self._explained(self._finish([each for each in new if near_noise(each, whole.longest)], whole)):
                 return
         rest = [each for each in promising(begun, whole.longest) if each.names not in self.tried]
@@ -99,6 +95,8 @@ class Trials:
             found = self._map(partial(finished, record=record, whole=whole), together)
             ended += [each for each in found if each is not None]
             self.tried |= {each.names: each for each in ended}
+            if self._explained(ended):
+                break  # nothing can be better, and what equals it is asked for in the end
             record = min([record, *(each.chi2 for each in ended)])
         return ended
 
@@ -115,30 +113,29 @@ class Trials:
             effect: one of its effects.
             record: chi^2 of no interest beyond; the fit is given up once it will not come near.
         """
-        names = explanation.names - {key_of(effect)}
+        names = explanation.names - {effect.key}
         known = self.tried.get(names)
         if known is not None and (known.point.misfit > CLOSE or known.chi2 > 2 * record):
             return known
         # Also what was fitted before may be fitted better from here.
         kept = tuple(each for each in explanation.effects if each is not effect)
-        sizes = [each.coordinates[: each.sizes] for each in kept]
-        found = refit(explanation, kept, sizes, Patience(np.inf, record, is_abrupt(kept)))
+        found = refit(explanation, kept, Patience(np.inf, record, is_abrupt(kept)))
         if found is None or (known is not None and names not in self.stale and known.chi2 < found.chi2):
             return known
-        self.tried[names] = replace(found, shift=None if known is None else known.shift)
+        self.tried[names] = found
         self.stale.discard(names)
         return self.tried[names]
 
     def _explained(self, explanations: Sequence[Explanation]) -> bool:
         """Whether one of them leaves nothing but noise, and what the chain's coarseness may."""
-        least = COARSE if self.surplus is None else NOISE
+        least = _COARSE if self.surplus is None else NOISE
         return any(each.point.misfit < least for each in explanations)
 
     def refresh(self, wanted: Sequence[Names]) -> None:
         """Fit again what was fitted before the chain's coarseness was known."""
         for names in self.stale.intersection(wanted):
             known = self._beside(self.tried[names])
-            found = refit(known, known.effects, [effect.coordinates[: effect.sizes] for effect in known.effects])
+            found = refit(known, known.effects)
             if found is not None:
                 self.tried[names] = found
         self.stale.difference_update(wanted)
@@ -147,8 +144,7 @@ class Trials:
         """Fitted to the very end, unless that is of no use."""
         if explanation.fit.converged or is_abrupt(explanation.effects):
             return explanation
-        own = [effect.coordinates[: effect.sizes] for effect in explanation.effects]
-        found = refit(explanation, explanation.effects, own)
+        found = refit(explanation, explanation.effects)
         if found is None or found.chi2 > explanation.chi2:
             return explanation
         self.tried[found.names] = found
@@ -162,10 +158,7 @@ class Trials:
         found = coarseness(explanation.point, self.rig)
         if found is None:
             return explanation
-        fit = corrected(explanation.fit, found)
-        extension = fit.point.problem.extension
-        effects = extension.present(fit.point.x) if isinstance(extension, Extension) else ()
-        known = Explanation(effects, fit, found.shift)
+        known = Explanation(corrected(explanation.fit, found), found.shift)
         self.surplus, self.stale = found.surplus, {*self.tried} - {known.names}
         self._guides.clear()
         self.tried[known.names] = known
@@ -185,13 +178,3 @@ class Trials:
         if self.executor is None or len(jobs) < 2:
             return [work(job) for job in jobs]
         return [*self.executor.map(work, jobs)]
-
-
-def key_of(effect: Effect) -> Key:
-    """What an effect at a place is known by."""
-    return effect.id, effect.link
-
-
-def named(effects: Sequence[Effect]) -> Names:
-    """What several effects are known by."""
-    return frozenset(key_of(effect) for effect in effects)

@@ -20,6 +20,7 @@ from vjm.chain.records import Chain
 from vjm.experiment.records import Recording, Rig
 
 Array = NDArray[np.float64]
+Key = tuple[str, int | None]
 # From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
 Motion = Callable[[Array, Array, Array, Array], Array]
 
@@ -147,6 +148,11 @@ class Effect:
     def parameters(cls) -> tuple[Parameter, ...]:
         """Its parameters, in order."""
         return tuple(replace(each.metadata[_KEY], name=each.name) for each in fields(cls) if _KEY in each.metadata)
+
+    @property
+    def key(self) -> Key:
+        """What it is known by beside other effects: its id and its place."""
+        return self.id, self.link
 
     @property
     def values(self) -> Mapping[str, float]:

@@ -34,15 +34,13 @@ def candidate_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
         diagnosis: what was looked for.
         most: number of rows at most; None: all, those that cannot be tested among them.
     """
-    found = {(cause.effect.id, cause.effect.link) for cause in diagnosis.causes}
-    shown: Sequence[Candidate] = sorted(
-        diagnosis.candidates, key=lambda each: (each.effect.id, each.effect.link) not in found
-    )
+    found = {cause.effect.key for cause in diagnosis.causes}
+    shown: Sequence[Candidate] = sorted(diagnosis.candidates, key=lambda each: each.effect.key not in found)
     if most is not None:
         shown = [each for each in shown if each.testable][:most]
     rows, notes = [], []
     for each in shown:
-        verdict = "found" if (each.effect.id, each.effect.link) in found else ""
+        verdict = "found" if each.effect.key in found else ""
         rows.append(
             (
                 named(each.effect.id),

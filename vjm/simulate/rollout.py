@@ -120,7 +120,8 @@ def rollouts(
         system = System.of(own, [driven[k].payload for k in group], first.gravity)
         angles, rates = (np.stack([np.asarray(each[k], dtype=float) for k in group]) for each in (q, v))
         states = np.stack([arm.rest(angle) for arm, angle in zip(own, angles, strict=True)])
-        steps = INTEGRATORS[integrator](system, angles, rates, states, drive)
+        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is noticed, and said
+            steps = INTEGRATORS[integrator](system, angles, rates, states, drive)
         for c, (k, count) in enumerate(zip(group, counts, strict=True)):
             rows = slice(count + 1)
             time = driven[k].time[0] + steps.time[rows]

@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 _RIGID = ("lengths", "masses", "mass_centers", "inertias")
 _RIGID_NUMBERS = ("hub_inertia", "root_inertia", "payload", "rest_curvature")
-_ANGLE = 1e-6  # rad, perturbation
-_RATE = 1e-5  # rad/s
+_ANGLE = 1e-6  # rad, largest perturbation of a joint
+_RATE = 1e-6  # rad/s
 _NUMBERS_A_CHUNK = 400_000  # of coefficients held at once
 _MOST_TURN = 3.2  # rad an interval; what lies inside it is interpolated, to three hundredths at this limit
 _MOST_MODES = 16
@@ -153,10 +153,12 @@ def coefficients(arm: Arm, basis: Basis, moved: Sequence[Moved], recording: Reco
     rates = np.zeros((len(path.q), nz, 2 * m + nz + len(moved)))
     inertia = np.empty((len(path.q), chain.size, m))
     for j, shape in enumerate(basis.shapes.T):
-        turned, sped = replace(path, q=path.q + _ANGLE * shape), replace(path, v=path.v + _RATE * shape)
-        forces[:, :, j] = (here.bodies(turned) - at[0]) / _ANGLE + chain.stiffness * shape
-        forces[:, :, m + j] = (here.bodies(sped) - at[0]) / _RATE + chain.damping * shape
-        for column, other, by in ((j, turned, _ANGLE), (m + j, sped, _RATE)):
+        # Small at every joint: what turns over with a rate's sign must not see the fast modes' large angles otherwise.
+        angle, rate = _ANGLE / np.abs(shape).max(), _RATE / np.abs(shape).max()
+        turned, sped = replace(path, q=path.q + angle * shape), replace(path, v=path.v + rate * shape)
+        forces[:, :, j] = (here.bodies(turned) - at[0]) / angle + chain.stiffness * shape
+        forces[:, :, m + j] = (here.bodies(sped) - at[0]) / rate + chain.damping * shape
+        for column, other, by in ((j, turned, angle), (m + j, sped, rate)):
             if here.force:
                 forces[:, :, column] += (here.effects(other) - at[1]) / by
             if nz:
