@@ -32,7 +32,7 @@ from vjm.simulate.run import Run, Start, run_all, transferred
 
 Array = NDArray[np.float64]
 
-CLOSE = 3.0  # misfit from which coarseness is the smallest worry
+CLOSE = 2.0  # misfit from which coarseness is the smallest worry
 _FINER = 3  # times as many joints
 _ENDLESS = _FINER**2 / (_FINER**2 - 1)  # Richardson's extrapolation of an error of order 1/n^2
 _PASSES = 4
@@ -52,12 +52,13 @@ class Coarseness:
     shift: Array
 
 
-def coarseness(point: Point, rig: Rig) -> Coarseness | None:
+def coarseness(point: Point, rig: Rig, rough: bool = False) -> Coarseness | None:
     """Compare a fitted chain with a finer one.
 
     Args:
         point: where the chain fits best.
         rig: the arm.
+        rough: whether to tell the difference with the same parameters, which is most of it, and no shift.
 
     Returns:
         The difference; None where the finer chain cannot be simulated.
@@ -66,7 +67,7 @@ def coarseness(point: Point, rig: Rig) -> Coarseness | None:
     finer = _finer(bare, rig)
     best, found, here = np.inf, None, bare
     try:
-        for left in reversed(range(_PASSES)):
+        for left in reversed(range(1 if rough else _PASSES)):
             shown, own = _shown(finer, here), [_predicted(here, k) for k in range(len(here.runs))]
             chi2 = sum(_chi2(here, k, each) for k, each in enumerate(shown))
             if not chi2 < best * (1 - _SETTLED):
@@ -85,11 +86,11 @@ def coarseness(point: Point, rig: Rig) -> Coarseness | None:
     return Coarseness(tuple(surplus), _ENDLESS * (x - point.x))
 
 
-def corrected(fit: TrajectoryFit, found: Coarseness | None) -> TrajectoryFit:
-    """The fit once its chain's coarseness is known."""
+def corrected(fit: TrajectoryFit, found: Coarseness | None, rough: bool = False) -> TrajectoryFit:
+    """The fit once its chain's coarseness is known; a rough one is only a start for others."""
     if found is None:
         return fit
-    return _fitted(beside(fit.point, found.surplus))
+    return _fitted(beside(fit.point, found.surplus), rough)
 
 
 def beside(point: Point, surplus: Sequence[Array | None]) -> Point:

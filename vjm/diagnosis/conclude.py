@@ -13,6 +13,7 @@ from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
 from vjm.diagnosis.probes import described
 from vjm.diagnosis.propose import next_experiment
+from vjm.diagnosis.race import OFF
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Remaining, Rival, Size, Verdict
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.replays import follow, found_symptoms
@@ -57,7 +58,9 @@ def conclude(
     new = best.effects[best.everywhere :]
     scale = max(1.0, best.point.misfit**2)
     search.tell("asking what cannot be told apart")
-    rivals = {each.key: alternatives(found, search, each, scale) for each in new}
+    # What does not follow the recordings is no explanation that others could equal.
+    asked = new if best.point.misfit < OFF else ()
+    rivals = {each.key: alternatives(found, search, each, scale) for each in asked}
     information, _ = of_trajectory(best.fit, True)
     causes = _causes(search, found, rivals, covariance(information))
     search.tell("replaying the recordings")
@@ -178,7 +181,7 @@ def _causes(search: Search, found: Found, rivals: Mapping[Key, tuple[Rival, ...]
                 _sizes(beam, spread[part, part]),
                 max(found.p_values.get(effect.key, 0.0), 1e-300),
                 drop,
-                rivals[effect.key],
+                rivals.get(effect.key, ()),
                 evidence,
             )
         )

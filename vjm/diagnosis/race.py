@@ -15,10 +15,11 @@ from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 
 Array = NDArray[np.float64]
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
+OFF = 3.0  # misfit from which an explanation does not follow the recordings
 _NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which an explanation may be best in the end
 _EXPLAINED = 1.1  # misfit of what explains them
 _LITTLE = 2.0  # the same of whole recordings, before a fit has ended
-_KEPT = 3  # explanations that are followed where none does
+_KEPT = 4  # explanations that are followed where none does
 _FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
 _STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
@@ -86,7 +87,7 @@ def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:
     if short:
         best = short[0].point.misfit
         near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in short)
-        short = short[: near if best < _EXPLAINED else max(near, _KEPT)]
+        short = short[: near if best < _EXPLAINED else _KEPT]
     return [*(each for each in ordered if not is_short(each, whole)), *short]
 
 
@@ -112,7 +113,8 @@ def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Exp
 class Patience:
     """Ends a fit after some steps, or when it will not come near a record, or when it is wrong and as good as done.
 
-    Where something sticks and slips, slopes are only roughly a guide: once many steps have gained little, none will.
+    Where something sticks and slips, or little is followed, slopes are only roughly a guide: once many steps have
+    gained little, none will.
     """
 
     def __init__(self, steps: float, record: float = np.inf, abrupt: bool = False) -> None:
@@ -127,7 +129,8 @@ class Patience:
         self.seen.append(point.chi2)
         share = predicted / point.chi2
         wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
-        stuck = self.abrupt and len(self.seen) > _STUCK and point.chi2 > _GAINED * self.seen[-_STUCK]
+        slow = self.abrupt or point.misfit > OFF
+        stuck = slow and len(self.seen) > _STUCK and point.chi2 > _GAINED * self.seen[-_STUCK]
         return self.left < 0 or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
 
 

@@ -24,6 +24,7 @@ Step = tuple[Explanation, Sequence[int]]
 
 _ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
 _BEST = 8  # candidates refitted a round
+_FEW = 3  # of them, among which what sticks and slips must be beside other effects
 _PAIRS = 4  # pairs refitted that no single step leads to
 
 
@@ -189,12 +190,15 @@ class Search:
     def _needed(self, best: Explanation, family: Family) -> list[int]:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
         seen, least, lost = family.seen, self.matters(best), self.trials.from_afar(best)
-        needed = [
+        needed = seen.one_each(
             k
             for k in range(len(seen.effects))
             if (lost and not seen.absorbed[k]) or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
-        ]
-        return seen.one_each(needed)
+        )
+        if best is self.start:
+            return needed
+        # What sticks and slips takes as long to try as all else together: only where it is among the most needed.
+        return [k for place, k in enumerate(needed) if place < _FEW or not seen.effects[k].abrupt]
 
     def _pairs(self, first: Family, best: Explanation) -> list[Step]:
         """Pairs that explain most by the first screen, without the best single effect."""

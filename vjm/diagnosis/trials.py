@@ -20,7 +20,7 @@ from vjm.identification.trajectory_problem import TrajectoryProblem
 
 Array = NDArray[np.float64]
 NOISE = 1.02  # misfit that leaves nothing to explain
-_COARSE = 1.15  # the same as long as the chain's coarseness is not known
+_COARSE = 1.15  # the same as long as the chain's coarseness is not known; what leaves more is not the end of a search
 Tell = Callable[[str], None]
 
 
@@ -142,7 +142,8 @@ class Trials:
 
     def polish(self, explanation: Explanation) -> Explanation:
         """Fitted to the very end, unless that is of no use."""
-        if explanation.fit.converged or is_abrupt(explanation.effects):
+        of_no_use = explanation.point.misfit > _COARSE or is_abrupt(explanation.effects)
+        if explanation.fit.converged or of_no_use:
             return explanation
         found = refit(explanation, explanation.effects)
         if found is None or found.chi2 > explanation.chi2:
@@ -155,10 +156,11 @@ class Trials:
         if explanation.point.misfit > CLOSE or is_abrupt(explanation.effects):
             return explanation
         self.tell("asking what more virtual joints would show")
-        found = coarseness(explanation.point, self.rig)
+        rough = explanation.point.misfit > _COARSE
+        found = coarseness(explanation.point, self.rig, rough)
         if found is None:
             return explanation
-        known = Explanation(corrected(explanation.fit, found), found.shift)
+        known = Explanation(corrected(explanation.fit, found, rough), found.shift)
         self.surplus, self.stale = found.surplus, {*self.tried} - {known.names}
         self._guides.clear()
         self.tried[known.names] = known
