@@ -27,7 +27,7 @@ from vjm.simulate.triangle import Triangle
 Array = NDArray[np.float64]
 
 _STEP = 0.1  # everyday sizes, over which the slope is taken
-_JOINT_STEP = 0.02  # the same where all has to be simulated again, and its curvature told from its slope
+_JOINT_STEP = 0.05  # the same where all has to be simulated again, and its curvature told from its slope
 _ABSORBED = 1e-7  # share of a direction's square left once all else has been projected out, below which it is none
 _LARGEST = 1e12  # slope, in units of the noise
 

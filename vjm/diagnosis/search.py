@@ -144,10 +144,11 @@ class Search:
 
         A share of what noise leaves: much more may be left beside an explanation that lacks something else.
         """
-        point = self.trials.guide(explanation).point
-        least = self.rules.least(min(point.chi2, point.count))
+        guide = self.trials.guide(explanation)
+        least = self.rules.least(min(guide.chi2, guide.point.count))
         if is_abrupt(explanation.effects):
-            return max(least, _ABRUPT * (self.trials.guide(self.start).point.chi2 - point.chi2))
+            start = self.start if guide is explanation else self.trials.guide(self.start)
+            return max(least, _ABRUPT * (start.chi2 - guide.chi2))
         return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:

@@ -26,8 +26,6 @@ _FLANK_DAMPING = 2.0
 _SOFTNESS = 0.03
 _GRADUAL = 0.15  # the same where derivatives are taken
 _LONGEST_STEP = 4e-4
-# s, damper over spring of a clamp: nothing beside the link's own losses, but what is nearly rigid must not ring.
-_CLAMP_LOSS = 1e-5
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,7 @@ class ClampCompliance(LinkEffect):
         """With a joint at the root."""
         if self.is_null:
             return chain
-        return _with_link(
-            chain, self.index, lambda link: in_series(link, 1 / self.compliance, _CLAMP_LOSS / self.compliance)
-        )
+        return _with_link(chain, self.index, lambda link: in_series(link, 1 / self.compliance))
 
 
 @dataclass(frozen=True)
