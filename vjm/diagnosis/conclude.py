@@ -246,10 +246,8 @@ def _described(experiment: Experiment, best: Explanation, left: Leftover, found:
 
 def _notes(base: Base, best: Explanation, left: Leftover, remains: bool) -> tuple[str, ...]:
     joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in base.point.chain.links)
-    notes = [
-        f"the search's chain has more virtual joints than a model needs, so that coarseness is no effect: {joints}",
-        f"camera noise: {base.noise.source}",
-    ]
+    known = "is measured against a finer chain" if best.shift is not None else "was not measured"
+    notes = [f"virtual joints of the search's chain: {joints}; what so few of them get wrong {known}"]
     if not remains and left.p_value < _UNLIKELY:
         notes.append("what is left is a little more than noise, and too little to matter")
     if best.effects and not best.fit.converged:

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 _MOST_SYMPTOMS = 8
 _METHOD = (
-    "The model without effects is fitted to all training recordings at once, with more virtual joints than it needs, "
-    "so that its own coarseness is no effect. Each candidate is then judged by a score test beside it, every other "
-    "parameter being free; the best ones, alone and in pairs, are fitted together with all other parameters. The "
-    "p-value is for the whole search: that noise alone makes any candidate look as needed. Held-out recordings take no "
-    "part in any of this. z is how many standard errors a candidate's size is off zero beside the model without any: "
-    "where one thing is missing, everything that looks like it has a large z too."
+    "The model without effects is fitted to all training recordings at once. What a finer chain would show beyond it "
+    "is measured and added, so that few joints are not taken for an effect. Each candidate is then judged by a score "
+    "test beside it, every other parameter being free; the best ones, alone and in pairs, are fitted together with all "
+    "other parameters. The p-value is for the whole search: that noise alone makes any candidate look as needed. "
+    "Held-out recordings take no part in any of this. z is how many standard errors a candidate's size is off zero "
+    "beside the model without any: where one thing is missing, everything that looks like it has a large z too."
 )
 _NOTHING_WRONG = "The model without effects follows every recording to within what noise explains."
 
