@@ -161,6 +161,31 @@ class StateWithoutRates(CubicFriction):
 
 
 @dataclass(frozen=True)
+class SmoothedAway(CubicFriction):
+    """Has derivatives of nothing."""
+
+    def smooth(self) -> Effect:
+        return self.at(np.zeros(1))
+
+
+@dataclass(frozen=True)
+class _WithState(CubicFriction):
+    def states(self, chain: Chain) -> int:
+        return 1
+
+    def rates(self, chain: Chain) -> Motion | None:
+        return lambda time, q, v, z: -z
+
+
+@dataclass(frozen=True)
+class SmoothWithStates(CubicFriction):
+    """Where derivatives are taken it has an internal state that it has not otherwise."""
+
+    def smooth(self) -> Effect:
+        return _WithState(self.coefficient, link=self.link)
+
+
+@dataclass(frozen=True)
 class WritesIntoArrays(Camera):
     def shown(self, positions: Array, headings: Array) -> Array:
         if not self.is_null:

@@ -30,6 +30,8 @@ BROKEN = [
     (broken.NotANumber(), "hooks", "not finite"),
     (broken.OnlySmall(), "hooks", "ValueError: too much friction"),
     (broken.StateWithoutRates(), "hooks", "1 states and rates None"),
+    (broken.SmoothedAway(), "hooks", "expected the same parameters and the same chain"),
+    (broken.SmoothWithStates(), "hooks", "an effect with 1 states; expected 0, or none"),
     (broken.WritesIntoArrays(), "inputs", "`shown` of WritesIntoArrays.* writes into an array"),
     (broken.WritesIntoRecords(), "inputs", "changes what its hooks are given"),
     (broken.Idle(), "action", "no marker and no encoder shows anything"),

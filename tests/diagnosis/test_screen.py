@@ -17,6 +17,7 @@ from vjm.effects import (
     CameraRotation,
     CameraScale,
     ClampCompliance,
+    CoulombFriction,
     CubicStiffness,
     Effect,
     EncoderOffset,
@@ -128,8 +129,17 @@ def test_the_size_of_what_is_there_is_guessed(effect: Effect) -> None:
     size = 0.1
     point = point_of(chain, (), recorded(Arm.of(chain, (sized(variant, size),)), 2, noise=FINE), FINE)
     seen = screen(point, (), [variant])
-    print("STD", effect.id, 4 * seen.std(0) / size, np.abs(seen.guess([0]) - size) / size)
     assert (np.abs(seen.guess([0]) - size) < 4 * seen.std(0) + 0.15 * size).all()
+
+
+def test_the_size_of_dry_friction_is_guessed() -> None:
+    """Though at its null, where it has no direction, and in what sticks."""
+    chain, variants = chain_of(), [bound(each) for each in (CoulombFriction(), ViscousFriction(), JointSpring())]
+    for seed, size in ((4, 0.1), (5, 0.5)):
+        point = point_of(chain, (), recorded(Arm.of(chain, (sized(variants[0], size),)), seed, noise=FINE), FINE)
+        seen = screen(point, (), variants)
+        assert np.argmax(seen.statistics) == 0
+        assert seen.guess([0]) == pytest.approx(size, rel=0.3)
 
 
 def noise_alone(correlation: float, assumed: float) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,16 +56,8 @@ class CoulombFriction(JointEffect):
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Of the bristle."""
-        if self.is_null:
-            return None
         joint, torque = active_coordinate(chain, self.index), self.torque
-
-        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            found = np.zeros(v.shape)
-            found[..., joint] = -torque * np.clip(z[..., 0] / _PRESLIDING, -1.0, 1.0)
-            return found
-
-        return force
+        return None if self.is_null else _at(joint, lambda v, z: -torque * np.clip(z[..., 0] / _PRESLIDING, -1.0, 1.0))
 
     def rates(self, chain: Chain) -> Motion | None:
         """With the joint, as far as it does not slip."""
@@ -95,16 +88,19 @@ class _SmoothFriction(JointEffect):
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Against the joint's motion."""
-        if self.is_null:
-            return None
         joint, torque = active_coordinate(chain, self.index), self.torque
+        return None if self.is_null else _at(joint, lambda v, z: -torque * np.tanh(v[..., joint] / _GRADUAL))
 
-        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            found = np.zeros(v.shape)
-            found[..., joint] = -torque * np.tanh(v[..., joint] / _GRADUAL)
-            return found
 
-        return force
+def _at(joint: int, torque: Callable[[Array, Array], Array]) -> Motion:
+    """A torque of rates and internal states at one joint."""
+
+    def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+        found = np.zeros(v.shape)
+        found[..., joint] = torque(v, z)
+        return found
+
+    return force
 
 
 @dataclass(frozen=True)

@@ -194,6 +194,12 @@ def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
         force, rates, count = present.force(chain, _PAYLOAD), present.rates(chain), present.states(chain)
     clause.holds(isinstance(count, int) and count >= 0, f"{count!r} states", "a number of them")
     clause.holds((rates is None) == (count == 0), f"{count} states and rates {rates}", "rates where there are states")
+    with clause.running(f"`smooth` of {present!r}"):
+        smooth = present.smooth()
+        alike = same(smooth.chain(given.chain), chain) and smooth.values == present.values
+        kept = smooth.states(chain)
+    clause.holds(alike, f"`smooth` gives {smooth!r}", "the same parameters and the same chain")
+    clause.holds(kept in (0, count), f"`smooth` gives an effect with {kept} states", f"{count}, or none")
     random = np.random.default_rng(seed)
     for leading in ((), (_FRAMES,), (_COPIES, _FRAMES)):
         q, v = (still(_ANGLES * random.normal(size=(*leading, chain.size))) for _ in range(2))
