@@ -14,6 +14,7 @@ from tests.report.diagnoses import (
     DIAGNOSES,
     FRICTION,
     insufficient,
+    named,
     nothing,
     pair,
     pictures_of,
@@ -23,7 +24,7 @@ from tests.report.diagnoses import (
 from tests.report.schema import DiagnoseResult
 from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
-from vjm.diagnosis.records import Diagnosis, Size
+from vjm.diagnosis.records import Diagnosis, Remaining, Size
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, TipPayload
 from vjm.files import json_text
 from vjm.report import save as saving
@@ -92,6 +93,19 @@ def test_verdict_says_it_in_a_sentence(of: object, grade: str, words: str) -> No
     verdict = diagnosis_verdict(of())
     assert verdict.grade == grade
     assert words in plain(verdict.headline)
+
+
+@pytest.mark.parametrize(
+    ("after", "first"), [(3.1e-4, "Viscous friction of"), (1.4e-3, "Something is missing that no")]
+)
+def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(after: float, first: str) -> None:
+    found = named()
+    assert found.gain is not None
+    looks = Remaining(1e-40, "odd in velocity")
+    found = replace(found, verdict="unknown", remaining=looks, gain=replace(found.gain, noise=3e-4, after=after))
+    headline = plain(diagnosis_verdict(found).headline)
+    assert headline.startswith(first)
+    assert all(part in headline.lower() for part in ("viscous friction", "no candidate explains", "odd in velocity"))
 
 
 def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:

@@ -16,6 +16,8 @@ from vjm.identification.trajectory_problem import Point
 
 Array = NDArray[np.float64]
 
+_SOME = 1.0  # per cent; what explains less says nothing
+
 _Shape = Callable[[Array, Array, Array], Array]
 
 # In words, and as functions of time [s], angle [rad] and rate [rad/s].
@@ -98,4 +100,4 @@ def described(point: Point, present: tuple[Effect, ...], rig: Rig) -> str:
     name = rig.links[probe.link or 0].name
     where = f"a torque at the joint of {name}" if isinstance(probe, JointProbe) else f"a bending moment in {name}"
     share = 100 * seen.statistics[best] / max(point.chi2 - point.count, 1.0)
-    return f"most like {where}, {shape}, which would explain {min(share, 100):.0f} % of it"
+    return f"most like {where}, {shape}, which would explain {min(share, 100):.0f} % of it" if share >= _SOME else ""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from vjm.errors import InsufficientDataError
 from vjm.model import Model
-from vjm.report.choose import Signal, liveliest_window, marker_name, tip_signal
+from vjm.report.choose import Signal, liveliest_window, tip_signal
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
@@ -29,7 +29,7 @@ from vjm.report.figures.style import (
     sheet,
     styled,
 )
-from vjm.report.figures.tips import drawn
+from vjm.report.figures.tips import drawn, label, simulated
 from vjm.report.wording import millimetres, short
 from vjm.simulate.initial_state import Replay
 
@@ -121,7 +121,7 @@ def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
     if signal is None or followed.before is None or followed.after is None:
         raise InsufficientDataError(f"tip of {recording.file}", "no marker or no replay", "choose another recording")
     left = {
-        name: signal.value - _at(replay, followed, signal)
+        name: signal.value - simulated(replay, recording, signal)
         for name in ("before", "runner_up", "after")
         if (replay := getattr(followed, name)) is not None
     }
@@ -138,12 +138,6 @@ def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
     return page.figure
 
 
-def _at(replay: Replay, followed: Replayed, signal: Signal) -> Array:
-    rows = np.isfinite(followed.recording.markers[:, signal.marker, signal.axis])
-    values: Array = replay.simulation.markers[rows, signal.marker, signal.axis]
-    return values
-
-
 def _draw_motion(
     axes: Axes, followed: Replayed, diagnosis: Diagnosis, signal: Signal, window: tuple[float, float]
 ) -> None:
@@ -158,7 +152,7 @@ def _draw_motion(
             time, value = drawn(replay, model, followed.recording, signal, window)
             axes.plot(time, 1e3 * value, **look)
     axes.set_xlabel("time [s]")
-    axes.set_ylabel(f"{short(marker_name(diagnosis.model.rig, signal.marker), 20)}.{'xy'[signal.axis]} [mm]")
+    axes.set_ylabel(label(diagnosis.model.rig, signal))
     whole = window[1] - window[0] > 0.99 * (signal.time[-1] - signal.time[0])
     panel_title(axes, "" if whole else "Where the model without the causes is off most")
 

@@ -58,7 +58,7 @@ def tip_motion(fit: RecordingFit, model: Model, nominal: Model, name: str = "ide
     signal = tip_signal(model.rig, fit.recording)
     if fit.replay is None or signal is None:
         raise InsufficientDataError(f"tip of {fit.recording.file}", fit.problem or "no marker", "choose another")
-    residual = signal.value - _at(fit.replay, fit, signal)
+    residual = signal.value - simulated(fit.replay, fit.recording, signal)
     parts = windows(signal.time, signal.value)
     page = sheet(_title(fit, signal, residual, name), [Row(2.2, len(parts)), Row(1.2, gap=0.75)])
     _draw_tips(page, fit, model, nominal, signal, parts)
@@ -72,7 +72,7 @@ def _title(fit: RecordingFit, signal: Signal, residual: Array, name: str) -> str
     text = f"Tip of {short(fit.recording.file)} ({role}): {name} model within {millimetres(_rms(residual))} RMS"
     for other, words in ((fit.torque, "torque method"), (fit.nominal, "nominal")):
         if other is not None:
-            text += f", {words} {millimetres(_rms(signal.value - _at(other, fit, signal)))}"
+            text += f", {words} {millimetres(_rms(signal.value - simulated(other, fit.recording, signal)))}"
     return f"{text}; noise {millimetres(fit.marker_noise)}"
 
 
@@ -80,9 +80,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _at(replay: Replay, fit: RecordingFit, signal: Signal) -> Array:
+def simulated(replay: Replay, recording: Recording, signal: Signal) -> Array:
     """The simulated coordinate at the instants at which it was measured [m]."""
-    rows = np.isfinite(fit.recording.markers[:, signal.marker, signal.axis])
+    rows = np.isfinite(recording.markers[:, signal.marker, signal.axis])
     values: Array = replay.simulation.markers[rows, signal.marker, signal.axis]
     return values
 
@@ -115,7 +115,7 @@ def _draw_tips(
             time, value = drawn(fit.nominal, nominal, fit.recording, signal, window)
             axes.plot(time, 1e3 * value, color=NOMINAL, linestyle=NOMINAL_STYLE, linewidth=1.2)
         axes.set_xlabel("time [s]")
-        axes.set_ylabel(_label(model.rig, signal))
+        axes.set_ylabel(label(model.rig, signal))
         limits.append(axes.get_ylim())
         panel_title(axes, _part(signal, parts, window))
     for axes in page.axes[0]:
@@ -146,7 +146,8 @@ def _measured_look(crowded: bool) -> dict[str, Any]:
     return {"linestyle": "", **circles}
 
 
-def _label(rig: Rig, signal: Signal) -> str:
+def label(rig: Rig, signal: Signal) -> str:
+    """Of the axis on which a coordinate is drawn."""
     return f"{short(marker_name(rig, signal.marker), 20)}.{'xy'[signal.axis]} [mm]"
 
 
@@ -177,11 +178,11 @@ class _Before(NamedTuple):
 def _before(fit: RecordingFit, signal: Signal, residual: Array) -> _Before | None:
     """The torque method's residual or, where that is as good, the nominal one's; None where it would hide the other."""
     if fit.torque is not None:
-        other = signal.value - _at(fit.torque, fit, signal)
+        other = signal.value - simulated(fit.torque, fit.recording, signal)
         if _WORTH_A_LINE * _rms(residual) < _rms(other) <= _LEGIBLE * _rms(residual):
             return _Before("torque method's", TORQUE, other)
     if fit.nominal is not None:
-        other = signal.value - _at(fit.nominal, fit, signal)
+        other = signal.value - simulated(fit.nominal, fit.recording, signal)
         if _rms(other) <= _LEGIBLE * _rms(residual):
             return _Before("nominal", NOMINAL, other)
     return None
@@ -194,7 +195,11 @@ def _handles(fit: RecordingFit, signal: Signal, name: str, crowded: bool) -> lis
     ]
     if fit.nominal is not None:
         handles.append(Line2D([], [], color=NOMINAL, linestyle=NOMINAL_STYLE, label="nominal model"))
-    other = _before(fit, signal, signal.value - _at(fit.replay, fit, signal)) if fit.replay is not None else None
+    other = (
+        _before(fit, signal, signal.value - simulated(fit.replay, fit.recording, signal))
+        if fit.replay is not None
+        else None
+    )
     if other is not None and other.color == TORQUE:
         handles.append(Line2D([], [], color=TORQUE, label="torque method (residual)"))
     return [*handles, Patch(color=BAND, label="±2σ noise")]
