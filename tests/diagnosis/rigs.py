@@ -37,6 +37,7 @@ def recorded(
     duration: float = 2.0,
     noise: tuple[float, float] = NOISE,
     correlation: float = 0.0,
+    factor: float = 1.0,
 ) -> list[Recording]:
     """Two drives of different size, as a camera at 100 Hz and an encoder at 200 Hz see them.
 
@@ -47,10 +48,11 @@ def recorded(
         duration: of each [s].
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         correlation: of a marker's noise from frame to frame.
+        factor: times the usual size of the drives.
     """
     time = np.arange(round(200 * duration) + 1) / 200
     found = []
-    for k, size in enumerate((0.05, 0.12)):
+    for k, size in enumerate((0.05 * factor, 0.12 * factor)):
         torque = size * np.sin(2 * np.pi * (0.9 + 0.3 * k) * time) + 0.4 * size * np.sin(2 * np.pi * 3.1 * time + k)
         empty = np.full((time.size, 5, 2), np.nan)
         blank = Recording(f"drive_{k}.csv", "driven", "train", time, torque[:, None], torque[:, None], empty)

@@ -76,7 +76,7 @@ def looked_for(effects: Sequence[Effect], rig: Rig, point: Point) -> Looked:
     for effect in effects:
         if effect.id == COARSENESS:
             joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in point.chain.links)
-            untestable.append((effect, f"the search's own chain has joints enough ({joints}) to be none of the causes"))
+            untestable.append((effect, f"what so few virtual joints ({joints}) get wrong is measured and no cause"))
             continue
         reason = effect.untestable(rig, recordings)
         if reason or not effect.places(rig):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from vjm.diagnosis.base import Base
 from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
+from vjm.diagnosis.menu import Proposal, proposals
 from vjm.diagnosis.probes import described
 from vjm.diagnosis.propose import next_experiment
 from vjm.diagnosis.race import OFF
@@ -85,7 +87,7 @@ def conclude(
         gain=gained,
         remaining=Remaining(left.p_value, description),
         symptoms=found_symptoms(experiment, plain, followed, base),
-        next_experiment=next_experiment(experiment, verdict, causes, description),
+        next_experiment=next_experiment(experiment, verdict, causes, partial(_worth, search, best)),
         noise=base.noise.source,
         warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
         notes=_notes(base, best, left, remains),
@@ -219,6 +221,13 @@ def _model(experiment: Experiment, base: Base, explanation: Explanation, informa
     )
     noise = base.fit.point.runs[0].observed.noise
     return Model(parametrisation.chain(x), experiment.rig, *noise, found, explanation.effects, explanation.everywhere)
+
+
+def _worth(search: Search, best: Explanation, cause: Cause) -> Sequence[Proposal]:
+    """Recordings by how well they would tell a cause from its rivals."""
+    others = best.names - {cause.effect.key}
+    rivals = [search.trials.tried.get(others | {rival.effect.key}) for rival in cause.rivals]
+    return proposals(best, [each for each in rivals if each is not None])
 
 
 def _runner_up(search: Search, best: Explanation) -> Explanation | None:

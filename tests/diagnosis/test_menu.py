@@ -1,0 +1,64 @@
+"""The recording to make next is the one in which what cannot be told apart would differ most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.rigs import chain_of, point_of, recorded
+from vjm.diagnosis.menu import proposals
+from vjm.diagnosis.refit import Explanation, refit
+from vjm.effects import CameraRotation, ClampCompliance, CubicStiffness, Effect, EncoderOffset, StiffnessDrift
+from vjm.experiment.records import Recording
+from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.simulate.arm import Arm
+
+CUBIC = CubicStiffness(link=0, coefficient=0.3)
+DRIFT = StiffnessDrift(link=0, rate=-0.01)
+
+
+def drives(truth: Effect, seed: int, factor: float = 1.0) -> list[Recording]:
+    return recorded(Arm.of(chain_of(), (truth,)), seed, factor=factor)
+
+
+def fitted(recordings: Sequence[Recording], *effects: Effect) -> list[Explanation]:
+    """Explanations of some drives, one for each effect."""
+    start = Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0))
+    found = [refit(start, [effect]) for effect in effects]
+    assert all(each is not None for each in found)
+    return [each for each in found if each is not None]
+
+
+@pytest.mark.parametrize("seed", [7, 8, 9])
+def test_what_a_recording_is_worth_is_known_before_it_is_made(seed: int) -> None:
+    """Another amplitude tells what depends on it from what does not; and once it is recorded, it does."""
+    small = drives(CUBIC, seed)[:1]
+    best, other = fitted(small, CUBIC, DRIFT)
+    proposed = proposals(best, [other])
+    (twice,) = [each.evidence for each in proposed if "twice its size" in each.text]
+    assert twice == max(each.evidence for each in proposed)
+    assert proposed[0].evidence == twice
+    (large,) = (replace(each, file="large.csv") for each in drives(CUBIC, seed + 100, factor=2.0)[:1])
+    both = fitted([*small, large], CUBIC, DRIFT)
+    found = both[1].chi2 - both[0].chi2
+    guessed = best.effects[0].values["coefficient"]  # which small drives show roughly
+    assert found == pytest.approx(twice * (CUBIC.coefficient / guessed) ** 2, rel=0.2)
+
+
+def test_twins_are_told_apart_by_nothing_on_the_menu() -> None:
+    """Without gravity a turned camera and an encoder's offset are the same in every recording."""
+    camera, encoder = CameraRotation(angle=0.02), EncoderOffset(link=0, offset=-0.02)
+    best, other = fitted(drives(camera, 7), camera, encoder)
+    assert all(each.evidence < 1 for each in proposals(best, [other]))
+
+
+def test_the_nearest_of_several_counts() -> None:
+    clamp = ClampCompliance(link=0, compliance=0.002)
+    best, *others = fitted(drives(CUBIC, 7)[:1], CUBIC, DRIFT, clamp)
+    each = [{one.text: one.evidence for one in proposals(best, [other])} for other in others]
+    for one in proposals(best, others):
+        assert one.evidence == pytest.approx(min(given[one.text] for given in each))
+    assert np.isfinite([one.evidence for one in proposals(best, others)]).all()
