@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from vjm.diagnosis.noise import Noise, _autoregression, _covariance, whitened
+from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
+from vjm.diagnosis.noise import Noise, _autoregression, _covariance, camera_noise, whitened
+from vjm.effects import InPlaneGravity
 from vjm.experiment.records import Link, Recording, Rig
+from vjm.simulate.arm import Arm
 from vjm.simulate.observation import Observed
 
 RIG = Rig("rig", (Link("beam", "clamped", 1.0, 0.4, 2.0, (0.5, 1.0)),))
@@ -69,3 +72,15 @@ def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:
     part = whole.until(2.0)
     values = whole.whitened(whole.values).reshape(-1, 4)[: part.values.size // 4]
     np.testing.assert_allclose(part.whitened(part.values).reshape(-1, 4), values, rtol=1e-12)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7])
+def test_noise_is_known_where_the_model_is_all_wrong(correlation: float) -> None:
+    """Where the arm is, its markers say; a simulation may have it anywhere."""
+    recordings = recorded(Arm(chain_of()), 1, correlation=correlation)
+    wrong = point_of(chain_of(), (InPlaneGravity(gx=1.5, gy=-1.0),), recordings)
+    assert wrong.misfit > 100
+    noise = camera_noise(wrong.runs)
+    assert noise.size == pytest.approx(NOISE[0], rel=0.1)
+    assert noise.colour.size == (correlation > 0)
+    assert noise.colour == pytest.approx([correlation] * noise.colour.size, abs=0.1)

@@ -25,6 +25,9 @@ _MOST_ORDER = 4
 _CERTAIN = 4.0  # standard errors of a partial correlation that is no accident
 _LEAST_FRAMES = 60
 _LONGEST_GAP = 40  # frames over which a correlation is followed
+_TURNS = 12  # Newton steps from where a simulation has an arm to where its markers are
+_LARGEST_TURN = 0.3  # rad of a joint a step
+_STILL = 1e-3  # rad; closer, slopes tell the rest
 _CLIP = 3.5  # robust standard deviations: an outlier is no noise
 
 
@@ -75,12 +78,23 @@ def _outside(run: Run) -> tuple[Array, Array, float] | None:
     directions = run.basis.shapes[:, : run.basis.slow]
     if time.size < _LEAST_FRAMES or channels.sum() <= directions.shape[1]:
         return None
-    path = sampled(run.steps, time)
-    shown = seen.arcs.shown(run.arm, path).reshape(time.size, -1)[:, channels]
-    slopes = seen.arcs.slope(run.arm, path, directions)[:, channels]
-    residual = markers[complete][:, channels] - shown
-    basis = np.linalg.qr(slopes)[0]
-    residual = residual - (basis @ (np.swapaxes(basis, 1, 2) @ residual[:, :, None]))[:, :, 0]
+    # A model that lacks much may have moved the arm anywhere; encoders and markers say where it is.
+    q, residual = sampled(run.steps, time), np.zeros(0)
+    for joint, theta in zip(run.chain.active, seen.recording.theta.T, strict=True):
+        known = np.isfinite(theta)
+        if known.any():
+            q[:, joint] = np.interp(time, seen.recording.time[known], theta[known])
+    for _ in range(_TURNS):
+        shown = seen.arcs.shown(run.arm, q).reshape(time.size, -1)[:, channels]
+        slopes = seen.arcs.slope(run.arm, q, directions)[:, channels]
+        off = markers[complete][:, channels] - shown
+        change = (np.linalg.pinv(slopes) @ off[:, :, None])[:, :, 0]
+        residual = off - (slopes @ change[:, :, None])[:, :, 0]
+        turn = change @ directions.T
+        most = np.abs(turn).max(axis=1, keepdims=True)
+        q = q + turn * np.minimum(1.0, _LARGEST_TURN / np.maximum(most, 1e-300))
+        if most.max() < _STILL:
+            break
     ticks = np.round((time - time[0]) / np.median(np.diff(time)))
     return ticks, residual - residual.mean(axis=0), 1 - directions.shape[1] / channels.sum()
 
