@@ -115,7 +115,11 @@ class Trials:
         """
         names = explanation.names - {effect.key}
         known = self.tried.get(names)
-        if known is not None and (known.point.misfit > CLOSE or known.chi2 > 2 * record):
+        # A fit that is worse than one of fewer effects has lost its way.
+        astray = known is not None and any(
+            each.names < names and each.chi2 < known.chi2 for each in self.tried.values()
+        )
+        if known is not None and not astray and (known.point.misfit > CLOSE or known.chi2 > 2 * record):
             return known
         # Also what was fitted before may be fitted better from here.
         kept = tuple(each for each in explanation.effects if each is not effect)
