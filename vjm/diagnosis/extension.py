@@ -17,6 +17,7 @@ from vjm.simulate.arm import Arm
 
 Array = NDArray[np.float64]
 
+_INNER_STEP = 1.0  # of a logarithm
 _LEAST_JOINT = 1e-3  # of an everyday size: an effect that is a joint of its own must not lose it on the way
 
 
@@ -56,6 +57,19 @@ class Extension:
         for effect, part in zip(self.effects, self.parts, strict=True):
             if adds_joint(effect, self.base.template):
                 found[0][part.start] = _LEAST_JOINT
+        return found
+
+    @cached_property
+    def reach(self) -> Array:
+        """(p,) by how much a step of a search may change each coordinate.
+
+        Effects' inner ones, as a time constant's logarithm, mean little while the sizes are wrong, and soon run away.
+        """
+        found = np.concatenate(
+            [self.base.reach, *(np.full(effect.coordinates.size, np.inf) for effect in self.effects)]
+        )
+        for effect, part in zip(self.effects, self.parts, strict=True):
+            found[part.start + effect.sizes : part.stop] = _INNER_STEP
         return found
 
     @cached_property

@@ -123,6 +123,11 @@ class Parametrisation:
         return lower, upper
 
     @property
+    def reach(self) -> Array:
+        """(p,) by how much a step of a search may change each coordinate: the step's own damping is enough."""
+        return np.full(len(self.coordinates), np.inf)
+
+    @property
     def preference(self) -> tuple[Array, Array]:
         """Centre and width (p,) of a weak preference for the template where the data are silent.
 

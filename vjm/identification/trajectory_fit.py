@@ -160,6 +160,8 @@ def _step(point: Point, damping: float) -> tuple[Array, list[Array], float]:
     """Change of the coordinates and of the initial states, and the decrease of the cost that they promise."""
     together, parts = point.gathered(damping)
     lower, upper = point.problem.varied.bounds
+    reach = point.problem.varied.reach
+    lower, upper = np.maximum(lower, point.x - reach), np.minimum(upper, point.x + reach)
     change = together.best()
     if ((point.x + change < lower) | (point.x + change > upper)).any():
         R = together.R[:, :-1]

@@ -31,6 +31,10 @@ class Coordinates(Protocol):
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,)."""
 
+    @property
+    def reach(self) -> Array:
+        """(p,) by how much a step may change each coordinate."""
+
     def chain(self, x: Array) -> Chain:
         """The chain at coordinates x (p,), without effects."""
 
