@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -72,6 +74,15 @@ def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:
     part = whole.until(2.0)
     values = whole.whitened(whole.values).reshape(-1, 4)[: part.values.size // 4]
     np.testing.assert_allclose(part.whitened(part.values).reshape(-1, 4), values, rtol=1e-12)
+
+
+def test_without_an_encoder_the_markers_alone_say_where_the_arm_is() -> None:
+    wrong = point_of(chain_of(), (InPlaneGravity(gx=0.15, gy=-0.1),), recorded(Arm(chain_of()), 1)).runs
+    blind = [replace(run.observed.recording, theta=np.nan * run.observed.recording.theta) for run in wrong]
+    runs = [
+        replace(run, observed=replace(run.observed, recording=each)) for run, each in zip(wrong, blind, strict=True)
+    ]
+    assert camera_noise(runs).size == pytest.approx(NOISE[0], rel=0.1)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])

@@ -194,8 +194,7 @@ def candidates(looked: Looked, family: Family, alpha: float, floor: float) -> tu
             continue
         guess = effect.at(np.r_[seen.guess([k]), effect.coordinates[effect.sizes :]])
         sizes = {each.name: float(guess.values[each.name]) for each in effect.parameters() if not each.inner}
-        std = 1 / np.sqrt(np.maximum(np.diag(seen.products)[seen.parts[k]], 1e-300))
-        least = _least(effect, wanted[k] * std)
+        least = _least(effect, wanted[k] * seen.std(k))
         found.append(Candidate(effect, float(np.sqrt(seen.statistics[k])), float(p[k]), sizes, least))
     return (*found, *(Candidate(effect, None, None, {}, {}, reason) for effect, reason in looked.untestable))
 

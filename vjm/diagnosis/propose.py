@@ -15,7 +15,7 @@ def next_experiment(
     experiment: Experiment,
     verdict: Verdict,
     causes: Sequence[Cause],
-    ask: Callable[[Cause], Sequence[Proposal]] = lambda cause: (),
+    ask: Callable[[Cause], Sequence[Proposal]],
 ) -> str | None:
     """Which recording would tell what these cannot; None where there is nothing to tell.
 
