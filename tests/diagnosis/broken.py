@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.records import Array, Chain
-from vjm.effects import Effect, Motion, inner, size
+from vjm.effects import Effect, Motion, Way, inner, size
 from vjm.effects.places import JointEffect, active_coordinate, changed_link
 from vjm.experiment.records import Recording, Rig
 
@@ -158,6 +158,14 @@ class OnlySmall(CubicFriction):
 class StateWithoutRates(CubicFriction):
     def states(self, chain: Chain) -> int:
         return 0 if self.is_null else 1
+
+
+@dataclass(frozen=True)
+class Restless(StateWithoutRates):
+    """Its internal state changes while nothing moves."""
+
+    def way(self, chain: Chain) -> Way | None:
+        return None if self.is_null else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
 
 
 @dataclass(frozen=True)

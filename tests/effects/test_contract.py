@@ -37,6 +37,7 @@ def test_absent_it_changes_nothing_at_all(effect: Effect) -> None:
         assert absent.inputs(recording) is recording
         assert absent.force(CHAIN, 0.1) is None
         assert absent.rates(CHAIN) is None
+        assert absent.way(CHAIN) is None
         assert absent.states(CHAIN) == 0
         assert absent.rest(CHAIN, q).shape == (3, 0)
         assert absent.longest_step == np.inf
@@ -90,7 +91,8 @@ def test_forces_and_rates_take_any_leading_axes(effect: Effect, leading: tuple[i
         for index in np.ndindex(leading):
             alone = motion(time[index], q[index], v[index], z[index])
             assert alone == pytest.approx(found[index], rel=1e-12, abs=1e-14)
-    assert (present.rates(chain) is None) == (present.states(chain) == 0)
+    told = [each is not None for each in (present.rates(chain), present.way(chain))]
+    assert sum(told) == (present.states(chain) > 0)
 
 
 @every_present

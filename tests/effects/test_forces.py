@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from vjm.effects import (
     TipPayload,
     ViscousFriction,
 )
-from vjm.experiment.records import Rig
+from vjm.experiment.records import Recording, Rig
 from vjm.modes import linearise, modes, modes_of
 from vjm.simulate.arm import Arm
 from vjm.simulate.rollout import rollouts
@@ -84,11 +85,51 @@ def test_drag_takes_nothing_from_a_link_that_does_not_move_or_moves_along_itself
 
 def test_dry_friction_is_constant_in_motion_and_proportional_to_the_torque() -> None:
     still = np.zeros(HUB.size)
-    for bend in (-2e-4, -1e-5, -4e-6, 0.0, 2e-6, 1e-5, 1e-3):
-        one, two = (force(CoulombFriction(torque=t), HUB, still, still, states=[bend]) for t in (0.008, 0.1))
-        assert one[0] == pytest.approx(-0.008 * np.clip(bend / 1e-5, -1, 1))
+    for share in (-1.0, -0.4, 0.0, 0.2, 1.0):
+        one, two = (force(CoulombFriction(torque=t), HUB, still, still, states=[1e-5 * share]) for t in (0.008, 0.1))
+        assert one[0] == pytest.approx(-0.008 * share)
         assert two == pytest.approx(12.5 * one)
         assert not one[1:].any()
+
+
+def driven(push: np.ndarray, time: np.ndarray) -> Recording:
+    """A recording of nothing but a torque."""
+    known = recording_of(Rig("arm", (LINK,)))
+    empty = {"theta": np.zeros((time.size, 1)), "markers": np.full((time.size, 1, 2), np.nan)}
+    return replace(known, gravity=(0.0, 0.0), time=time, tau=push[:, None], payload=0.0, **empty)
+
+
+@given(st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=8), st.floats(-1e-5, 1e-5), st.integers(1, 5))
+def test_a_bristle_follows_the_joint_until_it_slips(turns: list[float], bend: float, parts: int) -> None:
+    """Prandtl's stop: the distance to the last turning points tells it, whatever the steps between these."""
+    way = CoulombFriction(torque=0.008).way(HUB)
+    angle, inside, whole, by_parts = 0.0, bend, np.array([bend]), np.array([bend])
+    for turn in turns:
+        inside = min(max(inside + turn, -1e-5), 1e-5)
+        ways = np.zeros((parts + 1, HUB.size))
+        ways[:, HUB.active[0]] = angle + np.linspace(0.0, turn, parts + 1)
+        whole = way(ways[0], whole, ways[-1])
+        for start, end in pairwise(ways):
+            by_parts = way(start, by_parts, end)
+        angle += turn
+    assert whole == pytest.approx(inside, abs=1e-15)
+    assert by_parts == pytest.approx(inside, abs=1e-15)
+
+
+def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
+    """Searches need it to: steps of a millisecond do not meet the instants at which it slips, and must not show that."""
+    time = np.linspace(0.0, 2.0, 1001)
+    push = 0.16 * np.sin(2 * np.pi * 1.1 * time) + 0.08 * np.sin(2 * np.pi * 3.7 * time)
+    recording = driven(push, time)
+    ends = []
+    for factor in 1.0 + 2e-5 * np.arange(9):
+        links = tuple(replace(link, stiffness=factor * link.stiffness) for link in HUB.links)
+        arm = Arm.of(replace(HUB, links=links), (CoulombFriction(torque=0.008),))
+        (steps,) = rollouts([arm], [recording], [np.zeros(HUB.size)], [np.zeros(HUB.size)])
+        ends.append(sample(steps, time)[0][:, 0, 0])
+    bent = np.diff(np.array(ends), n=2, axis=0)
+    assert np.ptp(ends[0]) > 0.1
+    assert np.abs(bent).max() < 2e-7
 
 
 @pytest.mark.parametrize("torque", [1e-3, 0.008, 0.05])
@@ -97,14 +138,7 @@ def test_dry_friction_sticks_slips_and_sticks_again(torque: float) -> None:
     stiff = replace(HUB, links=tuple(replace(link, stiffness=300 * link.stiffness) for link in HUB.links))
     time = np.linspace(0.0, 3.0, 1501)
     push = np.where(time < 0.5, 1.8 * np.minimum(time, 0.4), np.where(time < 1.0, 3.0, 0.0)) * torque
-    recording = replace(
-        recording_of(Rig("arm", (LINK,))),
-        gravity=(0.0, 0.0),
-        time=time,
-        tau=push[:, None],
-        theta=np.zeros((time.size, 1)),
-    )
-    recording = replace(recording, markers=np.full((time.size, 1, 2), np.nan), payload=0.0)
+    recording = driven(push, time)
     arm, rest = Arm.of(stiff, (CoulombFriction(torque=torque),)), np.zeros(stiff.size)
     (steps,) = rollouts([arm], [recording], [rest], [rest])
     angle = sample(steps, time)[0][:, 0, 0]

@@ -4,7 +4,7 @@ from vjm.effects.bending import CubicStiffness, RestCurvature, StiffnessDrift, S
 from vjm.effects.camera import CameraRotation, CameraScale, LensDistortion, MarkerOffset
 from vjm.effects.clock import ClockScale, RollingShutter, TimeOffset
 from vjm.effects.drag import LinearDrag, QuadraticDrag
-from vjm.effects.effect import Effect, Motion, Parameter, inner, size
+from vjm.effects.effect import Effect, Motion, Parameter, Way, inner, size
 from vjm.effects.encoder import EncoderOffset
 from vjm.effects.gravity import InPlaneGravity
 from vjm.effects.joint import CoulombFriction, JointSpring, ViscousFriction
@@ -93,6 +93,7 @@ __all__ = [
     "UnmodelledMode",
     "ViscoelasticCreep",
     "ViscousFriction",
+    "Way",
     "by_id",
     "inner",
     "size",

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 Key = tuple[str, int | None]
 # From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
 Motion = Callable[[Array, Array, Array, Array], Array]
+# From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
+Way = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -233,7 +235,11 @@ class Effect:
         return 0
 
     def rates(self, chain: Chain) -> Motion | None:
-        """Their rates of change; needed where there are any."""
+        """Their rates of change; needed where there are any and `way` says nothing of them."""
+        return None
+
+    def way(self, chain: Chain) -> Way | None:
+        """How its internal states follow the joints, where that depends on the way and not on the time it takes."""
         return None
 
     def rest(self, chain: Chain, q: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
-from vjm.effects.effect import Effect, Motion, size
+from vjm.effects.effect import Effect, Motion, Way, size
 from vjm.effects.places import JointEffect, active_coordinate, changed_link
 
 Array = NDArray[np.float64]
@@ -17,7 +17,6 @@ Array = NDArray[np.float64]
 # Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows, and that an
 # arm which sticks with an everyday torque (0.008 N m) swings on it at some 10 Hz, which steps of a millisecond resolve.
 _PRESLIDING = 1e-5
-_SETTLING = 2e-3  # s, in which a bristle that was bent too far comes back
 _LONGEST_STEP = 1e-3
 _GRADUAL = 0.05  # rad/s; what the joint's rate changes by between instants at which derivatives are taken
 
@@ -26,8 +25,8 @@ _GRADUAL = 0.05  # rad/s; what the joint's rate changes by between instants at w
 class CoulombFriction(JointEffect):
     """Dry friction at the active joint: constant against the motion, and sticking.
 
-    A bristle bends elastically by up to z_s and slips beyond: its angle z follows the joint's where |z| < z_s or the
-    joint turns back, and stays where it is otherwise; the torque is -torque z / z_s.
+    A bristle bends elastically by up to z_s and slips beyond (Prandtl's stop): over any way of the joint its angle z
+    changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s.
 
     Attributes:
         torque: [N m].
@@ -57,20 +56,14 @@ class CoulombFriction(JointEffect):
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Of the bristle."""
         joint, torque = active_coordinate(chain, self.index), self.torque
-        return None if self.is_null else _at(joint, lambda v, z: -torque * np.clip(z[..., 0] / _PRESLIDING, -1.0, 1.0))
+        return None if self.is_null else _at(joint, lambda v, z: -torque / _PRESLIDING * z[..., 0])
 
-    def rates(self, chain: Chain) -> Motion | None:
+    def way(self, chain: Chain) -> Way | None:
         """With the joint, as far as it does not slip."""
         if self.is_null:
             return None
         joint = active_coordinate(chain, self.index)
-
-        def rates(time: Array, q: Array, v: Array, z: Array) -> Array:
-            rate = v[..., joint, None]
-            slips = (np.abs(z) >= _PRESLIDING) & (rate * z > 0)
-            return np.where(slips, (np.copysign(_PRESLIDING, z) - z) / _SETTLING, rate)
-
-        return rates
+        return lambda q, z, to: np.clip(z + (to - q)[..., joint, None], -_PRESLIDING, _PRESLIDING)
 
     @property
     def longest_step(self) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
-from vjm.effects.effect import Effect, Motion
+from vjm.effects.effect import Effect, Motion, Way
 from vjm.experiment.records import Recording
 
 Array = NDArray[np.float64]
@@ -83,7 +83,26 @@ class Arm:
             return None
 
         def together(time: Array, q: Array, v: Array, z: Array) -> Array:
-            return np.concatenate([rates(time, q, v, z[..., part]) for rates, part in changing], axis=-1)
+            found = np.zeros(z.shape)
+            for rates, part in changing:
+                found[..., part] = rates(time, q, v, z[..., part])
+            return found
+
+        return together
+
+    @cached_property
+    def way(self) -> Way | None:
+        """How internal states follow the joints' way, the others as given; None where none does."""
+        found = [(effect.way(self.chain), part) for effect, part in zip(self.effects, self._parts, strict=True)]
+        following = [(way, part) for way, part in found if way is not None]
+        if not following:
+            return None
+
+        def together(q: Array, z: Array, to: Array) -> Array:
+            found = z.copy()
+            for way, part in following:
+                found[..., part] = way(q, z[..., part], to)
+            return found
 
         return together
 

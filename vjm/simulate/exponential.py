@@ -44,6 +44,9 @@ def exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> S
         force, rates = system.pushed(k * step, x[:, :n], x[:, n:], z)
         return system.free_acceleration(x, springs + torque + force), rates
 
+    def carried(x: Array, z: Array, to: Array) -> Array:
+        return system.carried(x[:, :n], z, to[:, :n]) if system.acting else z
+
     x = np.concatenate([q, v], axis=1)
     for k in range(count):
         if linear.varies:
@@ -57,17 +60,18 @@ def exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> S
         x2 = drift + first
         p = multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
         later = p[:, size:] - first
-        a, z2 = respond(k + 0.5, x2, z + step / 2 * z1, p[:, :n], spread[1][k])
+        a, z2 = respond(k + 0.5, x2, carried(x, z + step / 2 * z1, x2), p[:, :n], spread[1][k])
         p = multiply(a - p[:, n:size], weights.middle)
         x3, result = drift + p[:, :size], result + p[:, size:]
         p = multiply(x3, weights.rate)
-        a, z3 = respond(k + 0.5, x3, z + step / 2 * z2, p[:, :n], spread[1][k])
+        a, z3 = respond(k + 0.5, x3, carried(x, z + step / 2 * z2, x3), p[:, :n], spread[1][k])
         p = multiply(a - p[:, n:], weights.middle)
         x4, result = later + 2 * p[:, :size], result + p[:, size:]
         p = multiply(x4, weights.rate)
-        a, z4 = respond(k + 1, x4, z + step * z3, p[:, :n], spread[2][k])
-        x = result + multiply(a - p[:, n:], weights.end)
-        z = z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4)
+        a, z4 = respond(k + 1, x4, carried(x, z + step * z3, x4), p[:, :n], spread[2][k])
+        to = result + multiply(a - p[:, n:], weights.end)
+        z = carried(x, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), to)
+        x = to
     q, v = x[:, :n], x[:, n:]
     force, _ = system.pushed(count * step, q, v, z)
     return record.finish(q, v, system.acceleration(q, v, drive.ends[-1], force), z)

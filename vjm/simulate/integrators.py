@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm import dynamics
-from vjm.effects.effect import Motion
+from vjm.effects.effect import Motion, Way
 from vjm.errors import SimulationDivergedError
 from vjm.simulate.arm import Arm
 from vjm.simulate.drive import Drive
@@ -30,12 +30,14 @@ class Acting(NamedTuple):
     Attributes:
         copies: their numbers.
         force: generalised forces; None: none.
-        rates: of change of the internal states; None: there are none.
+        rates: of change of the internal states; None: none have any.
+        way: how internal states follow the joints' way; None: none do.
     """
 
     copies: NDArray[np.intp]
     force: Motion | None
     rates: Motion | None
+    way: Way | None
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class System:
     def pushed(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
         """Forces of the effects (C, nv) [N m] and rates of their internal states (C, nz), since the start [s]."""
         force, rates = np.zeros(q.shape), np.zeros(z.shape)
-        for copies, push, change in self.acting:
+        for copies, push, change, _ in self.acting:
             rows = slice(None) if len(copies) == len(q) else copies
             at = np.full(len(copies), time)
             if push is not None:
@@ -87,6 +89,14 @@ class System:
             if change is not None:
                 rates[rows] = change(at, q[rows], v[rows], z[rows])
         return force, rates
+
+    def carried(self, q: Array, z: Array, to: Array) -> Array:
+        """Internal states (C, nz), those that follow the joints' way carried from angles q to others (C, nv)."""
+        ways = [(each.copies, each.way) for each in self.acting if each.way is not None]
+        found = z.copy() if ways else z
+        for copies, way in ways:
+            found[copies] = way(q[copies], z[copies], to[copies])
+        return found
 
     def acceleration(self, q: Array, v: Array, torque: Array, force: Array) -> Array:
         """(C, nv) accelerations at q, v (C, nv) under active joints' torques (C, n_a) and forces (C, nv) [N m]."""
@@ -108,7 +118,7 @@ def _acting(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[Acting, ...
     for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
         groups.setdefault((id(arm), payload), []).append(k)
     found = [
-        Acting(np.array(copies), arms[copies[0]].forces(payload), arms[copies[0]].rates)
+        Acting(np.array(copies), arms[copies[0]].forces(payload), arms[copies[0]].rates, arms[copies[0]].way)
         for (_, payload), copies in groups.items()
     ]
     return tuple(each for each in found if each.force is not None or each.rates is not None)
@@ -141,15 +151,16 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> S
         time, middle = k * step, drive.middle[k]
         a1, z1 = slopes(time, q, v, z, drive.start[k])
         record.put(k, q, v, a1, z)
-        v2 = v + half * a1
-        a2, z2 = slopes(time + half, q + half * v, v2, z + half * z1, middle)
-        v3 = v + half * a2
-        a3, z3 = slopes(time + half, q + half * v2, v3, z + half * z2, middle)
-        v4 = v + step * a3
-        a4, z4 = slopes(time + step, q + step * v3, v4, z + step * z3, drive.end[k])
-        q = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
+        q2, v2 = q + half * v, v + half * a1
+        a2, z2 = slopes(time + half, q2, v2, system.carried(q, z + half * z1, q2), middle)
+        q3, v3 = q + half * v2, v + half * a2
+        a3, z3 = slopes(time + half, q3, v3, system.carried(q, z + half * z2, q3), middle)
+        q4, v4 = q + step * v3, v + step * a3
+        a4, z4 = slopes(time + step, q4, v4, system.carried(q, z + step * z3, q4), drive.end[k])
+        end = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        z = z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4)
+        z = system.carried(q, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), end)
+        q = end
     return record.finish(q, v, slopes(count * step, q, v, z, drive.ends[-1])[0], z)
 
 

@@ -37,7 +37,7 @@ _LEAST_STEPS = 20
 _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
 _HALF_INTERVAL_ELBOW = 1 / 600  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
-_MOST_TOGETHER = 64
+_MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 70 MB for these
 _MOST_COARSE = 2.0  # times the step that effects ask for
 
 
@@ -137,7 +137,7 @@ def _alike(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[in
             first = recordings[group[0]]
             short = _duration(recordings[k]) <= _ABOUT_EQUAL * _duration(first)
             same = recordings[k].gravity == first.gravity and _unknowns(arms[k]) == _unknowns(arms[group[0]])
-            if short and same and len(group) < _MOST_TOGETHER:
+            if short and same and (len(group) + 1) * arms[k].chain.size <= _MOST_TOGETHER:
                 group.append(k)
                 break
         else:

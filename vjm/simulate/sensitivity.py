@@ -202,15 +202,17 @@ def _change(
 
 
 def followed(arm: Arm, path: Path) -> Array:
-    """(I, nz) internal states of an arm's effects along a path, by Heun's method."""
+    """(I, nz) internal states of an arm's effects along a path; those that have rates by Heun's method."""
     z = np.empty((len(path.q), sum(arm.states)))
-    z[0] = arm.rest(path.q[0])
-    if arm.rates is None:
-        return np.broadcast_to(z[0], z.shape)
-    for k, step in enumerate(np.diff(path.time)):
-        now, later = ((path.time[i], path.q[i], path.v[i]) for i in (k, k + 1))
-        first = arm.rates(*now, z[k])
-        z[k + 1] = z[k] + step / 2 * (first + arm.rates(*later, z[k] + step * first))
+    z[:] = arm.rest(path.q[0])
+    for k, step in enumerate(np.diff(path.time) if z.size else ()):
+        z[k + 1] = z[k]
+        if arm.rates is not None:
+            now, later = ((path.time[i], path.q[i], path.v[i]) for i in (k, k + 1))
+            first = arm.rates(*now, z[k])
+            z[k + 1] += step / 2 * (first + arm.rates(*later, z[k] + step * first))
+        if arm.way is not None:
+            z[k + 1] = arm.way(path.q[k], z[k + 1], path.q[k + 1])
     return z
 
 

@@ -54,7 +54,7 @@ def name_of(effect: object) -> str:
     return found if isinstance(found, str) and found else type(effect).__name__
 
 
-def overridden(effect: Effect, hooks: tuple[str, ...] = (*_ACTING, *_SENSING, "states", "rates")) -> list[str]:
+def overridden(effect: Effect, hooks: tuple[str, ...] = (*_ACTING, *_SENSING, "states", "rates", "way")) -> list[str]:
     """Hooks that the effect's class defines itself."""
     return [name for name in hooks if getattr(type(effect), name) is not getattr(Effect, name)]
 

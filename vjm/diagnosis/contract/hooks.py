@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, fields, is_dataclass, replace
 
@@ -13,7 +13,7 @@ from vjm.chain.records import Chain
 from vjm.diagnosis.contract.bench import Bench, arm_bench, benches
 from vjm.diagnosis.contract.faults import Clause
 from vjm.diagnosis.contract.form import trial_coordinates
-from vjm.effects.effect import Effect, Motion
+from vjm.effects.effect import Effect
 from vjm.experiment.records import Recording
 from vjm.simulate.arm import Arm
 
@@ -188,12 +188,15 @@ def _sensors(clause: Clause, present: Effect, given: Given) -> None:
 
 
 def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
-    """Force, rates and rest, for states with several leading axes."""
+    """Force, rates or way, and rest, for states with several leading axes."""
     chain = present.chain(given.chain)
-    with clause.running(f"`force`, `rates` or `states` of {present!r}"):
+    with clause.running(f"`force`, `rates`, `way` or `states` of {present!r}"):
         force, rates, count = present.force(chain, _PAYLOAD), present.rates(chain), present.states(chain)
+        way = present.way(chain)
     clause.holds(isinstance(count, int) and count >= 0, f"{count!r} states", "a number of them")
-    clause.holds((rates is None) == (count == 0), f"{count} states and rates {rates}", "rates where there are states")
+    told = sum(each is not None for each in (rates, way))
+    expected = "one of `rates` and `way` where there are states"
+    clause.holds(told == (count > 0), f"{count} states, rates {rates} and way {way}", expected)
     with clause.running(f"`smooth` of {present!r}"):
         smooth = present.smooth()
         alike = same(smooth.chain(given.chain), chain) and smooth.values == present.values
@@ -211,17 +214,23 @@ def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
         for name, motion, shape in (("force", force, q.shape), ("rates", rates, z.shape)):
             if motion is not None:
                 _motion(clause, f"`{name}` of {present!r}", motion, (time, q, v, z), shape)
+        if way is not None:
+            to = still(q + _ANGLES * random.normal(size=q.shape))
+            _motion(clause, f"`way` of {present!r}", way, (q, z, to), z.shape)
+            with clause.running(f"`way` of {present!r}"):
+                stays = np.allclose(way(q, rest, q), rest, rtol=0.0, atol=_ROUNDING)
+            clause.holds(stays, "`way` changes states at rest where the joints stay", "states that follow the joints")
 
 
 def _motion(
-    clause: Clause, what: str, motion: Motion, given: tuple[Array, Array, Array, Array], shape: tuple[int, ...]
+    clause: Clause, what: str, motion: Callable[..., Array], given: tuple[Array, ...], shape: tuple[int, ...]
 ) -> None:
-    """A function of time, angles, rates and internal states, given many at once and each alone."""
-    with clause.running(f"{what} at angles {given[1].shape}"):
+    """A function of what the arm does, given many at once and each alone."""
+    with clause.running(f"{what} at {shape[:-1]} instants"):
         found = motion(*given)
-    _array(clause, f"{what} at angles {given[1].shape}", found, shape)
+    _array(clause, f"{what} at {shape[:-1]} instants", found, shape)
     for index in np.ndindex(shape[:-1]):
-        with clause.running(f"{what} at angles {given[1].shape[-1:]}"):
+        with clause.running(f"{what} at one instant"):
             alone = motion(*(each[index] for each in given))
         same = np.allclose(alone, found[index], rtol=_ROUNDING, atol=_ROUNDING * max(1.0, float(np.abs(found).max())))
         clause.holds(same, f"{what} at many instants is not what it is at each alone", "each row for itself")
