@@ -117,7 +117,7 @@ def test_a_bristle_follows_the_joint_until_it_slips(turns: list[float], bend: fl
 
 
 def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
-    """Searches need it to: steps of a millisecond do not meet the instants at which it slips, and must not show that."""
+    """Searches need it to: steps of a millisecond do not meet the instants at which it slips, and must not show it."""
     time = np.linspace(0.0, 2.0, 1001)
     push = 0.16 * np.sin(2 * np.pi * 1.1 * time) + 0.08 * np.sin(2 * np.pi * 3.7 * time)
     recording = driven(push, time)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from tests.simulate.setups import (
     steel_link,
     two_link_arm,
 )
+from vjm import dynamics
 from vjm.chain import Chain
 from vjm.experiment.records import Recording
 from vjm.modes import modes
@@ -226,6 +228,25 @@ def test_copies_together_move_as_each_alone(integrator: str, same: bool) -> None
         alone = rollout([chain], recording, q[c : c + 1], v[c : c + 1], integrator, 1e-3)
         np.testing.assert_allclose(together[0][:, c], alone[0][:, 0], atol=1e-10)
         np.testing.assert_allclose(together[1][:, c], alone[1][:, 0], atol=1e-8)
+
+
+def test_many_copies_are_advanced_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pinocchio keeps tensors of the third order for a model: 10 GB for 48 copies of nine joints."""
+    sizes, build = [], dynamics.build
+
+    def watched(chains: Chain | Sequence[Chain], *rest: Any) -> dynamics.Mechanism:
+        sizes.append(chains.size if isinstance(chains, Chain) else sum(chain.size for chain in chains))
+        return build(chains, *rest)
+
+    monkeypatch.setattr(dynamics, "build", watched)
+    chain = arm_of(steel_link(8, "revolute"))
+    recording = recording_of(chain, np.arange(21) / 100.0, jerky_torque(1, 7))
+    rates = np.random.default_rng(9).normal(0, 0.5, (48, 9))
+    found, _ = rollout([chain] * 48, recording, 0 * rates, rates, step=1e-3)
+    assert sum(sizes) >= 48 * 9
+    assert max(sizes) <= 128
+    alone, _ = rollout([chain], recording, 0 * rates[47:], rates[47:], step=1e-3)
+    np.testing.assert_allclose(found[:, 47], alone[:, 0], atol=1e-10)
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
