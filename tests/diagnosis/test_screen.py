@@ -222,3 +222,5 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     looked = looked_for([ExternalTone()], RIG, point)
     frequencies = [effect.values["frequency"] for effect in looked.variants]
     assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25
+    # A force that takes longer than the recordings is another cause, and no search may end there.
+    assert all(effect.bounds[0][2] == pytest.approx(np.log(0.5 / 5.0), rel=1e-3) for effect in looked.variants)

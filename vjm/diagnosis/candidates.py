@@ -110,8 +110,8 @@ def _tones(effect: ExternalTone, rig: Rig, runs: Sequence[Run]) -> tuple[list[Ef
                 peaks.append(float(frequencies[k]))
             if len(peaks) == first + _TONES:
                 break
-    places = effect.places(rig)
-    found = [replace(effect, link=link, frequency=peak) for link in places for peak in peaks]
+    at_places = {each.link: each for each in effect.variants(rig, [run.observed.recording for run in runs])}
+    found = [replace(each, frequency=peak) for each in at_places.values() for peak in peaks]
     return [*found], duration * 0.45 / step / max(len(found), 1)
 
 

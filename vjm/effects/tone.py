@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -17,7 +17,7 @@ from vjm.experiment.records import Recording, Rig
 
 Array = NDArray[np.float64]
 
-_LOWEST = 0.2  # Hz
+_LOWEST = 0.2  # Hz, where no recording is known
 _FREQUENCIES = 12
 _USUAL_RATE = 100.0  # frames a second, where none is known
 
@@ -32,11 +32,13 @@ class ExternalTone(TipEffect):
         amplitude: [N].
         frequency: [Hz].
         phase: at the start of each recording [rad].
+        lowest: frequency to which searches may go [Hz]; a force that takes longer than the recordings is none.
     """
 
     amplitude: float = size("N", 0.01, lower=0.0)
     frequency: float = inner("Hz", 5.0, lower=1e-2, upper=1e4)
     phase: float = inner("rad", 0.0, lower=-np.pi, upper=np.pi)
+    lowest: float = field(default=1e-2, kw_only=True, compare=False)
 
     id = "external_tone"
     says = "a sinusoidal force on the tip from outside"
@@ -66,8 +68,11 @@ class ExternalTone(TipEffect):
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Of the frequency only."""
-        lower, upper = self.parameters()[1].bounds
-        return np.array([-np.inf, -np.inf, lower]), np.array([np.inf, np.inf, upper])
+        frequency = self.parameters()[1]
+        return (
+            np.array([-np.inf, -np.inf, frequency.coordinate(self.lowest)]),
+            np.array([np.inf, np.inf, frequency.bounds[1]]),
+        )
 
     @property
     def sizes(self) -> int:
@@ -75,11 +80,14 @@ class ExternalTone(TipEffect):
         return 2
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """At frequencies up to what a camera shows, coarsely: the recordings' spectra know better."""
+        """From one period in the longest recording to what a camera shows: the recordings' spectra know better."""
         rates = [_rate(recording) for recording in recordings if recording.frames.size > 1]
-        highest = max(max(rates, default=_USUAL_RATE) / 2, 2 * _LOWEST)
-        frequencies = np.geomspace(_LOWEST, highest, _FREQUENCIES).tolist()
-        return tuple(replace(self, link=link, frequency=each) for link in self.places(rig) for each in frequencies)
+        longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
+        lowest = 1 / longest if longest > 0 else _LOWEST
+        highest = max(max(rates, default=_USUAL_RATE) / 2, 2 * lowest)
+        frequencies = np.geomspace(lowest, highest, _FREQUENCIES).tolist()
+        own = [replace(self, link=link, lowest=lowest) for link in self.places(rig)]
+        return tuple(replace(each, frequency=frequency) for each in own for frequency in frequencies)
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """On the end of the last virtual link."""
