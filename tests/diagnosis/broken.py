@@ -161,11 +161,22 @@ class StateWithoutRates(CubicFriction):
 
 
 @dataclass(frozen=True)
+class WayWithoutSlope(StateWithoutRates):
+    """Does not say what stands for what slips where derivatives are taken."""
+
+    def way(self, chain: Chain) -> Way | None:
+        return None if self.is_null else (lambda q, z, to: np.clip(z + to[..., :1] - q[..., :1], -0.1, 0.1))
+
+
+@dataclass(frozen=True)
 class Restless(StateWithoutRates):
     """Its internal state changes while nothing moves."""
 
     def way(self, chain: Chain) -> Way | None:
         return None if self.is_null else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
+
+    def smooth(self) -> Effect:
+        return CubicFriction(self.coefficient, link=self.link)
 
 
 @dataclass(frozen=True)

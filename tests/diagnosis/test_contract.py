@@ -30,6 +30,7 @@ BROKEN = [
     (broken.NotANumber(), "hooks", "not finite"),
     (broken.OnlySmall(), "hooks", "ValueError: too much friction"),
     (broken.StateWithoutRates(), "hooks", "1 states, rates None and way None"),
+    (broken.WayWithoutSlope(), "hooks", "an effect with 1 states; expected none, where `way` carries them"),
     (broken.Restless(), "hooks", "`way` changes states at rest where the joints stay"),
     (broken.SmoothedAway(), "hooks", "expected the same parameters and the same chain"),
     (broken.SmoothWithStates(), "hooks", "an effect with 1 states; expected 0, or none"),

@@ -239,7 +239,10 @@ class Effect:
         return None
 
     def way(self, chain: Chain) -> Way | None:
-        """How its internal states follow the joints, where that depends on the way and not on the time it takes."""
+        """How its internal states follow the joints, where that depends on the way and not on the time it takes.
+
+        What slips has no slope at instants: `smooth` then says what stands for it, without internal states.
+        """
         return None
 
     def rest(self, chain: Chain, q: Array) -> Array:
