@@ -95,3 +95,11 @@ def test_noise_is_known_where_the_model_is_all_wrong(correlation: float) -> None
     assert noise.size == pytest.approx(NOISE[0], rel=0.1)
     assert noise.colour.size == (correlation > 0)
     assert noise.colour == pytest.approx([correlation] * noise.colour.size, abs=0.1)
+
+
+def test_noise_is_known_where_a_simulation_has_coiled_the_arm_up() -> None:
+    """Newton's steps lead nowhere from there; they begin at a straight link too."""
+    wrong = point_of(chain_of(), (), recorded(Arm(chain_of()), 1)).runs
+    coil = np.array([0.0, 2.5, -2.0, 2.5])
+    runs = [replace(run, steps=replace(run.steps, q=run.steps.q + coil[: run.chain.size])) for run in wrong]
+    assert camera_noise(runs).size == pytest.approx(NOISE[0], rel=0.1)

@@ -79,15 +79,27 @@ def _outside(run: Run) -> tuple[Array, Array, float] | None:
     if time.size < _LEAST_FRAMES or channels.sum() <= directions.shape[1]:
         return None
     # A model that lacks much may have moved the arm anywhere; encoders and markers say where it is.
-    q, residual = sampled(run.steps, time), np.zeros(0)
+    moved = sampled(run.steps, time)
     for joint, theta in zip(run.chain.active, seen.recording.theta.T, strict=True):
         known = np.isfinite(theta)
         if known.any():
-            q[:, joint] = np.interp(time, seen.recording.time[known], theta[known])
+            moved[:, joint] = np.interp(time, seen.recording.time[known], theta[known])
+    straight = moved.copy()
+    straight[:, run.chain.passive] = 0.0
+    ways = [_beside(run, q, directions, markers[complete], channels) for q in (moved, straight)]
+    nearer = np.argmin([np.sum(each**2, axis=1) for each in ways], axis=0)
+    residual = np.where(nearer[:, None] == 0, *ways)
+    ticks = np.round((time - time[0]) / np.median(np.diff(time)))
+    return ticks, residual - residual.mean(axis=0), 1 - directions.shape[1] / channels.sum()
+
+
+def _beside(run: Run, q: Array, directions: Array, markers: Array, channels: NDArray[np.bool_]) -> Array:
+    """(F, c) residuals [m] of marker coordinates (F, 2 k) beside the arm where Newton's steps from q (F, nv) lead."""
+    residual = np.zeros(0)
     for _ in range(_TURNS):
-        shown = seen.arcs.shown(run.arm, q).reshape(time.size, -1)[:, channels]
-        slopes = seen.arcs.slope(run.arm, q, directions)[:, channels]
-        off = markers[complete][:, channels] - shown
+        shown = run.observed.arcs.shown(run.arm, q).reshape(len(q), -1)[:, channels]
+        slopes = run.observed.arcs.slope(run.arm, q, directions)[:, channels]
+        off = markers[:, channels] - shown
         change = (np.linalg.pinv(slopes) @ off[:, :, None])[:, :, 0]
         residual = off - (slopes @ change[:, :, None])[:, :, 0]
         turn = change @ directions.T
@@ -95,8 +107,7 @@ def _outside(run: Run) -> tuple[Array, Array, float] | None:
         q = q + turn * np.minimum(1.0, _LARGEST_TURN / np.maximum(most, 1e-300))
         if most.max() < _STILL:
             break
-    ticks = np.round((time - time[0]) / np.median(np.diff(time)))
-    return ticks, residual - residual.mean(axis=0), 1 - directions.shape[1] / channels.sum()
+    return residual
 
 
 def _correlation(found: Sequence[tuple[Array, Array, float]]) -> tuple[float, Array, int]:

@@ -36,7 +36,8 @@ def next_experiment(
                 f"to tell {' from '.join(names)}: {best.text}; chi^2 of the two will then differ by about "
                 f"{best.evidence:.2g}"
             )
-        means = dict.fromkeys(each.apart_by for each in (cause.effect, *(r.effect for r in cause.rivals)))
+        effects = (cause.effect, *(rival.effect for rival in cause.rivals))
+        means = dict.fromkeys(part for effect in effects for part in effect.apart_by.split("; "))
         told = "; or ".join(each for each in means if each)
         return f"to tell {' from '.join(names)}: record {told}"
     if verdict == "unknown":
