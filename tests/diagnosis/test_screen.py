@@ -22,6 +22,7 @@ from vjm.effects import (
     Effect,
     EncoderOffset,
     ExternalTone,
+    GearElasticity,
     InPlaneGravity,
     JointSpring,
     LinearDrag,
@@ -224,3 +225,12 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25
     # A force that takes longer than the recordings is another cause, and no search may end there.
     assert all(effect.bounds[0][2] == pytest.approx(np.log(0.5 / 5.0), rel=1e-3) for effect in looked.variants)
+
+
+def test_beside_a_fit_without_a_hub_a_gear_is_no_candidate() -> None:
+    """A wrong model's hub may shrink to nothing; a joint before it moves nothing then, and no search may end there."""
+    chain = chain_of()
+    light = replace(chain, links=(replace(chain.links[0], hub_inertia=0.0),))
+    seen = screen(point_of(light, (), recorded(Arm(chain), 3)), (), [bound(GearElasticity()), bound(JointSpring())])
+    assert seen.absorbed.tolist() == [True, False]
+    assert seen.statistics[0] == 0.0

@@ -17,6 +17,7 @@ from scipy import stats
 
 from vjm.diagnosis.extension import adds_joint
 from vjm.effects.effect import Effect, Key
+from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import REFERENCE
 from vjm.identification.trajectory_problem import Point
 from vjm.simulate.arm import Arm
@@ -225,10 +226,14 @@ def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
     """For each recording, (N,) slope of the whitened predictions where the effect leaves its null, to second order.
 
-    A joint that gives way a little shifts frequencies, which in a long recording is soon out of proportion.
+    A joint that gives way a little shifts frequencies, which in a long recording is soon out of proportion. Infinite
+    where it moves nothing, beside a wrong fit.
     """
-    one, two = (_residuals(point, present, _unit(variant, 0, size)) for size in (_JOINT_STEP, 2 * _JOINT_STEP))
     null = [run.residual for run in point.runs]
+    try:
+        one, two = (_residuals(point, present, _unit(variant, 0, size)) for size in (_JOINT_STEP, 2 * _JOINT_STEP))
+    except SimulationDivergedError:
+        return [np.full(each.size, np.inf) for each in null]
     return [(3 * r0 - 4 * r1 + r2) / (2 * _JOINT_STEP) for r0, r1, r2 in zip(null, one, two, strict=True)]
 
 
