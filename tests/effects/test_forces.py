@@ -19,6 +19,7 @@ from vjm.effects import (
     CubicStiffness,
     Effect,
     ExternalTone,
+    Hysteresis,
     InPlaneGravity,
     JointSpring,
     LinearDrag,
@@ -33,6 +34,7 @@ from vjm.experiment.records import Recording, Rig
 from vjm.modes import linearise, modes, modes_of
 from vjm.simulate.arm import Arm
 from vjm.simulate.rollout import rollouts
+from vjm.simulate.sensitivity import Path, followed
 from vjm.simulate.steps import sample
 
 HUB = chain_of(LINK)
@@ -130,6 +132,34 @@ def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
     bent = np.diff(np.array(ends), n=2, axis=0)
     assert np.ptp(ends[0]) > 0.1
     assert np.abs(bent).max() < 2e-7
+
+
+def test_two_integrators_carry_friction_beside_other_internal_states() -> None:
+    time = np.linspace(0.0, 2.0, 1001)
+    recording = driven(0.1 * np.sin(2 * np.pi * 1.1 * time) + 0.05 * np.sin(2 * np.pi * 3.7 * time), time)
+    hysteresis, friction = Hysteresis(ratio=0.1, yield_angle=0.01), CoulombFriction(torque=0.02)
+    rest = np.zeros(HUB.size)
+    found = []
+    for effects in ((hysteresis, friction), (friction, hysteresis)):
+        for how in ({"integrator": "rk4", "step": 1e-4}, {}):
+            (steps,) = rollouts([Arm.of(HUB, effects)], [recording], [rest], [rest], **how)
+            found.append(sample(steps, time)[0][:, 0, 0])
+    (plain,) = rollouts([Arm.of(HUB, (hysteresis,))], [recording], [rest], [rest])
+    assert np.abs(sample(plain, time)[0][:, 0, 0] - found[0]).max() > 1e-2
+    assert all(each == pytest.approx(found[0], abs=1e-4) for each in found)
+
+
+def test_friction_takes_its_torque_times_the_joint_s_whole_way() -> None:
+    """Followed along a motion that is given, as the contract does."""
+    time = np.linspace(0.0, 2.0, 2001)
+    q, v = np.zeros((2, time.size, HUB.size))
+    q[:, 0], v[:, 0] = 0.3 * np.sin(4 * time), 1.2 * np.cos(4 * time)
+    arm = Arm.of(HUB, (CoulombFriction(torque=0.008),))
+    z = followed(arm, Path(time, q, v, 0 * q, np.zeros((time.size, 0))))
+    push = arm.forces(0.0)
+    assert push is not None
+    work = np.trapezoid((push(time, q, v, z) * v).sum(axis=1), time)
+    assert work == pytest.approx(-0.008 * np.abs(np.diff(q[:, 0])).sum(), rel=2e-3)
 
 
 @pytest.mark.parametrize("torque", [1e-3, 0.008, 0.05])

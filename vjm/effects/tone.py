@@ -38,7 +38,7 @@ class ExternalTone(TipEffect):
     amplitude: float = size("N", 0.01, lower=0.0)
     frequency: float = inner("Hz", 5.0, lower=1e-2, upper=1e4)
     phase: float = inner("rad", 0.0, lower=-np.pi, upper=np.pi)
-    lowest: float = field(default=1e-2, kw_only=True, compare=False)
+    lowest: float = field(default=0.0, kw_only=True, compare=False)
 
     id = "external_tone"
     says = "a sinusoidal force on the tip from outside"
@@ -69,10 +69,8 @@ class ExternalTone(TipEffect):
     def bounds(self) -> tuple[Array, Array]:
         """Of the frequency only."""
         frequency = self.parameters()[1]
-        return (
-            np.array([-np.inf, -np.inf, frequency.coordinate(self.lowest)]),
-            np.array([np.inf, np.inf, frequency.bounds[1]]),
-        )
+        lowest = frequency.coordinate(max(frequency.lower, self.lowest))
+        return np.array([-np.inf, -np.inf, lowest]), np.array([np.inf, np.inf, frequency.bounds[1]])
 
     @property
     def sizes(self) -> int:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from vjm.effects.effect import Effect, Motion, Way
 from vjm.experiment.records import Recording
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -57,10 +59,7 @@ class Arm:
 
     def forces(self, payload: float) -> Motion | None:
         """The effects' generalised forces together; None where there are none."""
-        found = [
-            (effect.force(self.chain, payload), part) for effect, part in zip(self.effects, self._parts, strict=True)
-        ]
-        acting = [(force, part) for force, part in found if force is not None]
+        acting = self._told(lambda effect: effect.force(self.chain, payload))
         if not acting:
             return None
         if len(acting) == 1 and len(self.effects) == 1:
@@ -77,8 +76,7 @@ class Arm:
     @cached_property
     def rates(self) -> Motion | None:
         """Rates of change of all internal states; None where there are none."""
-        found = [(effect.rates(self.chain), part) for effect, part in zip(self.effects, self._parts, strict=True)]
-        changing = [(rates, part) for rates, part in found if rates is not None]
+        changing = self._told(lambda effect: effect.rates(self.chain))
         if not changing:
             return None
 
@@ -93,8 +91,7 @@ class Arm:
     @cached_property
     def way(self) -> Way | None:
         """How internal states follow the joints' way, the others as given; None where none does."""
-        found = [(effect.way(self.chain), part) for effect, part in zip(self.effects, self._parts, strict=True)]
-        following = [(way, part) for way, part in found if way is not None]
+        following = self._told(lambda effect: effect.way(self.chain))
         if not following:
             return None
 
@@ -133,3 +130,8 @@ class Arm:
     def _parts(self) -> list[slice]:
         stops = np.cumsum(self.states, dtype=int).tolist()
         return [slice(stop - count, stop) for stop, count in zip(stops, self.states, strict=True)]
+
+    def _told(self, hook: Callable[[Effect], T | None]) -> list[tuple[T, slice]]:
+        """What a hook of the effects says, and which internal states are theirs, of those where it says anything."""
+        told = [(hook(effect), part) for effect, part in zip(self.effects, self._parts, strict=True)]
+        return [(each, part) for each, part in told if each is not None]

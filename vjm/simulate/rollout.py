@@ -37,7 +37,7 @@ _LEAST_STEPS = 20
 _HALF_INTERVAL = 1 / 140  # periods of the slowest mode
 _HALF_INTERVAL_ELBOW = 1 / 600  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
-_MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 70 MB for these
+_MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 10 GB for 432
 _MOST_COARSE = 2.0  # times the step that effects ask for
 
 
