@@ -9,7 +9,7 @@ from vjm.diagnosis.base import Base
 from vjm.diagnosis.beginning import LACKING, Beginning
 from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.refit import Explanation
-from vjm.diagnosis.search import Rules, Search
+from vjm.diagnosis.search import Found, Rules, Search
 from vjm.effects import Effect
 from vjm.experiment.records import REFERENCE, Rig
 from vjm.identification.trajectory_problem import Point
@@ -31,7 +31,7 @@ def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callabl
     start = Explanation(replace(base.fit, point=_as(base.point, None)))
     smooth = [effect for effect in effects if not effect.abrupt]
     search = Search(rig, Beginning(start, start), smooth, _MUCH, tell)
-    best = search.run(search.judged(start)).best
+    best = search.run(Found.nothing(start, search.judged(start))).best
     if not best.effects:
         return base.plain
     problem = best.point.problem

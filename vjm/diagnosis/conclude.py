@@ -259,6 +259,11 @@ def _notes(base: Base, best: Explanation, left: Leftover, remains: bool) -> tupl
     notes = [f"virtual joints of the search's chain: {joints}; what so few of them get wrong {known}"]
     if not remains and left.p_value < _UNLIKELY:
         notes.append("what is left is a little more than noise, and too little to matter")
+    if best.is_held:
+        notes.append(
+            "dry friction or play: while fitting, a weak spring and damper held the simulated joint near its encoder's "
+            "angles; misfits and parameters are those of such simulations, replays and the gain are open loop"
+        )
     if best.effects and not best.fit.converged:
         notes.append("the last fit was ended once further steps no longer mattered")
     return tuple(notes)

@@ -20,7 +20,7 @@ _NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which 
 _EXPLAINED = 1.1  # misfit of what explains them
 _LITTLE = 2.0  # the same of whole recordings, before a fit has ended
 _KEPT = 4  # explanations that are followed where none does
-_FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
+FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
 _STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
 # Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
@@ -66,7 +66,7 @@ def begun_with(job: Job, whole: float) -> Explanation | None:
         job: the refit.
         whole: duration of the longest recording [s].
     """
-    steps = np.inf if is_short(job.start, whole) else _FIRST_STEPS
+    steps = np.inf if is_short(job.start, whole) else FIRST_STEPS
     return refit(job.start, job.effects, Patience(steps, abrupt=is_abrupt(job.effects)))
 
 
@@ -77,7 +77,7 @@ def is_short(explanation: Explanation, whole: float) -> bool:
 
 def near_noise(begun: Explanation, whole: float) -> bool:
     """Whether so little is left that its fit is worth ending before others are tried."""
-    return begun.point.misfit < (_EXPLAINED if is_short(begun, whole) else _LITTLE)
+    return begun.point.misfit < (_EXPLAINED if is_short(begun, whole) or begun.is_held else _LITTLE)
 
 
 def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:

@@ -67,6 +67,11 @@ class Explanation:
         return self.extension.present(self.point.x)
 
     @property
+    def is_held(self) -> bool:
+        """Whether its simulations are held near the angles that encoders measured."""
+        return self.point.problem.guided
+
+    @property
     def everywhere(self) -> int:
         """Number of its effects that act in the reference recordings too."""
         return self.extension.everywhere
@@ -120,6 +125,8 @@ def refit(
 
 def _followed(start: Explanation, effects: Sequence[Effect]) -> float:
     """How long an explanation is known to follow the recordings [s], with further effects."""
+    if start.is_held:
+        return np.inf
     # What sticks and slips is found from the recordings' beginnings.
     new = [each for each in effects if each.key not in start.names]
     return 0.0 if start.point.misfit > ADRIFT or any(each.abrupt for each in new) else np.inf

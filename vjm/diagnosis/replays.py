@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from vjm.diagnosis.base import Base
+from vjm.diagnosis.holding import freed, replayed
 from vjm.diagnosis.records import Replayed
 from vjm.diagnosis.refit import Explanation
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -12,7 +13,7 @@ from vjm.experiment.cleaning import cleaned
 from vjm.experiment.records import Experiment, Recording
 from vjm.identification.outliers import without_outliers
 from vjm.model import Model
-from vjm.simulate.initial_state import Replay, most_likely, report
+from vjm.simulate.initial_state import Replay, report
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run
 from vjm.symptoms import Followed, Symptoms, symptoms
@@ -50,7 +51,7 @@ def _three(replays: Sequence[Replay | None]) -> tuple[Replay | None, Replay | No
 
 
 def _trained(explanation: Explanation) -> dict[str, Run]:
-    return {run.observed.recording.file: run for run in explanation.point.runs}
+    return {run.observed.recording.file: run for run in freed(explanation).point.runs}
 
 
 def _reported(run: Run | None) -> Replay | None:
@@ -61,11 +62,8 @@ def _replayed(
     experiment: Experiment, explanation: Explanation, recording: Recording, noise: tuple[float, float]
 ) -> Replay | None:
     """A recording that was not fitted; None where it cannot be simulated."""
-    point = explanation.point
-    arm = point.problem.varied.arms(point.x, [recording])[0]
-    seen = Observed.of(experiment.rig, recording, noise)
     try:
-        return report(*most_likely([arm], [seen], coarse=point.problem.coarse)[0])
+        return report(*replayed(explanation, Observed.of(experiment.rig, recording, noise)))
     except (InsufficientDataError, SimulationDivergedError):
         return None
 

@@ -13,7 +13,8 @@ from vjm.diagnosis.beginning import beginning
 from vjm.diagnosis.candidates import candidates, chosen_effects
 from vjm.diagnosis.conclude import conclude, insufficient
 from vjm.diagnosis.records import Diagnosis
-from vjm.diagnosis.search import Rules, Search
+from vjm.diagnosis.search import Found, Rules, Search
+from vjm.diagnosis.sticking import whole_search
 from vjm.diagnosis.support import why_insufficient
 from vjm.effects import Effect
 from vjm.errors import ShapeError
@@ -70,7 +71,8 @@ def diagnose(
         if reasons:
             return insufficient(experiment, base, table, reasons)
         said = told(base, known, begun.lacking)
-        return conclude(experiment, base, search, search.run(first), table, said)
+        search, found = whole_search(search, Found.nothing(begun.start, first))
+        return conclude(experiment, base, search, found, table, said)
 
 
 @contextmanager

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
-from vjm.diagnosis.race import is_abrupt, proposal
+from vjm.diagnosis.race import proposal
 from vjm.diagnosis.refit import Explanation, named
 from vjm.diagnosis.screen import screen
 from vjm.diagnosis.trials import NOISE, Tell, Trials
@@ -22,9 +22,8 @@ from vjm.experiment.records import Rig
 Array = NDArray[np.float64]
 Step = tuple[Explanation, Sequence[int]]
 
-_ABRUPT = 0.01  # share of what they explain that models of what sticks and slips may leave
 _BEST = 8  # candidates refitted a round
-_FEW = 3  # of them, among which what sticks and slips must be beside other effects
+FEW = 3  # of them, among which what sticks and slips must be beside other effects
 _PAIRS = 4  # pairs refitted that no single step leads to
 
 
@@ -65,6 +64,11 @@ class Found:
     last: Family
     p_values: dict[Key, float] = field(default_factory=dict)
 
+    @classmethod
+    def nothing(cls, start: Explanation, first: Family) -> Found:
+        """Before anything was looked for."""
+        return cls(start, first, first)
+
 
 class Search:
     """One search, with all that it has fitted."""
@@ -88,35 +92,47 @@ class Search:
         self.trials = Trials(rig, begun, tell, executor, workers)
         self.looked = self._looked(self.start)
 
-    def run(self, first: Family) -> Found:
+    def again(self, start: Explanation) -> Search:
+        """The same search from another start, which follows the recordings."""
+        begun = replace(self.begun, start=start, lost=False)
+        return Search(self.rig, begun, self.effects, self.rules, self.tell, self.trials.executor, self.trials.workers)
+
+    def run(self, begun: Found, ended: Callable[[Found], bool] = lambda found: False) -> Found:
         """Add effects while they are needed.
 
         Args:
-            first: the candidates beside the start.
+            begun: where to go on.
+            ended: whether the search should go no further.
         """
-        best, p_values, family = self.start, dict[Key, float](), first
-        while len(best.effects) < self.rules.most + len(self.start.effects):
-            needed = self._needed(best, family)
+        best, family, p_values = begun.best, begun.last, dict(begun.p_values)
+        found = begun
+        while len(best.effects) < self.rules.most + len(self.start.effects) and not ended(found):
+            needed = self.needed(best, family)
             if not needed:
                 break
-            steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.from_afar(best) else _BEST]]
-            if len(best.effects) == len(self.start.effects) + 1 and not self.trials.from_afar(self.start):
-                steps += self._pairs(first, best)
-            smooth, abrupt = self._apart(family, first, best, steps)
-            if self.trials.guide(best) is not best:
-                smooth, abrupt = steps, []  # over first periods only, nothing takes long
-            self.race(best, family, first, smooth)
-            if not self.trials.explained(len(best.effects) + 1):
-                self.race(best, family, first, abrupt)
-            trial = self.trials.best(len(best.effects) + 1)
+            trial = self._tried(best, begun.first, family, needed)
             if trial is None or not self._worth(best, trial):
                 break
             best = self.trials.sharpen(self.trials.polish(self._without_idle(trial)))
             p_values |= {
-                key: min(_p_value(each, key) for each in (family, first)) for key in best.names - p_values.keys()
+                key: min(_p_value(each, key) for each in (family, begun.first)) for key in best.names - p_values.keys()
             }
             family = self.judged(best)
-        return Found(best, first, family, p_values)
+            found = Found(best, begun.first, family, p_values)
+        return found
+
+    def _tried(self, best: Explanation, first: Family, family: Family, needed: Sequence[int]) -> Explanation | None:
+        """The best explanation with one effect more."""
+        steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.from_afar(best) else _BEST]]
+        if len(best.effects) == len(self.start.effects) + 1 and not self.trials.from_afar(self.start):
+            steps += self._pairs(first, best)
+        smooth, abrupt = self._apart(family, first, best, steps)
+        if self.trials.guide(best) is not best or best.is_held:
+            smooth, abrupt = steps, []  # over first periods only, or held, nothing takes long
+        self.race(best, family, first, smooth)
+        if not self.trials.explained(len(best.effects) + 1):
+            self.race(best, family, first, abrupt)
+        return self.trials.best(len(best.effects) + 1)
 
     def judged(self, explanation: Explanation) -> Family:
         """Candidates beside an explanation."""
@@ -146,9 +162,10 @@ class Search:
         """
         guide = self.trials.guide(explanation)
         least = self.rules.least(min(guide.chi2, guide.point.count))
-        if is_abrupt(explanation.effects):
+        leaves = max((effect.leaves for effect in explanation.effects if effect.abrupt), default=0.0)
+        if leaves:
             start = self.start if guide is explanation else self.trials.guide(self.start)
-            return max(least, _ABRUPT * (start.chi2 - guide.chi2))
+            return max(least, leaves * (start.chi2 - guide.chi2))
         return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
@@ -188,7 +205,7 @@ class Search:
             (abrupt if any(seen.effects[k].abrupt for k in chosen) else smooth).append((start, chosen))
         return smooth, abrupt
 
-    def _needed(self, best: Explanation, family: Family) -> list[int]:
+    def needed(self, best: Explanation, family: Family) -> list[int]:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
         seen, least, lost = family.seen, self.matters(best), self.trials.from_afar(best)
         needed = seen.one_each(
@@ -199,7 +216,7 @@ class Search:
         if best is self.start:
             return needed
         # What sticks and slips takes as long to try as all else together: only where it is among the most needed.
-        return [k for place, k in enumerate(needed) if place < _FEW or not seen.effects[k].abrupt]
+        return [k for place, k in enumerate(needed) if place < FEW or not seen.effects[k].abrupt]
 
     def _pairs(self, first: Family, best: Explanation) -> list[Step]:
         """Pairs that explain most by the first screen, without the best single effect."""

@@ -12,7 +12,17 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.coarseness import CLOSE, beside, coarseness, corrected
-from vjm.diagnosis.race import Job, Patience, begun_with, finished, is_abrupt, is_short, near_noise, promising
+from vjm.diagnosis.race import (
+    FIRST_STEPS,
+    Job,
+    Patience,
+    begun_with,
+    finished,
+    is_abrupt,
+    is_short,
+    near_noise,
+    promising,
+)
 from vjm.diagnosis.refit import ADRIFT, Explanation, Names, named, refit, shortened
 from vjm.effects import Effect
 from vjm.experiment.records import Rig
@@ -49,7 +59,7 @@ class Trials:
 
     def guide(self, explanation: Explanation) -> Explanation:
         """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
-        if self.from_afar(explanation) or explanation.point.misfit < ADRIFT:
+        if self.from_afar(explanation) or explanation.is_held or explanation.point.misfit < ADRIFT:
             return explanation
         if explanation.names not in self._guides:
             self._guides[explanation.names] = shortened(explanation)
@@ -119,11 +129,13 @@ class Trials:
         astray = known is not None and any(
             each.names < names and each.chi2 < known.chi2 for each in self.tried.values()
         )
-        if known is not None and not astray and (known.point.misfit > CLOSE or known.chi2 > 2 * record):
-            return known
+        far = known is not None and not astray and (known.point.misfit > CLOSE or known.chi2 > 2 * record)
         # Also what was fitted before may be fitted better from here.
         kept = tuple(each for each in explanation.effects if each is not effect)
-        found = refit(explanation, kept, Patience(np.inf, record, is_abrupt(kept)))
+        steps = FIRST_STEPS if far else np.inf
+        found = refit(explanation, kept, Patience(steps, record, is_abrupt(kept)))
+        if far and known is not None and found is not None and found.chi2 < known.chi2:
+            found = refit(found, kept, Patience(np.inf, record, is_abrupt(kept)))
         if found is None or (known is not None and names not in self.stale and known.chi2 < found.chi2):
             return known
         self.tried[names] = found

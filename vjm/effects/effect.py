@@ -145,6 +145,8 @@ class Effect:
     # Whether motion depends on it abruptly, as on what sticks and slips: searches lengthen the recordings step by step,
     # and what is left after a fit need not be noise.
     abrupt: ClassVar[bool] = False
+    # Of what it explains where it is abrupt, the share that a good fit may leave: simulations of impacts are not exact.
+    leaves: ClassVar[float] = 0.01
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,7 +140,7 @@ def _search(
             point = replace(trial, runs=tuple(run.weighed() for run in trial.runs))
             damping = damping.better()
         else:
-            damping = damping.worse()
+            damping = damping.worse(partial(_length, point))
             if damping.exhausted:
                 break
     return TrajectoryFit(point, done, iteration + 1)
@@ -177,6 +178,11 @@ def _step(point: Point, damping: float) -> tuple[Array, list[Array], float]:
     rows, wanted = point.problem.preferred(point.x)
     predicted += float(wanted @ wanted - np.sum((wanted - rows @ change) ** 2))
     return change, states, predicted
+
+
+def _length(point: Point, damping: float) -> float:
+    """Of the step of the coordinates, in the lengths of the predictions' derivatives by each."""
+    return float(np.linalg.norm(point.gathered()[0].scale * _step(point, damping)[0]))
 
 
 def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | None:

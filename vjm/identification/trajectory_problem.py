@@ -89,6 +89,11 @@ class TrajectoryProblem:
         """Duration of the longest recording [s]."""
         return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
 
+    @property
+    def guided(self) -> bool:
+        """Whether simulations are held near the angles that encoders measured."""
+        return any(each.guide is not None for each in self.observed)
+
     def until(self, duration: float) -> TrajectoryProblem:
         """The same with the recordings' first seconds only."""
         parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from vjm.chain.records import Chain
 from vjm.effects.effect import Effect, Motion, Way
 from vjm.experiment.records import Recording
+from vjm.simulate.guide import Guide
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -25,13 +26,15 @@ class Arm:
     Attributes:
         chain: with all that the effects change of it.
         effects: those present, in the order in which they were added.
+        guide: what draws its active joints towards what was measured; None: it moves as it does.
     """
 
     chain: Chain
     effects: tuple[Effect, ...] = ()
+    guide: Guide | None = None
 
-    def __reduce__(self) -> tuple[type[Arm], tuple[Chain, tuple[Effect, ...]]]:
-        return Arm, (self.chain, self.effects)  # without functions that were kept
+    def __reduce__(self) -> tuple[type[Arm], tuple[Chain, tuple[Effect, ...], Guide | None]]:
+        return Arm, (self.chain, self.effects, self.guide)  # without functions that were kept
 
     @classmethod
     def of(cls, chain: Chain, effects: Sequence[Effect] = ()) -> Arm:
@@ -40,6 +43,10 @@ class Arm:
         for effect in present:
             chain = effect.chain(chain)
         return cls(chain, present)
+
+    def guided(self, guide: Guide | None) -> Arm:
+        """The same on a guide."""
+        return self if guide is self.guide else replace(self, guide=guide)
 
     def inputs(self, recording: Recording) -> Recording:
         """The recording with what really drove the arm."""
@@ -124,7 +131,7 @@ class Arm:
             for part, effect in zip(self._parts, effects, strict=True)
             if effect.states(self.chain)
         ]
-        return Arm(self.chain, effects), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
+        return Arm(self.chain, effects, self.guide), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
 
     @cached_property
     def _parts(self) -> list[slice]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 _SMALLEST = 1e-10  # of the columns' squared lengths
 _LARGEST = 1e6
-_FIRST_RISE = 4.0
+_RISE = 4.0
 _FALL = 5.0
+_SHORTER = 0.5
 
 
 @dataclass(frozen=True)
@@ -16,11 +18,9 @@ class Damping:
 
     Attributes:
         value: of the columns' squared lengths; zero for a full step.
-        rise: by what factor the next failure raises it; grows with every failure in a row (Nielsen 1999).
     """
 
     value: float = 0.0
-    rise: float = _FIRST_RISE
 
     @property
     def exhausted(self) -> bool:
@@ -32,6 +32,15 @@ class Damping:
         lower = self.value / _FALL
         return Damping(lower if lower > _SMALLEST else 0.0)
 
-    def worse(self) -> Damping:
-        """After a step that did not."""
-        return Damping(max(self.rise * self.value, _SMALLEST), 2 * self.rise)
+    def worse(self, length: Callable[[float], float]) -> Damping:
+        """After a step that did not: so much more that the next one is clearly shorter, or it would only fail again.
+
+        Args:
+            length: of the step at a damping, in any metric.
+        """
+        longest, found = _SHORTER * length(self.value), self
+        while not found.exhausted:
+            found = Damping(max(_RISE * found.value, _SMALLEST))
+            if length(found.value) < longest:
+                break
+        return found

@@ -39,7 +39,7 @@ def exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> S
     size, step = 2 * n, drive.step
 
     def respond(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
-        if not system.acting:
+        if not system.is_pushed:
             return system.free_acceleration(x, springs + torque), z
         force, rates = system.pushed(k * step, x[:, :n], x[:, n:], z)
         return system.free_acceleration(x, springs + torque + force), rates

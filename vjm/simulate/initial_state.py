@@ -98,17 +98,26 @@ class _Search:
             return None
         return self.run.state + self.run.basis.states @ step
 
+    def _length(self, damping: float) -> float:
+        """Of the step at a damping, in the lengths of the predictions' derivatives."""
+        triangle = self.run.triangle() if self.triangle is None else self.triangle
+        return float(np.linalg.norm(triangle.scale * triangle.damped(damping).best()))
+
     def judge(self, trial: Run | None) -> None:
         """Go there if it is better."""
         if trial is not None and trial.cost < self.run.cost:
             self.run, self.triangle = trial.weighed(), None
             self.damping = self.damping.better()
         else:
-            self.damping = self.damping.worse()
+            self.damping = self.damping.worse(self._length)
 
 
 def most_likely(
-    arms: Sequence[Arm], observed: Sequence[Observed], states: Sequence[Array | None] | None = None, coarse: float = 1.0
+    arms: Sequence[Arm],
+    observed: Sequence[Observed],
+    states: Sequence[Array | None] | None = None,
+    coarse: float = 1.0,
+    most: int = _MOST_ITERATIONS,
 ) -> list[tuple[Run, bool]]:
     """Each recording's run from its most likely initial state, and whether the search for it converged.
 
@@ -117,13 +126,14 @@ def most_likely(
         observed: the recordings.
         states: (2 nv,) where to start; None: at rest.
         coarse: multiple of the default step.
+        most: simulations to try.
     """
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     given = [None] * len(starts) if states is None else states
     first = [start.rest if state is None else state for start, state in zip(starts, given, strict=True)]
     runs = run_all(arms, observed, starts, first, coarse)
     searches = [_Search(run.weighed()) for run in runs]
-    for _ in range(_MOST_ITERATIONS):
+    for _ in range(most):
         proposals = [(search, search.proposal()) for search in searches if not search.converged]
         pending = [(search, state) for search, state in proposals if state is not None]
         if not pending:

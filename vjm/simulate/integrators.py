@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm import dynamics
-from vjm.effects.effect import Motion, Way
+from vjm.effects.effect import Effect, Motion, Way
 from vjm.errors import SimulationDivergedError
 from vjm.simulate.arm import Arm
 from vjm.simulate.drive import Drive
+from vjm.simulate.guide import Guide, shown
 from vjm.simulate.steps import Steps
 
 Array = NDArray[np.float64]
@@ -50,6 +51,8 @@ class System:
         active: coordinates that torques drive.
         acting: what acts on the copies beyond springs, dampers and torques.
         states: number nz of each copy's internal states.
+        guide: what draws the copies' active joints; None: nothing does.
+        sensors: of each copy, the effects in what it shows.
     """
 
     mechanism: dynamics.Mechanism
@@ -58,6 +61,8 @@ class System:
     active: NDArray[np.intp]
     acting: tuple[Acting, ...] = ()
     states: int = 0
+    guide: Guide | None = None
+    sensors: tuple[tuple[Effect, ...], ...] = ()
 
     @classmethod
     def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
@@ -76,10 +81,17 @@ class System:
             chains[0].active,
             _acting(arms, payloads),
             sum(arms[0].states),
+            Guide.together([arm.guide for arm in arms]),
+            tuple(arm.sensors for arm in arms),
         )
 
+    @property
+    def is_pushed(self) -> bool:
+        """Whether anything acts beyond springs, dampers and torques."""
+        return bool(self.acting) or self.guide is not None
+
     def pushed(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
-        """Forces of the effects (C, nv) [N m] and rates of their internal states (C, nz), since the start [s]."""
+        """Forces of effects and guide (C, nv) [N m] and rates of internal states (C, nz), since the start [s]."""
         force, rates = np.zeros(q.shape), np.zeros(z.shape)
         for copies, push, change, _ in self.acting:
             rows = slice(None) if len(copies) == len(q) else copies
@@ -88,7 +100,16 @@ class System:
                 force[rows] = push(at, q[rows], v[rows], z[rows])
             if change is not None:
                 rates[rows] = change(at, q[rows], v[rows], z[rows])
+        if self.guide is not None:
+            force[:, self.active] += self.guide.torque(time, *self._shown(q[:, self.active], v[:, self.active]))
         return force, rates
+
+    def _shown(self, theta: Array, rate: Array) -> tuple[Array, Array]:
+        """What encoders show of the copies' active joints' angles and rates (C, n_a)."""
+        if not any(self.sensors):
+            return theta, rate
+        found = [shown(*each) for each in zip(self.sensors, theta, rate, strict=True)]
+        return np.stack([angle for angle, _ in found]), np.stack([speed for _, speed in found])
 
     def carried(self, q: Array, z: Array, to: Array) -> Array:
         """Internal states (C, nz), those that follow the joints' way carried from angles q to others (C, nv)."""
@@ -114,12 +135,12 @@ class System:
 
 def _acting(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[Acting, ...]:
     """What acts on the copies; those with the same effects and payload together."""
-    groups: dict[tuple[int, float], list[int]] = {}
+    groups: dict[tuple[int, int, float], list[int]] = {}
     for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
-        groups.setdefault((id(arm), payload), []).append(k)
+        groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)
     found = [
         Acting(np.array(copies), arms[copies[0]].forces(payload), arms[copies[0]].rates, arms[copies[0]].way)
-        for (_, payload), copies in groups.items()
+        for (*_, payload), copies in groups.items()
     ]
     return tuple(each for each in found if each.force is not None or each.rates is not None)
 

@@ -13,6 +13,7 @@ from vjm.chain.curve import marker_headings, marker_positions
 from vjm.chain.records import Chain
 from vjm.experiment.records import Recording, Rig
 from vjm.simulate.arm import Arm
+from vjm.simulate.guide import Guide
 from vjm.simulate.loss import LINEAR, Loss
 from vjm.simulate.steps import Steps, sample
 
@@ -104,6 +105,7 @@ class Observed:
         loss: of the weighted residuals.
         whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
         surplus: (N_m + N_t,) what is known to be shown beyond any simulation [m, rad]; None: nothing.
+        guide: that simulations are held on; None: they run open loop.
     """
 
     recording: Recording
@@ -116,6 +118,7 @@ class Observed:
     loss: Loss = LINEAR
     whitening: sparse.csr_array | None = None
     surplus: Array | None = None
+    guide: Guide | None = None
 
     @classmethod
     def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:

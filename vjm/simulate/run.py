@@ -147,7 +147,7 @@ class Run:
         """Derivatives (r, 2 slow + p) of the weighted and whitened predictions that indices (r,) name."""
         arm, kept = self.arm.smooth
         steps = self.steps if kept.size == self.steps.z.shape[2] else replace(self.steps, z=self.steps.z[:, :, kept])
-        smooth = [Moved(each.arm.smooth[0], each.by) for each in moved]
+        smooth = [Moved(each.arm.guided(arm.guide).smooth[0], each.by) for each in moved]
         parts = jacobian(self.observed, arm, self.basis, smooth, steps, self.stride)
         if self.observed.whitening is None:
             yield from parts
@@ -250,6 +250,7 @@ def run_all(
     """
     recordings = [each.recording for each in observed]
     q, v = zip(*(np.split(state, 2) for state in states), strict=True)
+    arms = [arm.guided(each.guide) for arm, each in zip(arms, observed, strict=True)]
     longest = _longest_step(arms[0].chain, recordings)
     steps = rollouts(arms, recordings, q, v, coarse=coarse, longest=longest)
     return [

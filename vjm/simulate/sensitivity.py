@@ -21,6 +21,7 @@ from vjm.experiment.records import Recording
 from vjm.modes import linearise
 from vjm.simulate.arm import Arm
 from vjm.simulate.drive import measured_torque
+from vjm.simulate.guide import shown
 from vjm.simulate.phi import phi_functions, rate_scale
 from vjm.simulate.steps import Steps
 
@@ -128,9 +129,19 @@ class _Balance:
         """M a + h (I, nv)."""
         return dynamics.inverse_dynamics(self.mechanism, path.q, path.v, path.a)
 
+    @property
+    def pushed(self) -> bool:
+        """Whether effects or a guide exert forces."""
+        return self.force is not None or self.arm.guide is not None
+
     def effects(self, path: Path) -> Array:
-        """Less the effects' forces (I, nv)."""
-        return -self.force(path.time, path.q, path.v, path.z) if self.force else np.zeros(path.q.shape)
+        """Less the forces of effects and guide (I, nv)."""
+        found = -self.force(path.time, path.q, path.v, path.z) if self.force else np.zeros(path.q.shape)
+        if self.arm.guide is not None:
+            active = self.arm.chain.active
+            theta, rate = shown(self.arm.sensors, path.q[:, active], path.v[:, active])
+            found[:, active] -= self.arm.guide.torque(path.time, theta, rate)
+        return found
 
     def rates(self, path: Path) -> Array:
         """Of the internal states (I, nz)."""
@@ -159,7 +170,7 @@ def coefficients(arm: Arm, basis: Basis, moved: Sequence[Moved], recording: Reco
         forces[:, :, j] = (here.bodies(turned) - at[0]) / angle + chain.stiffness * shape
         forces[:, :, m + j] = (here.bodies(sped) - at[0]) / rate + chain.damping * shape
         for column, other, by in ((j, turned, angle), (m + j, sped, rate)):
-            if here.force:
+            if here.pushed:
                 forces[:, :, column] += (here.effects(other) - at[1]) / by
             if nz:
                 rates[:, :, column] = (here.rates(other) - at[2]) / by
@@ -184,7 +195,7 @@ def _change(
     forces = path.q * (other.stiffness - chain.stiffness) + path.v * (other.damping - chain.damping)
     rates = np.zeros(path.z.shape)
     if moved.arm.effects == here.arm.effects and _same_bodies(chain, other):
-        if here.force and not np.array_equal(other.stiffness, chain.stiffness):
+        if here.pushed and not np.array_equal(other.stiffness, chain.stiffness):
             forces = forces + _Balance(moved.arm, recording).effects(path) - at[1]
         return forces / by, rates
     there, nz = _Balance(moved.arm, recording), path.z.shape[1]
@@ -192,7 +203,7 @@ def _change(
         forces = forces + there.bodies(path) - at[0]
     # What the arm has no internal states for yet follows the path as it is.
     wide = replace(path, z=followed(there.arm, path)) if sum(there.arm.states) > nz else path
-    if here.force or there.force:
+    if here.pushed or there.pushed:
         forces = forces + there.effects(wide) - at[1]
     if nz:
         rates = there.rates(wide)[:, :nz] - at[2]

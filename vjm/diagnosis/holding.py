@@ -1,0 +1,88 @@
+"""Explanations whose simulations are held near the angles that encoders measured, and those set free again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from vjm.chain.records import Chain
+from vjm.diagnosis.race import Patience
+from vjm.diagnosis.refit import Explanation, refit
+from vjm.simulate.guide import Guide
+from vjm.simulate.initial_state import most_likely
+from vjm.simulate.observation import Observed
+from vjm.simulate.rollout import locked_frequencies
+from vjm.simulate.run import Run
+
+# Times the slowest vibration. Measured on dry friction: held at less than the vibration, fits still lose their way; the
+# faster a joint is held, the less its torque is known (twice as badly at 2.5 as at 1.5).
+_FREQUENCY = 1.5
+_RATIO = 0.7
+_FEW = 6  # simulations to improve an initial state by, open loop
+
+
+def can_be_held(explanation: Explanation) -> bool:
+    """Whether encoders measured anything of a joint that moves."""
+    recordings = [run.observed.recording for run in explanation.point.runs]
+    return bool(explanation.point.chain.active.size) and any(np.isfinite(each.theta).any() for each in recordings)
+
+
+def held(explanation: Explanation) -> Explanation | None:
+    """The same effects, fitted with simulations held; None where that cannot be simulated.
+
+    A fit of recordings that it could not follow may have ended anywhere: the nominal chain is a start as well.
+    """
+    point = explanation.point
+    chain = _nominal(explanation)
+    runs = tuple(replace(run, observed=_guided(run.observed, chain)) for run in point.runs)
+    problem = replace(point.problem, observed=tuple(run.observed for run in runs))
+    nominal = problem.parametrisation.start
+    best = None
+    for x in (np.concatenate([nominal, point.x[nominal.size :]]), point.x):
+        start = replace(explanation.fit, point=replace(point, problem=problem, x=x, runs=runs))
+        patience = Patience(np.inf, np.inf if best is None else best.chi2)
+        found = refit(replace(explanation, fit=start), explanation.effects, patience)
+        if found is not None and (best is None or found.chi2 < best.chi2):
+            best = found
+    return best
+
+
+def freed(explanation: Explanation) -> Explanation:
+    """The same parameters, simulated open loop from initial states that are as likely as can be found."""
+    if not explanation.is_held:
+        return explanation
+    point = explanation.point
+    observed = [replace(run.observed, guide=None) for run in point.runs]
+    arms = [run.arm.guided(None) for run in point.runs]
+    found = most_likely(arms, observed, [run.state for run in point.runs], point.problem.coarse, _FEW)
+    problem = replace(point.problem, observed=tuple(observed))
+    free = replace(point, problem=problem, runs=tuple(run for run, _ in found))
+    return replace(explanation, fit=replace(explanation.fit, point=free))
+
+
+def replayed(explanation: Explanation, observed: Observed) -> tuple[Run, bool]:
+    """A recording that was not fitted, open loop, and whether its initial state was found.
+
+    Where fits were held, its initial state is looked for with the simulation held, and improved open loop.
+
+    Raises:
+        InsufficientDataError, SimulationDivergedError: as `most_likely`.
+    """
+    point = explanation.point
+    arm = point.problem.varied.arms(point.x, [observed.recording])[0]
+    if not explanation.is_held:
+        return most_likely([arm], [observed], coarse=point.problem.coarse)[0]
+    begun, known = most_likely([arm], [_guided(observed, _nominal(explanation))], coarse=point.problem.coarse)[0]
+    return most_likely([arm], [observed], [begun.state], point.problem.coarse, _FEW)[0][0], known
+
+
+def _guided(observed: Observed, chain: Chain) -> Observed:
+    """The same recording, whose simulations are held."""
+    frequency = _FREQUENCY * locked_frequencies(chain)[0]
+    return replace(observed, guide=Guide.of(observed.recording, chain, observed.noise[1], frequency, _RATIO))
+
+
+def _nominal(explanation: Explanation) -> Chain:
+    parametrisation = explanation.point.problem.parametrisation
+    return parametrisation.chain(parametrisation.start)
