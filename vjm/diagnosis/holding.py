@@ -48,6 +48,16 @@ def held(explanation: Explanation) -> Explanation | None:
     return best
 
 
+def released(explanation: Explanation, free: Explanation) -> Explanation | None:
+    """The effects of an explanation that was held, fitted open loop to the same recordings as a free one."""
+    observed = free.point.problem.observed
+    point = explanation.point
+    runs = tuple(replace(run, observed=each) for run, each in zip(point.runs, observed, strict=True))
+    problem = replace(point.problem, observed=observed)
+    start = replace(explanation.fit, point=replace(point, problem=problem, runs=runs))
+    return refit(Explanation(start), explanation.effects)
+
+
 def freed(explanation: Explanation) -> Explanation:
     """The same parameters, simulated open loop from initial states that are as likely as can be found."""
     if not explanation.is_held:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from vjm.diagnosis.holding import can_be_held, held
+from vjm.diagnosis.holding import can_be_held, held, released
 from vjm.diagnosis.race import is_abrupt
-from vjm.diagnosis.refit import ADRIFT, Explanation, Names, refit
+from vjm.diagnosis.refit import ADRIFT, Explanation, Names
 from vjm.diagnosis.search import FEW, Found, Search
 
 
@@ -21,7 +21,7 @@ def whole_search(search: Search, begun: Found) -> tuple[Search, Found]:
     Returns:
         The search that found the explanation, and where it ended.
     """
-    if not any(effect.abrupt for effect in search.effects) or not can_be_held(search.start):
+    if not can_be_held(search.start):
         return search, search.run(begun)
     found, asked = begun, set[Names]()
     while True:
@@ -72,11 +72,10 @@ def _held(search: Search, found: Found) -> tuple[Search, Found] | None:
 
 
 def _released(search: Search, found: Found, best: Explanation) -> Found:
-    """What a search has found that was held, fitted open loop; what was found before where that cannot be simulated."""
-    if best.names == found.best.names:
-        return found
-    free = refit(found.best, best.effects)
+    """What was found with simulations held, fitted open loop; what was before where that cannot be simulated."""
+    free = None if best.names == found.best.names else released(best, search.start)
     if free is None:
         return found
     search.trials.tried[free.names] = free
+    free = search.trials.sharpen(search.trials.polish(free))
     return Found(free, found.first, search.judged(free), found.p_values)

@@ -168,8 +168,11 @@ class Trials:
         return found
 
     def sharpen(self, explanation: Explanation) -> Explanation:
-        """Once it follows the recordings, with its chain's coarseness known, which all later fits know too."""
-        if explanation.point.misfit > CLOSE or is_abrupt(explanation.effects):
+        """Once it follows the recordings, with its chain's coarseness known, which all later fits know too.
+
+        Held simulations show little of it, and what they find is fitted open loop where that is possible.
+        """
+        if explanation.is_held or explanation.point.misfit > CLOSE or is_abrupt(explanation.effects):
             return explanation
         self.tell("asking what more virtual joints would show")
         rough = explanation.point.misfit > _COARSE
