@@ -15,10 +15,10 @@ from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import locked_frequencies
 from vjm.simulate.run import Run
 
-# Times the slowest vibration. Measured on dry friction: held at less than the vibration, fits still lose their way; the
-# faster a joint is held, the less its torque is known (twice as badly at 2.5 as at 1.5).
-_FREQUENCY = 1.5
-_RATIO = 0.7
+# Times the slowest vibration, and the damping ratio. Measured on dry friction: held more softly (0.6), fits still lose
+# their way; more tightly (1.5), the torque is known half as well.
+_FREQUENCY = 1.0
+_RATIO = 0.2
 _FEW = 6  # simulations to improve an initial state by, open loop
 
 
@@ -58,17 +58,21 @@ def released(explanation: Explanation, free: Explanation) -> Explanation | None:
     return refit(Explanation(start), explanation.effects)
 
 
-def freed(explanation: Explanation) -> Explanation:
-    """The same parameters, simulated open loop from initial states that are as likely as can be found."""
+def freed(explanation: Explanation, free: Explanation) -> Explanation:
+    """The same parameters, simulated open loop from initial states that are as likely as can be found.
+
+    Args:
+        explanation: held, or not.
+        free: of the same recordings, not held.
+    """
     if not explanation.is_held:
         return explanation
-    point = explanation.point
-    observed = [replace(run.observed, guide=None) for run in point.runs]
+    point, observed = explanation.point, free.point.problem.observed
     arms = [run.arm.guided(None) for run in point.runs]
     found = most_likely(arms, observed, [run.state for run in point.runs], point.problem.coarse, _FEW)
-    problem = replace(point.problem, observed=tuple(observed))
-    free = replace(point, problem=problem, runs=tuple(run for run, _ in found))
-    return replace(explanation, fit=replace(explanation.fit, point=free))
+    problem = replace(point.problem, observed=observed)
+    again = replace(point, problem=problem, runs=tuple(run for run, _ in found))
+    return replace(explanation, fit=replace(explanation.fit, point=again))
 
 
 def replayed(explanation: Explanation, observed: Observed) -> tuple[Run, bool]:
@@ -90,7 +94,7 @@ def replayed(explanation: Explanation, observed: Observed) -> tuple[Run, bool]:
 def _guided(observed: Observed, chain: Chain) -> Observed:
     """The same recording, whose simulations are held."""
     frequency = _FREQUENCY * locked_frequencies(chain)[0]
-    return replace(observed, guide=Guide.of(observed.recording, chain, observed.noise[1], frequency, _RATIO))
+    return observed.held(Guide.of(observed.recording, chain, observed.noise[1], frequency, _RATIO))
 
 
 def _nominal(explanation: Explanation) -> Chain:

@@ -26,7 +26,7 @@ def follow(
 ) -> tuple[Replayed, ...]:
     """All recordings, in the experiment's order."""
     noise = base.point.runs[0].observed.noise
-    known = [_trained(each) for each in (plain, best)] + [_trained(runner_up) if runner_up else {}]
+    known = [_trained(each, plain) if each else {} for each in (plain, best, runner_up)]
     found = []
     for recording in experiment.recordings:
         if recording.file in known[0]:
@@ -50,8 +50,8 @@ def _three(replays: Sequence[Replay | None]) -> tuple[Replay | None, Replay | No
     return before, after, other
 
 
-def _trained(explanation: Explanation) -> dict[str, Run]:
-    return {run.observed.recording.file: run for run in freed(explanation).point.runs}
+def _trained(explanation: Explanation, free: Explanation) -> dict[str, Run]:
+    return {run.observed.recording.file: run for run in freed(explanation, free).point.runs}
 
 
 def _reported(run: Run | None) -> Replay | None:

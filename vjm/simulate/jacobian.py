@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.simulate.arm import Arm
+from vjm.simulate.basis import Basis
 from vjm.simulate.observation import Observed, instants, sampled, view
-from vjm.simulate.sensitivity import Basis, Moved, sensitivities
+from vjm.simulate.sensitivity import Moved, sensitivities
 from vjm.simulate.steps import Steps, sample
 
 Array = NDArray[np.float64]

@@ -217,6 +217,23 @@ class Observed:
             surplus=None if self.surplus is None else self.surplus[kept],
         )
 
+    def held(self, guide: Guide | None) -> Observed:
+        """The same on a guide, whose angles no longer count as measured: what draws a joint there is no evidence of it.
+
+        Counted, the encoder's noise would be in what is simulated as in what is measured, and parameters off with it.
+        """
+        if guide is None:
+            return self
+        kept = np.arange(self.markers.size)
+        return replace(
+            self,
+            angles=self.angles[:0],
+            values=self.values[kept],
+            whitening=None if self.whitening is None else self.whitening[kept][:, kept],
+            surplus=None if self.surplus is None else self.surplus[kept],
+            guide=guide,
+        )
+
     def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:
         """Of the rows from `first` up to `last`: their frames, their marker coordinates and their angles."""
         begin, end = np.searchsorted(self.frames, (first, last))

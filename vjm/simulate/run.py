@@ -15,10 +15,11 @@ from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording
 from vjm.modes import equilibrium, linearise
 from vjm.simulate.arm import Arm
+from vjm.simulate.basis import Basis, first_angles
 from vjm.simulate.jacobian import jacobian
 from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import half_interval, locked_frequencies, rollouts
-from vjm.simulate.sensitivity import Basis, Moved, first_angles
+from vjm.simulate.sensitivity import Moved
 from vjm.simulate.steps import Steps, sample
 from vjm.simulate.triangle import Triangle
 

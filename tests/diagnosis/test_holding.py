@@ -1,0 +1,117 @@
+"""Fits and searches with simulations held near measured angles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
+from vjm.diagnosis.beginning import Beginning
+from vjm.diagnosis.holding import can_be_held, freed, held, released, replayed
+from vjm.diagnosis.refit import Explanation, refit
+from vjm.diagnosis.search import Found, Rules, Search
+from vjm.diagnosis.sticking import whole_search
+from vjm.effects import CoulombFriction, Effect, LinearDrag, QuadraticDrag, TorqueOffset, ViscousFriction
+from vjm.experiment.records import Recording
+from vjm.identification.information import of_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
+from vjm.identification.uncertainty import covariance
+from vjm.simulate.arm import Arm
+from vjm.simulate.observation import Observed
+
+
+def made(effects: Sequence[Effect], seed: int, duration: float = 2.0) -> list[Recording]:
+    return recorded(Arm.of(chain_of(), effects), seed, duration=duration)
+
+
+def fitted(recordings: Sequence[Recording]) -> Explanation:
+    """The model without effects, open loop."""
+    point = point_of(chain_of(), (), recordings)
+    return Explanation(fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs]))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_right_model_leaves_noise_held_and_free(seed: int) -> None:
+    free = fitted(made((), seed))
+    found = held(free)
+    assert found is not None
+    assert found.is_held
+    assert not free.is_held
+    assert found.point.misfit == pytest.approx(free.point.misfit, abs=0.02)
+    spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
+    assert (np.abs(found.point.x - free.point.x) < 4 * spread).all()
+    again = freed(found, free)
+    assert not again.is_held
+    assert again.point.x == pytest.approx(found.point.x)
+    # Held, the hub's inertia is known less well, and open loop a joint that is free drifts with its error.
+    assert again.point.misfit < 3.0
+    assert freed(again, free) is again
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_friction_and_drag_have_their_sizes(seed: int) -> None:
+    truth = CoulombFriction(link=0, torque=0.012), QuadraticDrag(link=0, coefficient=0.08)
+    start = held(fitted(made(truth, seed)))
+    assert start is not None
+    assert start.point.misfit > 1.05
+    found = refit(start, (CoulombFriction(link=0, torque=0.005), QuadraticDrag(link=0, coefficient=0.02)))
+    assert found is not None
+    assert found.point.misfit == pytest.approx(1.0, abs=0.03)
+    spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
+    off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, *(e.coordinates for e in truth)])
+    assert np.abs(off / spread).max() < 4
+    assert (spread[-2:] < 0.3).all()  # of everyday sizes
+
+
+def test_what_was_found_held_is_fitted_open_loop() -> None:
+    truth = ViscousFriction(link=0, coefficient=0.02)
+    free = fitted(made((truth,), 4))
+    start = held(free)
+    assert start is not None
+    found = refit(start, (ViscousFriction(link=0, coefficient=0.01),))
+    assert found is not None
+    again = released(found, free)
+    assert again is not None
+    assert not again.is_held
+    assert again.effects[0].values["coefficient"] == pytest.approx(0.02, rel=0.005)
+    assert again.point.misfit == pytest.approx(1.0, abs=0.03)
+
+
+def test_a_further_recording_is_replayed_open_loop() -> None:
+    truth = CoulombFriction(link=0, torque=0.012)
+    start = held(fitted(made((truth,), 5)))
+    assert start is not None
+    found = refit(start, (truth,))
+    assert found is not None
+    other = made((truth,), 6)[1]
+    run, known = replayed(found, Observed.of(RIG, other, NOISE))
+    assert known
+    assert run.arm.guide is None
+    assert run.observed.guide is None
+    markers, _ = run.observed.spread(run.observed.values - run.observed.predicted(run.arm, run.steps))
+    assert np.sqrt(np.nanmean(markers**2)) < 2 * NOISE[0]
+
+
+def test_nothing_can_be_held_without_an_encoder() -> None:
+    recordings = made((), 7)
+    seen = fitted(recordings)
+    blind = point_of(chain_of(), (), [replace(each, theta=np.full(each.theta.shape, np.nan)) for each in recordings])
+    assert can_be_held(seen)
+    assert not can_be_held(Explanation(TrajectoryFit(blind, False, 0)))
+
+
+@pytest.mark.slow
+def test_the_search_holds_what_sticks_and_only_that() -> None:
+    """Dry friction with an offset of the torque: both are named; viscous friction alone is found open loop."""
+    effects = [CoulombFriction(), ViscousFriction(), LinearDrag(), TorqueOffset()]
+    sticking = CoulombFriction(link=0, torque=0.01), TorqueOffset(link=0, offset=0.01)
+    for truth in (sticking, (ViscousFriction(link=0, coefficient=0.02),)):
+        start = fitted(made(truth, 1))
+        search = Search(RIG, Beginning(start, start), effects, Rules(), lambda text: None)
+        after, found = whole_search(search, Found.nothing(start, search.judged(start)))
+        assert found.best.names == {effect.key for effect in truth}
+        assert found.best.is_held == (truth is sticking)
+        assert (after is search) == (truth is not sticking)
