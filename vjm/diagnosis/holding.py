@@ -92,7 +92,9 @@ def replayed(explanation: Explanation, observed: Observed) -> tuple[Run, bool]:
 
 
 def _guided(observed: Observed, chain: Chain) -> Observed:
-    """The same recording, whose simulations are held."""
+    """The same recording, whose simulations are held; a quiet one as it is, since nothing drifts in it."""
+    if observed.recording.kind == "quiet":
+        return observed
     frequency = _FREQUENCY * locked_frequencies(chain)[0]
     return observed.held(Guide.of(observed.recording, chain, observed.noise[1], frequency, _RATIO))
 

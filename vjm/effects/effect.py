@@ -142,8 +142,8 @@ class Effect:
     sensor: ClassVar[bool] = False
     # Whether a URDF can carry it.
     in_urdf: ClassVar[bool] = False
-    # Whether motion depends on it abruptly, as on what sticks and slips: it is looked for with simulated joints held near
-    # the angles that were measured, and what is left after a fit need not be noise.
+    # Whether motion depends on it abruptly, as on what sticks and slips: it is looked for with simulated joints held
+    # near the angles that were measured, and what is left after a fit need not be noise.
     abrupt: ClassVar[bool] = False
     # Of what it explains where it is abrupt, the share that a good fit may leave: simulations of impacts are not exact.
     leaves: ClassVar[float] = 0.01
