@@ -108,8 +108,8 @@ def test_copies_are_held_each_by_its_own() -> None:
 
 
 def test_it_draws_to_where_the_encoder_would_show_the_angle() -> None:
-    chain, offset = rigid(), 0.05
-    recording = resting(chain, 0.3, 6.0)
+    chain, offset = rigid(20.0), 0.05
+    recording = resting(chain, 0.3, 4.0)
     guide = Guide.of(recording, chain, 1e-4, 1.0, 0.7)
     arm = Arm.of(chain, (EncoderOffset(link=0, offset=offset),)).guided(guide)
     rest = np.zeros(chain.size)
@@ -164,7 +164,8 @@ def test_derivatives_know_of_it() -> None:
         (run_of(chain, observed, state + by * each), run_of(chain, observed, state - by * each)) for each in directions
     ]
     moved.append((run_of(heavier(by), observed, state), run_of(heavier(-by), observed, state)))
-    for k, (ahead, behind) in enumerate(moved):
-        expected = (behind.residual - ahead.residual) / (2 * by)
-        if np.linalg.norm(expected) > 0.05 * np.linalg.norm(found, axis=0).max():
-            assert np.linalg.norm(found[:, k] - expected) < 0.05 * np.linalg.norm(expected), k
+    expected = np.stack([(behind.residual - ahead.residual) / (2 * by) for ahead, behind in moved], axis=1)
+    lengths = np.linalg.norm(expected, axis=0)
+    errors = np.linalg.norm(found - expected, axis=0) / lengths
+    assert errors[lengths > 0.05 * lengths.max()].max() < 0.05
+    assert errors[-1] < 0.05  # by the hub's inertia
