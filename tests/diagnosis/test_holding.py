@@ -103,6 +103,18 @@ def test_nothing_can_be_held_without_an_encoder() -> None:
     assert not can_be_held(Explanation(TrajectoryFit(blind, False, 0)))
 
 
+def test_what_holds_a_joint_is_no_evidence_and_quiet_recordings_are_not_held() -> None:
+    driven, other = made((), 8)
+    free = fitted([driven, replace(other, kind="quiet")])
+    found = held(free)
+    assert found is not None
+    first, quiet = (run.observed for run in found.point.runs)
+    assert first.guide is not None
+    assert first.angles.size == 0
+    assert first.count == first.markers.size == free.point.runs[0].observed.markers.size
+    assert quiet is free.point.runs[1].observed
+
+
 @pytest.mark.slow
 def test_the_search_holds_what_sticks_and_only_that() -> None:
     """Dry friction with an offset of the torque: both are named; viscous friction alone is found open loop."""
