@@ -127,7 +127,7 @@ class Search:
         if len(best.effects) == len(self.start.effects) + 1 and not self.trials.from_afar(self.start):
             steps += self._pairs(first, best)
         smooth, abrupt = self._apart(family, first, best, steps)
-        if self.trials.guide(best) is not best or best.is_held:
+        if self.trials.footing(best) is not best or best.is_held:
             smooth, abrupt = steps, []  # over first periods only, or held, nothing takes long
         self.race(best, family, first, smooth)
         if not self.trials.explained(len(best.effects) + 1):
@@ -147,25 +147,25 @@ class Search:
             if variant.key not in names and not (quick and variant.abrupt)
         ]
         variants = [looked.variants[k] for k in kept]
-        guide = self.trials.guide(explanation)
-        seen = screen(guide.point, guide.effects, variants)
+        footing = self.trials.footing(explanation)
+        seen = screen(footing.point, footing.effects, variants)
         return Family.of(seen, looked.times[kept], self.rules.alpha, self.rules.seed)
 
     def _looked(self, explanation: Explanation) -> Looked:
         """What to look for: a tone where the residuals have one."""
-        return looked_for(self.effects, self.rig, self.trials.guide(explanation).point)
+        return looked_for(self.effects, self.rig, self.trials.footing(explanation).point)
 
     def matters(self, explanation: Explanation) -> float:
         """By how much candidates beside an explanation must lower the chi^2 that they are judged by.
 
         A share of what noise leaves: much more may be left beside an explanation that lacks something else.
         """
-        guide = self.trials.guide(explanation)
-        least = self.rules.least(min(guide.chi2, guide.point.count))
+        footing = self.trials.footing(explanation)
+        least = self.rules.least(min(footing.chi2, footing.point.count))
         leaves = max((effect.leaves for effect in explanation.effects if effect.abrupt), default=0.0)
         if leaves:
-            start = self.start if guide is explanation else self.trials.guide(self.start)
-            return max(least, leaves * (start.chi2 - guide.chi2))
+            start = self.start if footing is explanation else self.trials.footing(self.start)
+            return max(least, leaves * (start.chi2 - footing.chi2))
         return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
@@ -173,7 +173,7 @@ class Search:
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            job = proposal(self.trials.guide(start), seen, chosen, self.trials.from_afar(start))
+            job = proposal(self.trials.footing(start), seen, chosen, self.trials.from_afar(start))
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
         self.trials.fit(jobs)
@@ -190,9 +190,9 @@ class Search:
         new = [effect for effect in added if names | {effect.key} not in trials.tried]
         if new:
             start = trials.tried.get(names, self.start)
-            guide = trials.guide(start)
-            seen = screen(guide.point, guide.effects, new)
-            trials.fit([proposal(guide, seen, [k], trials.from_afar(start)) for k in range(len(new))])
+            footing = trials.footing(start)
+            seen = screen(footing.point, footing.effects, new)
+            trials.fit([proposal(footing, seen, [k], trials.from_afar(start)) for k in range(len(new))])
 
     def _apart(
         self, family: Family, first: Family, best: Explanation, steps: Sequence[Step]

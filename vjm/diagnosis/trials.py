@@ -55,15 +55,15 @@ class Trials:
         self.tried: dict[Names, Explanation] = {begun.start.names: begun.start}
         self.stale: set[Names] = set()
         self.surplus: tuple[Array, ...] | None = None
-        self._guides: dict[Names, Explanation] = {}
+        self._footings: dict[Names, Explanation] = {}
 
-    def guide(self, explanation: Explanation) -> Explanation:
+    def footing(self, explanation: Explanation) -> Explanation:
         """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
         if self.from_afar(explanation) or explanation.is_held or explanation.point.misfit < ADRIFT:
             return explanation
-        if explanation.names not in self._guides:
-            self._guides[explanation.names] = shortened(explanation)
-        return self._guides[explanation.names]
+        if explanation.names not in self._footings:
+            self._footings[explanation.names] = shortened(explanation)
+        return self._footings[explanation.names]
 
     def from_afar(self, explanation: Explanation) -> bool:
         """Whether nothing is a guide from there."""
@@ -181,7 +181,7 @@ class Trials:
             return explanation
         known = Explanation(corrected(explanation.fit, found, rough), found.shift)
         self.surplus, self.stale = found.surplus, {*self.tried} - {known.names}
-        self._guides.clear()
+        self._footings.clear()
         self.tried[known.names] = known
         return known
 
