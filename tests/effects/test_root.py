@@ -66,9 +66,15 @@ def flank_torque(twist: Array, rate: float = 0.0, gap: float = GAP) -> Array:
 
 
 def test_nothing_is_passed_on_inside_the_gap() -> None:
-    inside = np.linspace(-0.35, 0.35, 31) * GAP
-    assert flank_torque(inside, rate=0.3) == pytest.approx(0.0, abs=0.01)
-    assert flank_torque(0.1 * inside, rate=0.3) == pytest.approx(0.0, abs=1e-4)
+    inside = np.linspace(-0.49, 0.49, 31) * GAP
+    assert flank_torque(inside, rate=0.3) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_flanks_push_and_never_pull() -> None:
+    apart = np.array([0.501, 0.55, 0.75]) * GAP
+    leaving = flank_torque(apart, rate=-100.0)
+    assert leaving == pytest.approx(0.0, abs=1e-12)
+    assert (flank_torque(apart, rate=0.1) < flank_torque(apart)).all()
 
 
 def test_flanks_are_stiff_and_damped_beyond_the_gap() -> None:
@@ -79,13 +85,11 @@ def test_flanks_are_stiff_and_damped_beyond_the_gap() -> None:
         assert flank_torque(side * beyond, rate=0.3) - found == pytest.approx(-0.3 * 2.0, rel=1e-3)
 
 
-def test_the_torque_is_smooth_odd_and_falls_with_the_twist() -> None:
+def test_the_torque_is_odd_and_falls_with_the_twist() -> None:
     twist = np.linspace(-GAP, GAP, 4001)
     found = flank_torque(twist)
     assert found == pytest.approx(-found[::-1], abs=1e-9)
     assert (np.diff(found) <= 1e-9).all()
-    curvature = np.abs(np.diff(found, 2)).max() / (twist[1] - twist[0]) ** 2
-    assert curvature < 2000 / (0.1 * GAP)  # the slope changes over no less than a tenth of the gap
 
 
 def test_a_huge_twist_does_not_overflow() -> None:

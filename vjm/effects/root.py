@@ -21,11 +21,12 @@ _MOTOR_SHARE = 0.5  # of the hub's inertia, on the motor's side of a gear
 # of its speed.
 _FLANK_STIFFNESS = 2000.0
 _FLANK_DAMPING = 2.0
-# Over which flanks come into contact, of the gap. Steps must be short against the flanks' own oscillation (a light hub
-# of 0.005 kg m^2 on its flank: 5 ms a period), which is no part of the chain's linear springs while the gap is open.
-_SOFTNESS = 0.03
+# Over which flanks come into contact, of the gap: a hundredth would be seen beside a camera's noise.
+_SOFTNESS = 0.001
 _GRADUAL = 0.15  # the same where derivatives are taken
-_LONGEST_STEP = 4e-4
+# Short against the flanks' own oscillation (a light hub of 0.005 kg m^2 on its flank: 5 ms a period), which is no part
+# of the chain's linear springs while the gap is open.
+_LONGEST_STEP = 6e-4
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,8 @@ class GearElasticity(JointEffect):
 class Backlash(JointEffect):
     """A dead zone between motor and hub; each has half of the hub's inertia.
 
+    Its flanks push and never pull: they exert k d + c d' at a depth d, as long as that is positive.
+
     Attributes:
         gap: its whole width [rad].
     """
@@ -116,17 +119,15 @@ class Backlash(JointEffect):
             return None
         link, root = chain.links[self.index], chain.passive_slices[self.index].start - 1
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping
-        soft = 2 * self.softness * self.gap
-        ends = np.array([[0.5], [-0.5]]) * self.gap / soft
+        soft, sides = 2 * self.softness * self.gap, np.array([1.0, -1.0])
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            place = q[..., root] / soft + ends.reshape(2, *(1,) * (q.ndim - 1))
-            # The share of the contact that is missing, 1 inside and 0 outside, is a difference of two sigmoids; its
-            # integral, the missing twist, one of two logarithms of hyperbolic cosines.
-            shares, twists = np.tanh(place), np.logaddexp(place, -place)
+            # In contact from one side or the other: a sigmoid, whose integral is a logarithm, instead of a corner.
+            place = (sides * q[..., root, None] - self.gap / 2) / soft
+            depth, share = soft / 2 * np.logaddexp(0.0, 2 * place), (1 + np.tanh(place)) / 2
+            push = np.maximum(stiffness * depth + damping * share * sides * v[..., root, None], 0.0)
             found = np.zeros(v.shape)
-            found[..., root] = stiffness * (soft / 2) * (twists[0] - twists[1])
-            found[..., root] += damping / 2 * (shares[0] - shares[1]) * v[..., root]
+            found[..., root] = stiffness * q[..., root] + damping * v[..., root] - push @ sides
             return found
 
         return force

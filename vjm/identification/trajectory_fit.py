@@ -20,7 +20,7 @@ from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.modes import modes
 from vjm.simulate.damping import Damping
 from vjm.simulate.initial_state import most_likely
-from vjm.simulate.run import Start, run_all
+from vjm.simulate.run import Run, Start, run_all
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -190,6 +190,28 @@ def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | No
     moved = [run.state + by for run, by in zip(point.runs, states, strict=True)]
     try:
         spreads = [run.start.spread for run in point.runs]
-        return _point(point.problem, point.x + change, moved, spreads)
+        found = _point(point.problem, point.x + change, moved, spreads)
+        return replace(found, runs=tuple(_not_worse(point.runs, found)))
     except (SimulationDivergedError, InsufficientDataError):  # or it does not come to rest under its load
         return None
+
+
+def _not_worse(before: Sequence[Run], trial: Point) -> list[Run]:
+    """The runs of a trial; from initial states that were not moved, where that is better.
+
+    What sticks or rattles leaves slopes that are no guide to the initial state of an arm that hardly moves.
+    """
+    runs = [*trial.runs]
+    worse = [k for k, run in enumerate(runs) if run.arm.is_abrupt and run.cost > before[k].cost]
+    if not worse:
+        return runs
+    again = run_all(
+        [runs[k].arm for k in worse],
+        [runs[k].observed for k in worse],
+        [runs[k].start for k in worse],
+        [before[k].state for k in worse],
+        trial.problem.coarse,
+    )
+    for k, run in zip(worse, again, strict=True):
+        runs[k] = min(runs[k], run, key=lambda each: each.cost)
+    return runs
