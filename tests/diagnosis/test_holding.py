@@ -87,7 +87,7 @@ def test_a_further_recording_is_replayed_open_loop() -> None:
     found = refit(start, (truth,))
     assert found is not None
     other = made((truth,), 6)[1]
-    run, known = replayed(found, Observed.of(RIG, other, NOISE))
+    ((run, known),) = replayed(found, [Observed.of(RIG, other, NOISE)])
     assert known
     assert run.arm.guide is None
     assert run.observed.guide is None

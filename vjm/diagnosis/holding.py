@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
 from vjm.diagnosis.race import Patience
@@ -14,6 +16,8 @@ from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Observed
 from vjm.simulate.rollout import locked_frequencies
 from vjm.simulate.run import Run
+
+Array = NDArray[np.float64]
 
 # Times the slowest vibration, and the damping ratio. Measured on dry friction: held more softly (0.6), fits still lose
 # their way; more tightly (1.5), the torque is known half as well.
@@ -75,20 +79,32 @@ def freed(explanation: Explanation, free: Explanation) -> Explanation:
     return replace(explanation, fit=replace(explanation.fit, point=again))
 
 
-def replayed(explanation: Explanation, observed: Observed) -> tuple[Run, bool]:
-    """A recording that was not fitted, open loop, and whether its initial state was found.
+def replayed(
+    explanation: Explanation, observed: Sequence[Observed], states: Sequence[Array | None] | None = None
+) -> list[tuple[Run, bool]]:
+    """Recordings that were not fitted, open loop, and whether their initial states were found.
 
-    Where fits were held, its initial state is looked for with the simulation held, and improved open loop.
+    Where fits were held, initial states are looked for with simulations held, and improved open loop.
+
+    Args:
+        explanation: held, or not.
+        observed: the recordings.
+        states: (2 nv,) found before for the same recordings; None: not yet.
 
     Raises:
         InsufficientDataError, SimulationDivergedError: as `most_likely`.
     """
     point = explanation.point
-    arm = point.problem.varied.arms(point.x, [observed.recording])[0]
+    arms, coarse = point.problem.varied.arms(point.x, [each.recording for each in observed]), point.problem.coarse
     if not explanation.is_held:
-        return most_likely([arm], [observed], coarse=point.problem.coarse)[0]
-    begun, known = most_likely([arm], [_guided(observed, _nominal(explanation))], coarse=point.problem.coarse)[0]
-    return most_likely([arm], [observed], [begun.state], point.problem.coarse, _FEW)[0][0], known
+        return most_likely(arms, observed, states, coarse)
+    known = [True] * len(observed)
+    if states is None:
+        begun = most_likely(arms, [_guided(each, _nominal(explanation)) for each in observed], coarse=coarse)
+        states, known = [run.state for run, _ in begun], [found for _, found in begun]
+    return [
+        (run, found) for (run, _), found in zip(most_likely(arms, observed, states, coarse, _FEW), known, strict=True)
+    ]
 
 
 def _guided(observed: Observed, chain: Chain) -> Observed:

@@ -115,12 +115,19 @@ class Patience:
 
     Where something sticks and slips, or little is followed, slopes are only roughly a guide: once many steps have
     gained little, none will.
+
+    Args:
+        steps: after which it ends.
+        record: chi^2 that it must come near.
+        abrupt: whether something sticks and slips.
+        enough: share of chi^2 below which some steps have gained enough.
     """
 
-    def __init__(self, steps: float, record: float = np.inf, abrupt: bool = False) -> None:
+    def __init__(self, steps: float, record: float = np.inf, abrupt: bool = False, enough: float = _GAINED) -> None:
         self.left = steps
         self.record = record
         self.abrupt = abrupt
+        self.enough = enough
         self.seen: list[float] = []
 
     def __call__(self, point: Point, predicted: float) -> bool:
@@ -130,7 +137,7 @@ class Patience:
         share = predicted / point.chi2
         wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
         slow = self.abrupt or point.misfit > OFF
-        stuck = slow and len(self.seen) > _STUCK and point.chi2 > _GAINED * self.seen[-_STUCK]
+        stuck = slow and len(self.seen) > _STUCK and point.chi2 > self.enough * self.seen[-_STUCK]
         return self.left < 0 or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
 
 

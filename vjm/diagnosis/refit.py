@@ -16,7 +16,6 @@ from vjm.effects.effect import Effect, Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
-from vjm.simulate.initial_state import likelier_at_rest
 from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
@@ -114,8 +113,6 @@ def refit(
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
     known = _followed(start, extension.effects) if whole is None else start.point.problem.longest
     try:
-        if any(arm.is_abrupt for arm in arms):
-            states = likelier_at_rest(arms, problem.observed, states, problem.coarse)
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):
         if problem.coarse == 1.0:

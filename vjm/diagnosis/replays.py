@@ -4,19 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from vjm.diagnosis.base import Base
 from vjm.diagnosis.holding import freed, replayed
 from vjm.diagnosis.records import Replayed
 from vjm.diagnosis.refit import Explanation
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Experiment, Recording
-from vjm.identification.outliers import without_outliers
+from vjm.experiment.records import Experiment
+from vjm.identification.outliers import trimmed
 from vjm.model import Model
 from vjm.simulate.initial_state import Replay, report
 from vjm.simulate.observation import Observed
 from vjm.simulate.run import Run
 from vjm.symptoms import Followed, Symptoms, symptoms
+
+Array = NDArray[np.float64]
+Known = dict[str, tuple[Run, bool]]  # runs by file, and whether their initial states were found
 
 _MOST_MODES = 4
 
@@ -27,45 +33,51 @@ def follow(
     """All recordings, in the experiment's order."""
     noise = base.point.runs[0].observed.noise
     known = [_trained(each, plain) if each else {} for each in (plain, best, runner_up)]
-    found = []
-    for recording in experiment.recordings:
-        if recording.file in known[0]:
-            run = known[0][recording.file]
-            replays = [_reported(each.get(recording.file)) for each in known]
-            found.append(Replayed(run.observed.recording, *_three(replays), noise[0]))
-            continue
-        part = cleaned(experiment.rig, recording)
-        after = _replayed(experiment, best, part, noise)
-        if after is not None:
-            part, _ = without_outliers(part, after.simulation.markers, noise[0])
-            after = _replayed(experiment, best, part, noise)
-        before = after if plain is best else _replayed(experiment, plain, part, noise)
-        other = _replayed(experiment, runner_up, part, noise) if runner_up else None
-        found.append(Replayed(part, before, after, other, noise[0]))
-    return tuple(found)
+    others = [cleaned(experiment.rig, each) for each in experiment.recordings if each.file not in known[0]]
+    observed = [Observed.of(experiment.rig, each, noise) for each in others]
+    after = _replayed(best, observed)
+    # Of the model that follows best, what stands out is an outlier.
+    clean = {file: trimmed(run) for file, (run, _) in after.items()}
+    again = [each for file, each in clean.items() if each is not after[file][0].observed]
+    after |= _replayed(best, again, [after[each.recording.file][0].state for each in again])
+    observed = [clean.get(each.recording.file, each) for each in observed]
+    before = after if plain is best else _replayed(plain, observed)
+    other = _replayed(runner_up, observed) if runner_up else {}
+    for mine, further in zip(known, (before, after, other), strict=True):
+        mine |= further
+    shown = {each.recording.file: each.recording for each in observed}
+    shown |= {file: run.observed.recording for file, (run, _) in known[0].items() if file not in shown}
+    return tuple(
+        Replayed(shown[each.file], *_three([_reported(mine.get(each.file)) for mine in known]), noise[0])
+        for each in experiment.recordings
+    )
 
 
 def _three(replays: Sequence[Replay | None]) -> tuple[Replay | None, Replay | None, Replay | None]:
-    before, after, other = replays
-    return before, after, other
+    before, after, runner_up = replays
+    return before, after, runner_up
 
 
-def _trained(explanation: Explanation, free: Explanation) -> dict[str, Run]:
-    return {run.observed.recording.file: run for run in freed(explanation, free).point.runs}
+def _trained(explanation: Explanation, free: Explanation) -> Known:
+    return {run.observed.recording.file: (run, True) for run in freed(explanation, free).point.runs}
 
 
-def _reported(run: Run | None) -> Replay | None:
-    return None if run is None else report(run, True)
+def _reported(found: tuple[Run, bool] | None) -> Replay | None:
+    return None if found is None else report(*found)
 
 
-def _replayed(
-    experiment: Experiment, explanation: Explanation, recording: Recording, noise: tuple[float, float]
-) -> Replay | None:
-    """A recording that was not fitted; None where it cannot be simulated."""
+def _replayed(explanation: Explanation, observed: Sequence[Observed], states: Sequence[Array] | None = None) -> Known:
+    """Recordings that were not fitted, but those that cannot be simulated."""
+    if not observed:
+        return {}
     try:
-        return report(*replayed(explanation, Observed.of(experiment.rig, recording, noise)))
+        found = replayed(explanation, observed, states)
     except (InsufficientDataError, SimulationDivergedError):
-        return None
+        if len(observed) == 1:
+            return {}
+        alone = [_replayed(explanation, [each], states and [states[k]]) for k, each in enumerate(observed)]
+        return {file: each for part in alone for file, each in part.items()}
+    return {each.recording.file: one for each, one in zip(observed, found, strict=True)}
 
 
 def found_symptoms(experiment: Experiment, plain: Model, followed: Sequence[Replayed], base: Base) -> Symptoms | None:

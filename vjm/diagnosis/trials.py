@@ -30,6 +30,7 @@ from vjm.identification.trajectory_problem import TrajectoryProblem
 
 Array = NDArray[np.float64]
 NOISE = 1.02  # misfit that leaves nothing to explain
+_POLISHED = 0.998  # share of chi^2 that some steps leave where something sticks or rattles and no more is to be gained
 _COARSE = 1.15  # the same as long as the chain's coarseness is not known; what leaves more is not the end of a search
 Tell = Callable[[str], None]
 
@@ -158,10 +159,10 @@ class Trials:
 
     def polish(self, explanation: Explanation) -> Explanation:
         """Fitted to the very end, unless that is of no use."""
-        of_no_use = explanation.point.misfit > _COARSE or is_abrupt(explanation.effects)
-        if explanation.fit.converged or of_no_use:
+        if explanation.fit.converged or explanation.point.misfit > _COARSE:
             return explanation
-        found = refit(explanation, explanation.effects)
+        patience = Patience(np.inf, abrupt=True, enough=_POLISHED) if is_abrupt(explanation.effects) else None
+        found = refit(explanation, explanation.effects, patience)
         if found is None or found.chi2 > explanation.chi2:
             return explanation
         self.tried[found.names] = found

@@ -146,7 +146,7 @@ class Effect:
     # near the angles that were measured, and what is left after a fit need not be noise.
     abrupt: ClassVar[bool] = False
     # Of what it explains where it is abrupt, the share that a good fit may leave: simulations of impacts are not exact.
-    leaves: ClassVar[float] = 0.01
+    leaves: ClassVar[float] = 0.001
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -250,6 +250,10 @@ class Effect:
     def rest(self, chain: Chain, q: Array) -> Array:
         """(..., nz) internal states at a recording's start, at angles (..., nv) [rad]."""
         return np.zeros((*q.shape[:-1], self.states(chain)))
+
+    def settled(self, chain: Chain, q: Array) -> Array:
+        """Angles (..., nv) near the given ones [rad] at which an arm on which nothing acts would stay."""
+        return q
 
     @property
     def longest_step(self) -> float:

@@ -44,7 +44,6 @@ class CoulombFriction(JointEffect):
     dissipative = True
     in_urdf = True
     abrupt = True
-    leaves = 0.005  # measured on recordings held near their encoders' angles
 
     def smooth(self) -> Effect:
         """Without the bristle: reversals take as long as derivatives are apart."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +20,7 @@ _MOTOR_SHARE = 0.5  # of the hub's inertia, on the motor's side of a gear
 # of its speed.
 _FLANK_STIFFNESS = 2000.0
 _FLANK_DAMPING = 2.0
-# Over which flanks come into contact, of the gap: a hundredth would be seen beside a camera's noise.
-_SOFTNESS = 0.001
-_GRADUAL = 0.15  # the same where derivatives are taken
+_GRADUAL = 0.15  # of the gap, over which flanks come into contact where derivatives are taken
 # Short against the flanks' own oscillation (a light hub of 0.005 kg m^2 on its flank: 5 ms a period), which is no part
 # of the chain's linear springs while the gap is open.
 _LONGEST_STEP = 6e-4
@@ -94,7 +91,7 @@ class Backlash(JointEffect):
 
     id = "backlash"
     abrupt = True
-    softness: ClassVar[float] = _SOFTNESS
+    leaves = 0.003  # measured: impacts are not simulated exactly
     says = "play between the motor and the hub"
     reference = (
         "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002"
@@ -119,18 +116,28 @@ class Backlash(JointEffect):
             return None
         link, root = chain.links[self.index], chain.passive_slices[self.index].start - 1
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping
-        soft, sides = 2 * self.softness * self.gap, np.array([1.0, -1.0])
+        sides = np.array([1.0, -1.0])
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            # In contact from one side or the other: a sigmoid, whose integral is a logarithm, instead of a corner.
-            place = (sides * q[..., root, None] - self.gap / 2) / soft
-            depth, share = soft / 2 * np.logaddexp(0.0, 2 * place), (1 + np.tanh(place)) / 2
+            depth, share = self._contact(sides * q[..., root, None] - self.gap / 2)
             push = np.maximum(stiffness * depth + damping * share * sides * v[..., root, None], 0.0)
             found = np.zeros(v.shape)
             found[..., root] = stiffness * q[..., root] + damping * v[..., root] - push @ sides
             return found
 
         return force
+
+    def settled(self, chain: Chain, q: Array) -> Array:
+        """With the hub between the flanks, on one of them at most."""
+        if self.is_null:
+            return q
+        root, found = chain.passive_slices[self.index].start - 1, q.copy()
+        found[..., root] = np.clip(q[..., root], -self.gap / 2, self.gap / 2)
+        return found
+
+    def _contact(self, beyond: Array) -> tuple[Array, Array]:
+        """How deep a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
+        return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
 
     @property
     def longest_step(self) -> float:
@@ -142,7 +149,10 @@ class Backlash(JointEffect):
 class _SmoothBacklash(Backlash):
     """Play whose contact begins gradually."""
 
-    softness = _GRADUAL
+    def _contact(self, beyond: Array) -> tuple[Array, Array]:
+        """By a sigmoid, whose integral is a logarithm, instead of a corner."""
+        soft = 2 * _GRADUAL * self.gap
+        return soft / 2 * np.logaddexp(0.0, 2 * beyond / soft), (1 + np.tanh(beyond / soft)) / 2
 
 
 def in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> LinkChain:

@@ -20,7 +20,8 @@ from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.modes import modes
 from vjm.simulate.damping import Damping
 from vjm.simulate.initial_state import most_likely
-from vjm.simulate.run import Run, Start, run_all
+from vjm.simulate.run import Start
+from vjm.simulate.stillness import run_or_stand
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -123,7 +124,7 @@ def _search(
         found = most_likely(problem.arms(x), problem.observed, coarse=problem.coarse)
         point = Point(problem, x, tuple(run for run, _ in found))
     else:
-        point = _point(problem, x, states)
+        point = _point(problem, x, states, states)
         point = replace(point, runs=tuple(run.weighed() for run in point.runs))
     damping, done, iteration = Damping(), False, 0
     for iteration in range(_MOST_ITERATIONS):
@@ -147,13 +148,17 @@ def _search(
 
 
 def _point(
-    problem: TrajectoryProblem, x: Array, states: Sequence[Array], spreads: Sequence[float] | None = None
+    problem: TrajectoryProblem,
+    x: Array,
+    states: Sequence[Array],
+    known: Sequence[Array],
+    spreads: Sequence[float] | None = None,
 ) -> Point:
     arms = problem.arms(x)
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
     if spreads is not None:
         starts = [replace(start, spread=spread) for start, spread in zip(starts, spreads, strict=True)]
-    runs = run_all(arms, problem.observed, starts, states, problem.coarse)
+    runs = run_or_stand(arms, problem.observed, starts, states, known, problem.coarse)
     return Point(problem, x, tuple(runs))
 
 
@@ -190,28 +195,6 @@ def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | No
     moved = [run.state + by for run, by in zip(point.runs, states, strict=True)]
     try:
         spreads = [run.start.spread for run in point.runs]
-        found = _point(point.problem, point.x + change, moved, spreads)
-        return replace(found, runs=tuple(_not_worse(point.runs, found)))
+        return _point(point.problem, point.x + change, moved, [run.state for run in point.runs], spreads)
     except (SimulationDivergedError, InsufficientDataError):  # or it does not come to rest under its load
         return None
-
-
-def _not_worse(before: Sequence[Run], trial: Point) -> list[Run]:
-    """The runs of a trial; from initial states that were not moved, where that is better.
-
-    What sticks or rattles leaves slopes that are no guide to the initial state of an arm that hardly moves.
-    """
-    runs = [*trial.runs]
-    worse = [k for k, run in enumerate(runs) if run.arm.is_abrupt and run.cost > before[k].cost]
-    if not worse:
-        return runs
-    again = run_all(
-        [runs[k].arm for k in worse],
-        [runs[k].observed for k in worse],
-        [runs[k].start for k in worse],
-        [before[k].state for k in worse],
-        trial.problem.coarse,
-    )
-    for k, run in zip(worse, again, strict=True):
-        runs[k] = min(runs[k], run, key=lambda each: each.cost)
-    return runs

@@ -64,6 +64,12 @@ class Arm:
         parts = [effect.rest(self.chain, q) for effect in self.effects]
         return np.concatenate([np.zeros((*q.shape[:-1], 0)), *parts], axis=-1)
 
+    def settled(self, q: Array) -> Array:
+        """Angles (..., nv) near the given ones [rad] at which its effects let it stay."""
+        for effect in self.effects:
+            q = effect.settled(self.chain, q)
+        return q
+
     def forces(self, payload: float) -> Motion | None:
         """The effects' generalised forces together; None where there are none."""
         acting = self._told(lambda effect: effect.force(self.chain, payload))

@@ -143,28 +143,6 @@ def most_likely(
     return [(search.run, search.converged) for search in searches]
 
 
-def likelier_at_rest(
-    arms: Sequence[Arm], observed: Sequence[Observed], states: Sequence[Array], coarse: float = 1.0
-) -> list[Array]:
-    """The given initial states (2 nv,), those of quiet recordings at rest where that is more likely.
-
-    What sticks, and what is loose, makes states near each other move differently: no search finds from one to the next.
-    """
-    found = [*states]
-    quiet = [k for k, each in enumerate(observed) if each.recording.kind == "quiet"]
-    if not quiet:
-        return found
-    twice = [*quiet, *quiet]
-    arms, observed = [arms[k] for k in twice], [observed[k] for k in twice]
-    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
-    tried = [found[k] for k in quiet] + [start.rest for start in starts[: len(quiet)]]
-    runs = run_all(arms, observed, starts, tried, coarse)
-    for k, given, rest in zip(quiet, runs[: len(quiet)], runs[len(quiet) :], strict=True):
-        if rest.cost < given.cost:
-            found[k] = rest.state
-    return found
-
-
 def _attempts(pending: Sequence[tuple[_Search, Array]], coarse: float) -> list[Run | None]:
     """Runs from the proposed states; None where one diverges."""
     arms = [search.run.arm for search, _ in pending]

@@ -136,6 +136,9 @@ def _nothing(clause: Clause, absent: Effect, given: Given, seed: int) -> None:
             random = np.random.default_rng(seed)
             q, v, z = (random.normal(size=(_FRAMES, n)) for n in (given.chain.size, given.chain.size, count))
             clause.holds(not np.any(force(given.stamps, q, v, z)), "a force at the null", "none")
+    with clause.running("`settled` at the null"):
+        q = still(np.random.default_rng(seed).normal(size=(_FRAMES, given.chain.size)))
+        clause.holds(same(absent.settled(given.chain, q), q), "`settled` changes angles at the null", "the very same")
     step = absent.longest_step
     clause.holds(step == np.inf, f"at the null no time step longer than {step:g} s", "no limit, np.inf")
 
@@ -212,6 +215,9 @@ def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
         with clause.running(f"`rest` of {present!r}"):
             rest = present.rest(chain, q)
         _array(clause, f"`rest` at angles {q.shape}", rest, (*leading, count))
+        with clause.running(f"`settled` of {present!r}"):
+            settled = present.settled(chain, q)
+        _array(clause, f"`settled` at angles {q.shape}", settled, q.shape)
         z = still(rest + 0.1 * _ANGLES * random.normal(size=rest.shape))
         for name, motion, shape in (("force", force, q.shape), ("rates", rates, z.shape)):
             if motion is not None:
