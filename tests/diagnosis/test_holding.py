@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
+from tests.simulate.test_stillness import seen_at
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.holding import can_be_held, freed, held, released, replayed
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.diagnosis.sticking import whole_search
-from vjm.effects import CoulombFriction, Effect, LinearDrag, QuadraticDrag, TorqueOffset, ViscousFriction
+from vjm.effects import Backlash, CoulombFriction, Effect, LinearDrag, QuadraticDrag, TorqueOffset, ViscousFriction
 from vjm.experiment.records import Recording
 from vjm.identification.information import of_trajectory
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
@@ -64,6 +65,25 @@ def test_friction_and_drag_have_their_sizes(seed: int) -> None:
     off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, *(e.coordinates for e in truth)])
     assert np.abs(off / spread).max() < 4
     assert (spread[-2:] < 0.3).all()  # of everyday sizes
+
+
+def test_play_has_its_size_beside_a_hub_that_rests_on_a_flank() -> None:
+    """Slopes do not lead from a straight arm to one whose hub lies off the middle of the gap, nor keep it there."""
+    truth = Backlash(link=0, gap=0.006)
+    arm = Arm.of(chain_of(), (truth,))
+    hub_turned = np.zeros(arm.chain.size)
+    hub_turned[arm.chain.roots] = 0.003
+    recordings = [*made((truth,), 3), seen_at(arm, hub_turned, 3).recording]
+    start = held(fitted(recordings))
+    assert start is not None
+    found = refit(start, (Backlash(link=0, gap=0.004),))
+    assert found is not None
+    spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
+    off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, truth.coordinates])
+    assert np.abs(off / spread).max() < 4
+    assert found.effects[0].values["gap"] == pytest.approx(0.006, rel=0.02)
+    for run in found.point.runs:
+        assert run.chi2 == pytest.approx(run.observed.count, rel=0.08)
 
 
 def test_what_was_found_held_is_fitted_open_loop() -> None:

@@ -59,7 +59,7 @@ def released(explanation: Explanation, free: Explanation) -> Explanation | None:
     runs = tuple(replace(run, observed=each) for run, each in zip(point.runs, observed, strict=True))
     problem = replace(point.problem, observed=observed)
     start = replace(explanation.fit, point=replace(point, problem=problem, runs=runs))
-    return refit(Explanation(start), explanation.effects)
+    return refit(Explanation(start), explanation.effects, Patience(np.inf))
 
 
 def freed(explanation: Explanation, free: Explanation) -> Explanation:

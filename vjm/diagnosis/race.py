@@ -21,6 +21,8 @@ _EXPLAINED = 1.1  # misfit of what explains them
 _LITTLE = 2.0  # the same of whole recordings, before a fit has ended
 _KEPT = 4  # explanations that are followed where none does
 FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
+_MOST_FIRST_STEPS = 6  # the same as long as the next one promises much
+_MUCH = 0.1  # of chi^2
 _STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
 # Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
@@ -67,7 +69,9 @@ def begun_with(job: Job, whole: float) -> Explanation | None:
         whole: duration of the longest recording [s].
     """
     steps = np.inf if is_short(job.start, whole) else FIRST_STEPS
-    return refit(job.start, job.effects, Patience(steps, abrupt=is_abrupt(job.effects)))
+    # Held, a fit goes where its steps point; open loop, what a step promises may be far from what it does.
+    most = _MOST_FIRST_STEPS if job.start.is_held else FIRST_STEPS
+    return refit(job.start, job.effects, Patience(steps, abrupt=is_abrupt(job.effects), most=most))
 
 
 def is_short(explanation: Explanation, whole: float) -> bool:
@@ -121,10 +125,19 @@ class Patience:
         record: chi^2 that it must come near.
         abrupt: whether something sticks and slips.
         enough: share of chi^2 below which some steps have gained enough.
+        most: steps, as long as the next one promises much.
     """
 
-    def __init__(self, steps: float, record: float = np.inf, abrupt: bool = False, enough: float = _GAINED) -> None:
-        self.left = steps
+    def __init__(
+        self,
+        steps: float,
+        record: float = np.inf,
+        abrupt: bool = False,
+        enough: float = _GAINED,
+        most: float = 0.0,
+    ) -> None:
+        self.steps = steps
+        self.most = most
         self.record = record
         self.abrupt = abrupt
         self.enough = enough
@@ -132,13 +145,13 @@ class Patience:
 
     def __call__(self, point: Point, predicted: float) -> bool:
         """Whether to end it where it is, given by how much its next step may lower chi^2."""
-        self.left -= 1
         self.seen.append(point.chi2)
         share = predicted / point.chi2
+        steps = self.steps if share < _MUCH else max(self.steps, self.most)
         wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
         slow = self.abrupt or point.misfit > OFF
         stuck = slow and len(self.seen) > _STUCK and point.chi2 > self.enough * self.seen[-_STUCK]
-        return self.left < 0 or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
+        return len(self.seen) > steps or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
 
 
 def is_abrupt(effects: Sequence[Effect]) -> bool:

@@ -161,6 +161,8 @@ class Trials:
         """Fitted to the very end, unless that is of no use."""
         if explanation.fit.converged or explanation.point.misfit > _COARSE:
             return explanation
+        if explanation.is_held and not is_abrupt(explanation.effects):
+            return explanation  # it is fitted open loop in the end
         patience = Patience(np.inf, abrupt=True, enough=_POLISHED) if is_abrupt(explanation.effects) else None
         found = refit(explanation, explanation.effects, patience)
         if found is None or found.chi2 > explanation.chi2:
