@@ -73,8 +73,8 @@ def test_play_has_its_size_beside_a_hub_that_rests_on_a_flank() -> None:
     arm = Arm.of(chain_of(), (truth,))
     hub_turned = np.zeros(arm.chain.size)
     hub_turned[arm.chain.roots] = 0.003
-    recordings = [*made((truth,), 3), seen_at(arm, hub_turned, 3).recording]
-    start = held(fitted(recordings))
+    recordings = [*made((truth,), 3, 1.5), seen_at(arm, hub_turned, 3).recording]
+    start = held(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
     assert start is not None
     found = refit(start, (Backlash(link=0, gap=0.004),))
     assert found is not None

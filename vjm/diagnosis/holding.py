@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from vjm.chain.records import Chain
 from vjm.diagnosis.race import Patience
 from vjm.diagnosis.refit import Explanation, refit
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.simulate.guide import Guide
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Observed
@@ -50,6 +52,19 @@ def held(explanation: Explanation) -> Explanation | None:
         if found is not None and (best is None or found.chi2 < best.chi2):
             best = found
     return best
+
+
+def held_at_nominal(explanation: Explanation) -> Explanation | None:
+    """The same with nothing fitted but initial states, at the nominal chain; None where that cannot be simulated."""
+    point, chain = explanation.point, _nominal(explanation)
+    observed = tuple(_guided(run.observed, chain) for run in point.runs)
+    problem, nominal = replace(point.problem, observed=observed), point.problem.parametrisation.start
+    x = np.concatenate([nominal, point.x[nominal.size :]])
+    try:
+        runs = tuple(run for run, _ in most_likely(problem.arms(x), observed, coarse=problem.coarse))
+    except (InsufficientDataError, SimulationDivergedError):
+        return None
+    return Explanation(TrajectoryFit(replace(point, problem=problem, x=x, runs=runs), False, 0))
 
 
 def released(explanation: Explanation, free: Explanation) -> Explanation | None:

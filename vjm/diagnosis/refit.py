@@ -23,6 +23,9 @@ Names = frozenset[Key]
 
 ADRIFT = 4.0  # misfit of a start that does not follow the recordings for long
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
+_ABRUPT_START = (
+    0.5  # of what sticks or rattles, which does nothing that slopes show before it is as large as the motion
+)
 _LEAST_START = 0.1  # of a joint: one that is nearly rigid says little of which way to go
 
 
@@ -154,5 +157,6 @@ def sized(effect: Effect, guess: Array, chain: Chain) -> Effect:
     """An effect of a guessed size (s,), in everyday sizes, to be fitted beside a chain."""
     found = effect.coordinates
     least = _LEAST_START if adds_joint(effect, chain) else -_LARGEST_START
+    least = _ABRUPT_START if effect.abrupt else least
     found[: effect.sizes] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(found, *effect.bounds))

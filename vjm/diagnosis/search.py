@@ -124,6 +124,11 @@ class Search:
     def _tried(self, best: Explanation, first: Family, family: Family, needed: Sequence[int]) -> Explanation | None:
         """The best explanation with one effect more."""
         steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.from_afar(best) else _BEST]]
+        if best.is_held:
+            # Slopes show little of what sticks or rattles; held, it can be tried.
+            chosen = {k for _, (k,) in steps}
+            variants = family.seen.one_each(k for k, each in enumerate(family.seen.effects) if each.abrupt)
+            steps += [(best, [k]) for k in variants if k not in chosen]
         if len(best.effects) == len(self.start.effects) + 1 and not self.trials.from_afar(self.start):
             steps += self._pairs(first, best)
         smooth, abrupt = self._apart(family, first, best, steps)
@@ -162,10 +167,10 @@ class Search:
         """
         footing = self.trials.footing(explanation)
         least = self.rules.least(min(footing.chi2, footing.point.count))
-        leaves = max((effect.leaves for effect in explanation.effects if effect.abrupt), default=0.0)
-        if leaves:
-            start = self.start if footing is explanation else self.trials.footing(self.start)
-            return max(least, leaves * (start.chi2 - footing.chi2))
+        for effect in explanation.effects:
+            if effect.abrupt:
+                without = self.trials.tried.get(explanation.names - {effect.key}, self.start)
+                least = max(least, effect.leaves * (self.trials.footing(without).chi2 - footing.chi2))
         return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from vjm.diagnosis.holding import can_be_held, held, released
+from vjm.diagnosis.holding import can_be_held, held, held_at_nominal, released
 from vjm.diagnosis.race import is_abrupt
 from vjm.diagnosis.refit import ADRIFT, Explanation, Names
 from vjm.diagnosis.search import FEW, Found, Search
@@ -63,6 +63,9 @@ def _held(search: Search, found: Found) -> tuple[Search, Found] | None:
     best = start if found.best is search.start else held(found.best)
     if start is None or best is None:
         return None
+    if best is start and start.point.misfit > ADRIFT:
+        # Parameters that follow nothing, even held, lead away from what is missing.
+        best = start = held_at_nominal(search.start) or start
     other = search.again(start)
     first = other.judged(start)
     if best is start:
