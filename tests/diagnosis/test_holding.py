@@ -11,7 +11,8 @@ import pytest
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
 from tests.simulate.test_stillness import seen_at
 from vjm.diagnosis.beginning import Beginning
-from vjm.diagnosis.holding import can_be_held, freed, held, released, replayed
+from vjm.diagnosis.holding import can_be_held, freed, held, held_at_nominal, released, replayed
+from vjm.diagnosis.race import Patience
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.diagnosis.sticking import whole_search
@@ -73,10 +74,10 @@ def test_play_has_its_size_beside_a_hub_that_rests_on_a_flank() -> None:
     arm = Arm.of(chain_of(), (truth,))
     hub_turned = np.zeros(arm.chain.size)
     hub_turned[arm.chain.roots] = 0.003
-    recordings = [*made((truth,), 3, 1.5), seen_at(arm, hub_turned, 3).recording]
-    start = held(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
+    recordings = [*made((truth,), 3, 1.2), seen_at(arm, hub_turned, 3).recording]
+    start = held_at_nominal(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
     assert start is not None
-    found = refit(start, (Backlash(link=0, gap=0.004),))
+    found = refit(start, (Backlash(link=0, gap=0.005),), Patience(np.inf, abrupt=True, enough=0.998))
     assert found is not None
     spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
     off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, truth.coordinates])

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
-from vjm.diagnosis.race import proposal
+from vjm.diagnosis.race import is_abrupt, proposal
 from vjm.diagnosis.refit import Explanation, named
 from vjm.diagnosis.screen import screen
-from vjm.diagnosis.trials import NOISE, Tell, Trials
+from vjm.diagnosis.trials import COARSE, NOISE, Tell, Trials
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.experiment.records import Rig
@@ -124,12 +124,13 @@ class Search:
     def _tried(self, best: Explanation, first: Family, family: Family, needed: Sequence[int]) -> Explanation | None:
         """The best explanation with one effect more."""
         steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.from_afar(best) else _BEST]]
-        if best.is_held:
+        if best.is_held and not is_abrupt(best.effects):
             # Slopes show little of what sticks or rattles; held, it can be tried.
             chosen = {k for _, (k,) in steps}
             variants = family.seen.one_each(k for k, each in enumerate(family.seen.effects) if each.abrupt)
             steps += [(best, [k]) for k in variants if k not in chosen]
-        if len(best.effects) == len(self.start.effects) + 1 and not self.trials.from_afar(self.start):
+        near = is_abrupt(best.effects) and best.point.misfit < COARSE
+        if len(best.effects) == len(self.start.effects) + 1 and not near and not self.trials.from_afar(self.start):
             steps += self._pairs(first, best)
         smooth, abrupt = self._apart(family, first, best, steps)
         if self.trials.footing(best) is not best or best.is_held:

@@ -31,7 +31,7 @@ from vjm.identification.trajectory_problem import TrajectoryProblem
 Array = NDArray[np.float64]
 NOISE = 1.02  # misfit that leaves nothing to explain
 _POLISHED = 0.998  # share of chi^2 that some steps leave where something sticks or rattles and no more is to be gained
-_COARSE = 1.15  # the same as long as the chain's coarseness is not known; what leaves more is not the end of a search
+COARSE = 1.15  # the same as long as the chain's coarseness is not known; what leaves more is not the end of a search
 Tell = Callable[[str], None]
 
 
@@ -145,7 +145,7 @@ class Trials:
 
     def _explained(self, explanations: Sequence[Explanation]) -> bool:
         """Whether one of them leaves nothing but noise, and what the chain's coarseness may."""
-        least = _COARSE if self.surplus is None else NOISE
+        least = COARSE if self.surplus is None else NOISE
         return any(each.point.misfit < least for each in explanations)
 
     def refresh(self, wanted: Sequence[Names]) -> None:
@@ -159,7 +159,7 @@ class Trials:
 
     def polish(self, explanation: Explanation) -> Explanation:
         """Fitted to the very end, unless that is of no use."""
-        if explanation.fit.converged or explanation.point.misfit > _COARSE:
+        if explanation.fit.converged or explanation.point.misfit > COARSE:
             return explanation
         if explanation.is_held and not is_abrupt(explanation.effects):
             return explanation  # it is fitted open loop in the end
@@ -178,7 +178,7 @@ class Trials:
         if explanation.is_held or explanation.point.misfit > CLOSE or is_abrupt(explanation.effects):
             return explanation
         self.tell("asking what more virtual joints would show")
-        rough = explanation.point.misfit > _COARSE
+        rough = explanation.point.misfit > COARSE
         found = coarseness(explanation.point, self.rig, rough)
         if found is None:
             return explanation
