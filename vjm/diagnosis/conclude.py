@@ -202,7 +202,9 @@ def _sizes(effect: Effect, spread: Array) -> dict[str, Size]:
     found = {}
     for each in effect.parameters():
         slope = slopes[each.name]
-        std = None if each.whole else float(np.sqrt(max(float(slope @ spread @ slope), 0.0)))
+        with np.errstate(invalid="ignore"):  # of an explanation that the recordings do not determine
+            variance = float(slope @ spread @ slope)
+        std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not each.whole else None
         found[each.name] = Size(float(values[each.name]), std, each.unit)
     return found
 

@@ -26,7 +26,7 @@ class Size:
 
     Attributes:
         value: in `unit`.
-        std: standard error; None for what was not estimated, as an index.
+        std: standard error; None for what was not estimated, as an index, or is not determined.
         unit: SI; empty where it has none.
     """
 

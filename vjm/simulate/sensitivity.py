@@ -116,6 +116,8 @@ class _Balance:
         return np.stack(columns, axis=-1) if columns else np.zeros((path.time.size, 0))
 
 
+# What grows without bounds is noticed by `Run.triangle`, which refuses derivatives that are not finite.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def coefficients(arm: Arm, basis: Basis, moved: Sequence[Moved], recording: Recording, path: Path) -> Coefficients:
     """The variational equations' coefficients along a trajectory."""
     here, chain = _Balance(arm, recording), arm.chain
@@ -173,6 +175,7 @@ def _change(
     return forces / by, rates / by
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def followed(arm: Arm, path: Path) -> Array:
     """(I, nz) internal states of an arm's effects along a path; those that have rates by Heun's method."""
     z = np.empty((len(path.q), sum(arm.states)))
@@ -251,6 +254,7 @@ def _first_states(arm: Arm, basis: Basis, moved: Sequence[Moved], q: Array) -> A
     return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _propagators(found: Coefficients, interval: float) -> tuple[Array, Array]:
     """Over K intervals of three instants each, the flow (K, d, d) and what the forcing adds (K, d, p)."""
     lower, size = found.state.shape[1:]
