@@ -23,9 +23,7 @@ Names = frozenset[Key]
 
 ADRIFT = 4.0  # misfit of a start that does not follow the recordings for long
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
-_ABRUPT_START = (
-    0.5  # of what sticks or rattles, which does nothing that slopes show before it is as large as the motion
-)
+_ABRUPT_START = 0.5  # of what sticks or rattles: much smaller than the motion, it does nothing that slopes show
 _LEAST_START = 0.1  # of a joint: one that is nearly rigid says little of which way to go
 
 
