@@ -14,9 +14,21 @@ from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.holding import can_be_held, freed, held, held_at_nominal, released, replayed
 from vjm.diagnosis.race import Patience
 from vjm.diagnosis.refit import Explanation, refit
+from vjm.diagnosis.rivals import alternatives
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.diagnosis.sticking import whole_search
-from vjm.effects import Backlash, CoulombFriction, Effect, LinearDrag, QuadraticDrag, TorqueOffset, ViscousFriction
+from vjm.effects import (
+    Backlash,
+    CameraRotation,
+    CoulombFriction,
+    Effect,
+    EncoderOffset,
+    LinearDrag,
+    QuadraticDrag,
+    TorqueGain,
+    TorqueOffset,
+    ViscousFriction,
+)
 from vjm.experiment.records import Recording
 from vjm.identification.information import of_trajectory
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
@@ -134,6 +146,19 @@ def test_what_holds_a_joint_is_no_evidence_and_quiet_recordings_are_not_held() -
     assert first.angles.size == 0
     assert first.count == first.markers.size == free.point.runs[0].observed.markers.size
     assert quiet is free.point.runs[1].observed
+
+
+def test_what_cannot_be_told_apart_is_found_beside_what_was_only_ever_fitted_held() -> None:
+    """A turned camera and an encoder's offset, beside a torque's gain that open loop was never fitted alone."""
+    truth = TorqueGain(link=0, column=0, gain=0.95), EncoderOffset(link=0, column=0, offset=-0.006)
+    start = fitted(made(truth, 9))
+    best = refit(start, (truth[0], CameraRotation(angle=0.005)))
+    assert best is not None
+    effects = [TorqueGain(), EncoderOffset(), CameraRotation()]
+    search = Search(RIG, Beginning(start, start), effects, Rules(), lambda text: None)
+    search.trials.tried[best.names] = best
+    found = Found(best, search.judged(start), search.judged(best))
+    assert [rival.effect.id for rival in alternatives(found, search, best.effects[1], 1.0)] == ["encoder_offset"]
 
 
 @pytest.mark.slow

@@ -35,8 +35,8 @@ def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> t
     variants = [v for v in search.looked.variants if v.key not in best.names]
     variants = [v for v in variants if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)]
     seen = _beside(best, cause, variants)
-    wanted = _near(seen, cause, ALIKE * scale)
-    search.replacements(others, [seen.effects[k] for k in wanted])
+    guesses = _near(seen, cause, ALIKE * scale)
+    search.replacements(best, others, [seen.effects[k] for k in guesses], [*guesses.values()])
     rest = named(others)
     rivals = []
     for names, tried in search.trials.tried.items():
@@ -62,18 +62,21 @@ def _beside(best: Explanation, cause: Effect, variants: Sequence[Effect]) -> Scr
     return screen(best.point, best.effects, variants, (cause, part))
 
 
-def _near(seen: Screen, cause: Effect, tolerance: float) -> list[int]:
-    """Absent effects that may do what the cause does, nearly: one variant each."""
+def _near(seen: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
+    """Absent effects that may do what the cause does, nearly: one variant each, and how large that takes."""
     size = cause.coordinates[: cause.sizes]
     own = seen.R[:, seen.parts[0]] @ size  # what the cause does to the residuals
     power = float(own @ own)
-    lost = np.full(len(seen.effects), np.inf)
+    guesses: dict[int, Array]
+    lost, guesses = np.full(len(seen.effects), np.inf), {}
     for k in range(1, len(seen.effects)):
         columns = seen.R[:, seen.parts[k]]
         if seen.absorbed[k] or not np.isfinite(columns).all():
             continue
-        guess = np.linalg.lstsq(columns, own, rcond=1e-10)[0]
+        guess = np.asarray(np.linalg.lstsq(columns, own, rcond=1e-10)[0])
+        guesses[k] = guess
         lost[k] = power - float(np.sum((columns @ guess) ** 2))
     # A linear guess is the worse the larger the effect.
     close = [k for k in range(1, len(seen.effects)) if lost[k] < _NEAR * tolerance + 0.02 * power]
-    return one_each(seen.effects, sorted(close, key=lambda k: float(lost[k])))[:_MOST]
+    chosen = one_each(seen.effects, sorted(close, key=lambda k: float(lost[k])))[:_MOST]
+    return {k: guesses[k] for k in chosen}

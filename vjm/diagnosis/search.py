@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
-from vjm.diagnosis.race import is_abrupt, proposal
-from vjm.diagnosis.refit import Explanation, named
+from vjm.diagnosis.race import Job, is_abrupt, proposal
+from vjm.diagnosis.refit import Explanation, named, sized
 from vjm.diagnosis.screen import screen
 from vjm.diagnosis.trials import COARSE, NOISE, Tell, Trials
 from vjm.effects import Effect
@@ -184,21 +184,29 @@ class Search:
                 jobs.append(job)
         self.trials.fit(jobs)
 
-    def replacements(self, others: Sequence[Effect], added: Sequence[Effect]) -> None:
+    def replacements(
+        self, best: Explanation, others: Sequence[Effect], added: Sequence[Effect], guesses: Sequence[Array]
+    ) -> None:
         """Fit explanations in which a cause is replaced, from the best without it.
 
         Args:
-            others: the explanation's effects but the cause.
+            best: the explanation.
+            others: its effects but the cause.
             added: what may stand in its place, one at a time.
+            guesses: (s,) how large each must be to do what the cause does, in everyday sizes.
         """
         names, trials = named(others), self.trials
         trials.refresh([names | {effect.key} for effect in added])
-        new = [effect for effect in added if names | {effect.key} not in trials.tried]
-        if new:
-            start = trials.tried.get(names, self.start)
+        sizes = {k: size for k, size in enumerate(guesses) if names | {added[k].key} not in trials.tried}
+        new = [added[k] for k in sizes]
+        start = trials.tried.get(names, self.start)
+        if new and start.names == names:
             footing = trials.footing(start)
             seen = screen(footing.point, footing.effects, new)
             trials.fit([proposal(footing, seen, [k], trials.from_afar(start)) for k in range(len(new))])
+        elif new:  # the others were never fitted without the cause
+            chain = best.point.chain
+            trials.fit([Job(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()])
 
     def _apart(
         self, family: Family, first: Family, best: Explanation, steps: Sequence[Step]
