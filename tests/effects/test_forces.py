@@ -141,7 +141,7 @@ def test_two_integrators_carry_friction_beside_other_internal_states() -> None:
     rest = np.zeros(HUB.size)
     found = []
     for effects in ((hysteresis, friction), (friction, hysteresis)):
-        for how in ({"integrator": "rk4", "step": 1e-4}, {}):
+        for how in ({"integrator": "rk4", "step": 2e-4}, {}):
             (steps,) = rollouts([Arm.of(HUB, effects)], [recording], [rest], [rest], **how)
             found.append(sample(steps, time)[0][:, 0, 0])
     (plain,) = rollouts([Arm.of(HUB, (hysteresis,))], [recording], [rest], [rest])

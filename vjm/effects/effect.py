@@ -145,8 +145,6 @@ class Effect:
     # Whether motion depends on it abruptly, as on what sticks and slips: it is looked for with simulated joints held
     # near the angles that were measured, and what is left after a fit need not be noise.
     abrupt: ClassVar[bool] = False
-    # Of what it explains where it is abrupt, the share that a good fit may leave: simulations of impacts are not exact.
-    leaves: ClassVar[float] = 0.001
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -279,3 +277,8 @@ class Effect:
     def encoder(self, theta: Array) -> Array:
         """What the encoders show of active joint angles (T, n_a) [rad]."""
         return theta
+
+
+def is_abrupt(effects: Sequence[Effect]) -> bool:
+    """Whether something among them sticks and slips, or rattles."""
+    return any(effect.abrupt for effect in effects)

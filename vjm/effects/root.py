@@ -91,7 +91,6 @@ class Backlash(JointEffect):
 
     id = "backlash"
     abrupt = True
-    leaves = 0.003  # measured: impacts are not simulated exactly
     says = "play between the motor and the hub"
     reference = (
         "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002"

@@ -7,6 +7,7 @@ recordings' first few periods, where no frequency error can have cost a whole cy
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from vjm.effects.effect import is_abrupt
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.modes import modes
+from vjm.simulate.abrupt_start import run_nearer, run_or_stand
 from vjm.simulate.damping import Damping
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.run import Start
-from vjm.simulate.stillness import run_or_stand
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -31,6 +33,7 @@ _NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths 
 _COARSE = 1e-2  # the same relative to chi^2, before the whole recordings are looked at
 _FIRST_PERIODS = 3.0  # of the slowest mode
 _LONGER = 3.0  # from one horizon to the next
+_MISSED = 0.5  # of what a step predicts for a recording
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,13 @@ class TrajectoryFit:
         point: where.
         converged: whether nothing more was to be gained there.
         iterations: simulations of all recordings it took.
+        promised: by how much another search would first expect to lower the cost; infinite: not known.
     """
 
     point: Point
     converged: bool
     iterations: int
+    promised: float = np.inf
 
 
 def fit_trajectory(
@@ -126,17 +131,18 @@ def _search(
     else:
         point = _point(problem, x, states, states)
         point = replace(point, runs=tuple(run.weighed() for run in point.runs))
-    damping, done, iteration = Damping(), False, 0
+    damping, done, iteration, promised = Damping(), False, 0, np.inf
     for iteration in range(_MOST_ITERATIONS):
         tell(iteration)
-        change, state_changes, predicted = _step(point, damping.value)
+        step = _step(point, damping.value)
+        promised = np.inf if damping.value else step.predicted
         least = _NEGLIGIBLE * max(point.misfit, 1.0) ** 2
-        if predicted < (least if final else max(least, _COARSE * point.chi2)):
+        if step.predicted < (least if final else max(least, _COARSE * point.chi2)):
             done = True
             break
-        if hopeless is not None and hopeless(point, predicted):
+        if hopeless is not None and hopeless(point, step.predicted):
             break
-        trial = _attempt(point, change, state_changes)
+        trial = _attempt(point, step)
         if trial is not None and trial.cost < point.cost:
             point = replace(trial, runs=tuple(run.weighed() for run in trial.runs))
             damping = damping.better()
@@ -144,7 +150,7 @@ def _search(
             damping = damping.worse(partial(_length, point))
             if damping.exhausted:
                 break
-    return TrajectoryFit(point, done, iteration + 1)
+    return TrajectoryFit(point, done, iteration + 1, promised)
 
 
 def _point(
@@ -162,8 +168,27 @@ def _point(
     return Point(problem, x, tuple(runs))
 
 
-def _step(point: Point, damping: float) -> tuple[Array, list[Array], float]:
-    """Change of the coordinates and of the initial states, and the decrease of the cost that they promise."""
+@dataclass(frozen=True)
+class _Step:
+    """A step from a point.
+
+    Attributes:
+        change: (p,) of the coordinates.
+        states: (2 nv,) of each recording's initial state.
+        own: (2 nv,) of each, were the coordinates to stay.
+        gains: by how much each recording's part of the cost should fall.
+        predicted: the decrease of the cost.
+    """
+
+    change: Array
+    states: list[Array]
+    own: list[Array]
+    gains: list[float]
+    predicted: float
+
+
+def _step(point: Point, damping: float) -> _Step:
+    """The step that the linearised problem asks for."""
     together, parts = point.gathered(damping)
     lower, upper = point.problem.varied.bounds
     reach = point.problem.varied.reach
@@ -175,26 +200,47 @@ def _step(point: Point, damping: float) -> tuple[Array, list[Array], float]:
         bounds = ((lower - point.x) * scale, (upper - point.x) * scale)
         bounds = (np.minimum(bounds[0], 0.0) - 1e-12, np.maximum(bounds[1], 0.0) + 1e-12)
         change = np.clip(lsq_linear(R / scale, together.R[:, -1], bounds).x / scale, lower - point.x, upper - point.x)
-    states, predicted = [], 0.0
+    states, own, gains = [], [], []
     for run, part, plain in zip(point.runs, parts, point.triangles, strict=True):
-        modal = part.solve(part.columns - change.size, change)
+        modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
         states.append(run.basis.states @ modal)
-        predicted += plain.decrease(np.concatenate([modal, change]))
+        own.append(run.basis.states @ alone)
+        gains.append(plain.decrease(np.concatenate([modal, change])))
     rows, wanted = point.problem.preferred(point.x)
-    predicted += float(wanted @ wanted - np.sum((wanted - rows @ change) ** 2))
-    return change, states, predicted
+    preferred = float(wanted @ wanted - np.sum((wanted - rows @ change) ** 2))
+    return _Step(change, states, own, gains, sum(gains) + preferred)
 
 
 def _length(point: Point, damping: float) -> float:
     """Of the step of the coordinates, in the lengths of the predictions' derivatives by each."""
-    return float(np.linalg.norm(point.gathered()[0].scale * _step(point, damping)[0]))
+    return float(np.linalg.norm(point.gathered()[0].scale * _step(point, damping).change))
 
 
-def _attempt(point: Point, change: Array, states: Sequence[Array]) -> Point | None:
+def _attempt(point: Point, step: _Step) -> Point | None:
     """The point a step further; None where a simulation diverges or the chain is none."""
-    moved = [run.state + by for run, by in zip(point.runs, states, strict=True)]
+    moved = [run.state + by for run, by in zip(point.runs, step.states, strict=True)]
     try:
         spreads = [run.start.spread for run in point.runs]
-        return _point(point.problem, point.x + change, moved, [run.state for run in point.runs], spreads)
+        trial = _point(point.problem, point.x + step.change, moved, [run.state for run in point.runs], spreads)
     except (SimulationDivergedError, InsufficientDataError):  # or it does not come to rest under its load
         return None
+    with contextlib.suppress(SimulationDivergedError):
+        return _nearer(point, step, trial)
+    return trial
+
+
+def _nearer(point: Point, step: _Step, trial: Point) -> Point:
+    """A trial whose recordings that stick or rattle begin nearer to where they did, if that follows them better.
+
+    The coordinates' part of a step holds for them, what it does to a state for its own sake often not.
+    """
+    missed = [
+        k
+        for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True))
+        if is_abrupt(run.arm.effects) and before.cost - run.cost < gain - _MISSED * abs(gain)
+    ]
+    runs = list(trial.runs)
+    found = run_nearer([runs[k] for k in missed], [step.own[k] for k in missed], point.problem.coarse)
+    for k, run in zip(missed, found, strict=True):
+        runs[k] = run
+    return replace(trial, runs=tuple(runs))

@@ -117,11 +117,6 @@ class Arm:
         return together
 
     @property
-    def is_abrupt(self) -> bool:
-        """Whether it may stick and slip, or rattle."""
-        return any(effect.abrupt for effect in self.effects)
-
-    @property
     def longest_step(self) -> float:
         """Time step that the effects allow [s]."""
         return min((effect.longest_step for effect in self.effects), default=np.inf)

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.effects.effect import is_abrupt
 from vjm.errors import SimulationDivergedError
 from vjm.experiment.records import Recording, Rig
 from vjm.simulate.arm import Arm
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 
 _MOST_ITERATIONS = 20
 _TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
+_IN_VAIN = 4  # steps that gain no more than that, after which none does where something held sticks or rattles
 _NEGLIGIBLE = 1e-2  # decrease of chi^2: what is left is a tenth of a standard deviation of the state
 
 
@@ -87,9 +89,14 @@ class _Search:
         self.damping = Damping()
         self.triangle: Triangle | None = None
         self.converged = False
+        self.gains = [np.inf] * _IN_VAIN
 
     def proposal(self) -> Array | None:
         """The next state to try; None once nothing is to be gained."""
+        held = self.run.observed.guide is not None and is_abrupt(self.run.arm.effects)
+        if held and sum(self.gains[-_IN_VAIN:]) < _TOLERANCE * self.run.cost:
+            self.converged = True  # slopes promise more than there is
+            return None
         if self.triangle is None:
             self.triangle = self.run.triangle()
         step = self.triangle.damped(self.damping.value).best()
@@ -105,7 +112,9 @@ class _Search:
 
     def judge(self, trial: Run | None) -> None:
         """Go there if it is better."""
-        if trial is not None and trial.cost < self.run.cost:
+        gain = 0.0 if trial is None else max(self.run.cost - trial.cost, 0.0)
+        self.gains.append(gain)
+        if trial is not None and gain > 0:
             self.run, self.triangle = trial.weighed(), None
             self.damping = self.damping.better()
         else:

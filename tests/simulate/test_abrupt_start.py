@@ -1,4 +1,4 @@
-"""Initial states of arms that hardly move, beside what sticks or rattles."""
+"""Initial states beside what sticks or rattles."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of
 from vjm.chain.records import Array
-from vjm.effects import Backlash, CoulombFriction, Effect
+from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
 from vjm.experiment.records import Kind, Recording
+from vjm.simulate.abrupt_start import run_nearer, run_or_stand, standing
 from vjm.simulate.arm import Arm
+from vjm.simulate.guide import Guide
+from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Arcs, Observed, view
-from vjm.simulate.run import Run, Start
+from vjm.simulate.run import Run, Start, run_all
 from vjm.simulate.steps import still
-from vjm.simulate.stillness import run_or_stand, standing
 
 GAP, ANGLE = 0.004, 0.3
 PLAY = Arm.of(chain_of(), [Backlash(link=0, gap=GAP)])
@@ -104,3 +106,38 @@ def test_effects_say_where_an_arm_stays() -> None:
     others = np.delete(np.arange(arm.chain.size), arm.chain.roots)
     assert np.array_equal(found[:, others], q[:, others])
     assert found[:, arm.chain.roots] == pytest.approx(np.clip(q[:, arm.chain.roots], -GAP / 2, GAP / 2))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 1.0])
+def test_a_recording_begins_with_as_much_of_a_change_as_follows_it_best(share: float) -> None:
+    state = np.concatenate([stands(STUCK), np.zeros(STUCK.chain.size)])
+    state[STUCK.chain.size] = 0.5
+    change = np.zeros(state.size)
+    change[STUCK.chain.size :] = 0.1
+    blank = seen_at(STUCK, stands(STUCK), 6, "driven")
+    start = Start.of(STUCK, blank.recording)
+    true = run_all([STUCK], [blank], [start], [state + share * change], 1.0)[0]
+    markers = view(STUCK, Arcs.of(RIG), true.steps, blank.recording.time)
+    theta = true.path[0][:, STUCK.chain.active]
+    observed = Observed.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
+    whole = run_all([STUCK], [observed], [start], [state + change], 1.0)[0]
+    found = run_nearer([whole], [change], 1.0)[0]
+    assert found.state == pytest.approx(state + share * change, abs=1e-12)
+    assert (found is whole) == (share == 1.0)
+
+
+@pytest.mark.parametrize("held", [True, False])
+@pytest.mark.parametrize("effect", [CoulombFriction(link=0, torque=0.008), ViscousFriction(link=0, coefficient=0.02)])
+def test_only_what_sticks_and_is_held_is_left_after_a_few_steps_in_vain(
+    monkeypatch: pytest.MonkeyPatch, effect: Effect, held: bool
+) -> None:
+    arm = Arm.of(chain_of(), [effect])
+    observed = seen_at(arm, stands(arm), 7, "driven")
+    if held:
+        observed = observed.held(Guide.of(observed.recording, arm.chain, NOISE[1], 1.0, 0.3))
+    moving = np.concatenate([stands(arm), np.full(arm.chain.size, 0.05)])
+    tried = []
+    monkeypatch.setattr("vjm.simulate.initial_state._attempts", lambda pending, coarse: tried.append(0) or [None])
+    ((run, _),) = most_likely([arm], [observed], [moving])
+    assert run.state is moving
+    assert (len(tried) == 4) == (held and effect.abrupt)
