@@ -9,8 +9,7 @@ from vjm.diagnosis.contract import CLAUSES, check_effect
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import EffectError
 
-SLOW = {"backlash", "coulomb_friction", "gear_elasticity", "hysteresis"}  # short steps, or many of a search's
-EVERY = [pytest.param(each, id=each.id, marks=[pytest.mark.slow] * (each.id in SLOW)) for each in BUILTIN]
+EVERY = [pytest.param(each, id=each.id) for each in BUILTIN]
 
 # Each with the clause it breaks and a part of what is said of it.
 BROKEN = [

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
-from tests.simulate.test_stillness import seen_at
+from tests.simulate.test_abrupt_start import seen_at
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.holding import can_be_held, freed, held, held_at_nominal, released, replayed
 from vjm.diagnosis.race import Patience
@@ -161,7 +161,28 @@ def test_what_cannot_be_told_apart_is_found_beside_what_was_only_ever_fitted_hel
     assert [rival.effect.id for rival in alternatives(found, search, best.effects[1], 1.0)] == ["encoder_offset"]
 
 
-@pytest.mark.slow
+@dataclass(frozen=True)
+class AnotherRotation(CameraRotation):
+    """What a turned camera shows, by another name."""
+
+    id = "another_rotation"
+
+
+def test_all_that_cannot_be_told_apart_is_found() -> None:
+    """The search itself ends once one explanation leaves nothing; what equals it must all be asked for."""
+    truth = CameraRotation(angle=0.006)
+    start = fitted(made((truth,), 10))
+    best = refit(start, (truth,))
+    assert best is not None
+    search = Search(
+        RIG, Beginning(start, start), [truth, EncoderOffset(), AnotherRotation()], Rules(), lambda text: None
+    )
+    search.trials.tried[best.names] = best
+    found = Found(best, search.judged(start), search.judged(best))
+    alike = {rival.effect.id for rival in alternatives(found, search, best.effects[0], 1.0)}
+    assert alike == {"encoder_offset", "another_rotation"}
+
+
 def test_the_search_holds_what_sticks_and_only_that() -> None:
     """Dry friction with an offset of the torque: both are named; viscous friction alone is found open loop."""
     effects = [CoulombFriction(), ViscousFriction(), LinearDrag(), TorqueOffset()]

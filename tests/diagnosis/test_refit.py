@@ -4,13 +4,32 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
+from vjm.diagnosis import refit as refits
+from vjm.diagnosis.extension import Extension
+from vjm.diagnosis.holding import held_at_nominal
 from vjm.diagnosis.refit import Explanation, refit
-from vjm.effects import ViscoelasticCreep
-from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.effects import (
+    CoulombFriction,
+    Effect,
+    GearElasticity,
+    InPlaneGravity,
+    TimeOffset,
+    ViscoelasticCreep,
+    ViscousFriction,
+)
+from vjm.errors import SimulationDivergedError
+from vjm.identification import trajectory_fit
+from vjm.identification.trajectory_fit import TrajectoryFit, _attempt, _Step
+from vjm.identification.trajectory_problem import Point
 from vjm.simulate.arm import Arm
+from vjm.simulate.run import Run
+
+Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -24,3 +43,82 @@ def test_a_time_constant_does_not_run_away(seed: int, time_constant: float) -> N
     assert far is not None
     assert near.point.misfit == pytest.approx(1.0, abs=0.03)
     assert far.chi2 == pytest.approx(near.chi2, abs=0.5)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -> None:
+    """Over whole recordings, a wrong stiffness soon swings in any phase, and a fit ends wherever it stands."""
+    truth = GearElasticity(link=0, stiffness=56.0)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=8.0)
+    start = held_at_nominal(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
+    assert start is not None
+    found = refit(start, [replace(truth, stiffness=10.0)])
+    assert found is not None
+    assert found.point.misfit == pytest.approx(1.0, abs=0.03)
+    assert found.effects[0].values["stiffness"] == pytest.approx(56.0, rel=0.015)
+
+
+@pytest.mark.parametrize(
+    ("gravity", "effect", "anew"),
+    [
+        (0.3, TimeOffset(delay=0.005), True),
+        (0.003, TimeOffset(delay=0.005), False),  # it lacks little
+        (0.3, CoulombFriction(link=0, torque=0.004), False),  # what sticks is found from wherever slopes lead
+        (0.3, None, False),  # nothing new
+    ],
+)
+def test_beside_what_lacks_much_a_held_search_begins_anew(
+    monkeypatch: pytest.MonkeyPatch, gravity: float, effect: Effect | None, anew: bool
+) -> None:
+    """At the nominal chain and with the recordings' beginnings: its own parameters may be any."""
+    recordings = recorded(Arm.of(chain_of(), (InPlaneGravity(gx=0.0, gy=gravity),)), 1)
+    held = held_at_nominal(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
+    assert held is not None
+    nominal = held.point.x
+    moved = replace(held, fit=replace(held.fit, point=replace(held.point, x=nominal + 0.01)))
+    begun: list[tuple[Array, float]] = []
+
+    def fit(problem: object, x: Array, *rest: object, known: float, **others: object) -> TrajectoryFit:
+        begun.append((x, known))
+        return held.fit
+
+    monkeypatch.setattr(refits, "fit_trajectory", fit)
+    refit(moved, () if effect is None else (effect,))
+    ((x, known),) = begun
+    assert x[: nominal.size] == pytest.approx(nominal if anew else nominal + 0.01)
+    assert known == (0.0 if anew else np.inf)
+
+
+@pytest.mark.parametrize(
+    ("effect", "nearer"),
+    [(CoulombFriction(link=0, torque=0.008), True), (ViscousFriction(link=0, coefficient=0.02), False)],
+)
+def test_what_sticks_begins_nearer_where_a_step_misses(effect: Effect, nearer: bool) -> None:
+    point, step, off = missing_step(effect)
+    trial = _attempt(point, step)
+    assert trial is not None
+    for run in trial.runs:
+        assert run.state == pytest.approx(np.zeros(off.size) if nearer else off)
+
+
+def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diverge(*anything: object) -> list[Run]:
+        raise SimulationDivergedError(0.1, 1e-3, "")
+
+    monkeypatch.setattr(trajectory_fit, "run_nearer", diverge)
+    point, step, off = missing_step(CoulombFriction(link=0, torque=0.008))
+    trial = _attempt(point, step)
+    assert trial is not None
+    for run in trial.runs:
+        assert run.state == pytest.approx(off)
+
+
+def missing_step(effect: Effect) -> tuple[Point, _Step, Array]:
+    """A right model, a step of its initial states alone that promises much, and that change of a state."""
+    arm = Arm.of(chain_of(), [effect])
+    point = point_of(chain_of(), [effect], recorded(arm, 1))
+    problem = replace(point.problem, extension=Extension(point.problem.parametrisation, (effect,)))
+    point = replace(point, problem=problem, x=np.concatenate([point.x, effect.coordinates]))
+    off = np.zeros(2 * arm.chain.size)
+    off[arm.chain.size] = 0.1
+    return point, _Step(np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0], 20.0), off

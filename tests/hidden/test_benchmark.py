@@ -106,7 +106,11 @@ def test_gain_is_measured_against_the_noise_that_was_drawn() -> None:
 def test_tables_say_what_happened() -> None:
     clean = record({}, "none"), record({}, "named", cause("backlash"))
     broken = {"key": "k", "suite": "everyday", "rig": "hub", "multiple": 0.0, "truth": [], "error": "ValueError: no"}
-    text = report([RIGHT, WRONG, SET, UNKNOWN, *clean, broken])
+    made = [each | {"made": "today, abc1234", "seed": seed} for each, seed in ((RIGHT, 1), (WRONG, 2), (SET, 5))]
+    other = [each | {"made": "later", "seed": 7} for each in (UNKNOWN, *clean, broken)]
+    text = report([*made, *other])
+    assert "| today, abc1234 | everyday | 1 to 2, 5 | 3 | 2/3 |" in text
+    assert "| later | everyday | 7 | 4 | 1/3 |" in text
     assert "| right class named first | 2/4 = 50.0 % (15.0 to 85.0) |" in text
     assert "| false alarms, hub rig | 1/2 = 50.0 % (9.5 to 90.5) |" in text
     assert "| one wrong name alone | 1/4 = 25.0 % (4.6 to 69.9) |" in text

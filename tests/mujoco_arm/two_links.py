@@ -28,7 +28,7 @@ MARKERS = [0.125, 0.25, 0.375, 0.5]  # ends of segments
 DURATION, RATE, FRAME_RATE = 4, 500, 100  # s, samples per second
 MARKER_NOISE, ENCODER_NOISE = 3e-4, 1e-4  # m, rad
 # With 32 segments, markers are then within 4e-6 m of the converged motion.
-MAX_STEP = 2e-4
+MAX_STEP = 4e-4
 
 
 class Sine(NamedTuple):

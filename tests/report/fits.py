@@ -208,7 +208,7 @@ def two_link_experiment() -> Experiment:
 
 
 def _drive(rig: Rig, number: int) -> Recording:
-    time = np.arange(0, 3.0, 0.01)
+    time = np.arange(0, 1.5, 0.01)
     swing = np.array([0.4, 0.1]) * np.sin(2 * np.pi * (0.8 + 0.3 * number) * time)[:, None]
     blank = Recording(
         f"drive_{number}.csv",

@@ -88,7 +88,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     search = replace(search, observed=observed, rough=fit.point.misfit > _ROUGH)
     fit = search.near(joints, fit)
     found = coarseness(fit.point, experiment.rig) if fit.point.misfit < CLOSE else None
-    others = tuple(_prepared(each, size, noise) for each in changed)
+    others = tuple(_prepared(_trimmed(fit.point, each), size, noise) for each in changed)
     return Base(corrected(fit, found), noise, others, (*problems, *more), found)
 
 
@@ -124,6 +124,11 @@ def _followed(point: Point, observed: Sequence[Observed]) -> list[Run]:
         except SimulationDivergedError:
             continue
     return found
+
+
+def _trimmed(point: Point, observed: Observed) -> Observed:
+    """A further recording without outliers, as far as the model of a fit can be simulated there."""
+    return next((trimmed(run) for run in _followed(point, [observed])), observed)
 
 
 def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Observed:

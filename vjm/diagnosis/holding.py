@@ -13,6 +13,7 @@ from vjm.diagnosis.race import Patience
 from vjm.diagnosis.refit import Explanation, refit
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 from vjm.simulate.guide import Guide
 from vjm.simulate.initial_state import most_likely
 from vjm.simulate.observation import Observed
@@ -39,13 +40,9 @@ def held(explanation: Explanation) -> Explanation | None:
 
     A fit of recordings that it could not follow may have ended anywhere: the nominal chain is a start as well.
     """
-    point = explanation.point
-    chain = _nominal(explanation)
-    runs = tuple(replace(run, observed=_guided(run.observed, chain)) for run in point.runs)
-    problem = replace(point.problem, observed=tuple(run.observed for run in runs))
-    nominal = problem.parametrisation.start
-    best = None
-    for x in (np.concatenate([nominal, point.x[nominal.size :]]), point.x):
+    point, (problem, nominal), best = explanation.point, _held_problem(explanation), None
+    runs = tuple(replace(run, observed=each) for run, each in zip(point.runs, problem.observed, strict=True))
+    for x in (nominal, point.x):
         start = replace(explanation.fit, point=replace(point, problem=problem, x=x, runs=runs))
         patience = Patience(np.inf, np.inf if best is None else best.chi2)
         found = refit(replace(explanation, fit=start), explanation.effects, patience)
@@ -56,15 +53,12 @@ def held(explanation: Explanation) -> Explanation | None:
 
 def held_at_nominal(explanation: Explanation) -> Explanation | None:
     """The same with nothing fitted but initial states, at the nominal chain; None where that cannot be simulated."""
-    point, chain = explanation.point, _nominal(explanation)
-    observed = tuple(_guided(run.observed, chain) for run in point.runs)
-    problem, nominal = replace(point.problem, observed=observed), point.problem.parametrisation.start
-    x = np.concatenate([nominal, point.x[nominal.size :]])
+    problem, x = _held_problem(explanation)
     try:
-        runs = tuple(run for run, _ in most_likely(problem.arms(x), observed, coarse=problem.coarse))
+        found = most_likely(problem.arms(x), problem.observed, coarse=problem.coarse)
     except (InsufficientDataError, SimulationDivergedError):
         return None
-    return Explanation(TrajectoryFit(replace(point, problem=problem, x=x, runs=runs), False, 0))
+    return Explanation(TrajectoryFit(Point(problem, x, tuple(run for run, _ in found)), False, 0))
 
 
 def released(explanation: Explanation, free: Explanation) -> Explanation | None:
@@ -120,6 +114,14 @@ def replayed(
     return [
         (run, found) for (run, _), found in zip(most_likely(arms, observed, states, coarse, _FEW), known, strict=True)
     ]
+
+
+def _held_problem(explanation: Explanation) -> tuple[TrajectoryProblem, Array]:
+    """The same recordings, held, and the coordinates (p,) with the nominal chain's."""
+    point, chain = explanation.point, _nominal(explanation)
+    start = point.problem.parametrisation.start
+    observed = tuple(_guided(run.observed, chain) for run in point.runs)
+    return replace(point.problem, observed=observed), np.concatenate([start, point.x[start.size :]])
 
 
 def _guided(observed: Observed, chain: Chain) -> Observed:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from vjm.diagnosis.refit import Explanation, refit, sized
 from vjm.diagnosis.screen import Screen
 from vjm.effects import Effect
+from vjm.effects.effect import is_abrupt
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
 
 Array = NDArray[np.float64]
@@ -19,11 +20,13 @@ OFF = 3.0  # misfit from which an explanation does not follow the recordings
 _NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which an explanation may be best in the end
 _EXPLAINED = 1.1  # misfit of what explains them
 _LITTLE = 2.0  # the same of whole recordings, before a fit has ended
+_REST = 1e-3  # of the chi^2 beyond noise, if more was explained at a stroke
 _KEPT = 4  # explanations that are followed where none does
 FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
 _MOST_FIRST_STEPS = 6  # the same as long as the next one promises much
 _MUCH = 0.1  # of chi^2
 _STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
+_ABRUPT_GAINED = 0.998  # the same where something sticks or rattles: such a fit creeps to its end
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
 # Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
 _DONE = ((1.5, 1e-2), (1.01, 1e-3))
@@ -79,20 +82,38 @@ def is_short(explanation: Explanation, whole: float) -> bool:
     return explanation.point.problem.longest < whole
 
 
-def near_noise(begun: Explanation, whole: float) -> bool:
-    """Whether so little is left that its fit is worth ending before others are tried."""
-    return begun.point.misfit < (_EXPLAINED if is_short(begun, whole) or begun.is_held else _LITTLE)
+def near_noise(begun: Explanation, whole: float, fewer: Explanation) -> bool:
+    """Whether so little is left that its fit is worth ending before others are tried.
+
+    Args:
+        begun: the fit.
+        whole: duration of the longest recording [s].
+        fewer: the best with fewer effects.
+    """
+    short = is_short(begun, whole)
+    little = begun.point.misfit < (_EXPLAINED if short or begun.is_held else _LITTLE)
+    return little or (not short and explains_nearly_all(begun, fewer))
+
+
+def explains_nearly_all(explanation: Explanation, fewer: Explanation) -> bool:
+    """Whether it leaves next to nothing of what another with fewer effects lacked: what is left is for further ones."""
+    lacked, lacks = (max(each.point.misfit**2 - 1.0, 0.0) for each in (fewer, explanation))
+    return explanation.point.misfit < _LITTLE and lacks < _REST * lacked
 
 
 def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:
-    """The best first; of those that were tried on the recordings' beginnings, the ones that may be best in the end."""
+    """The best first; of those that were tried on the recordings' beginnings, the ones that may be best in the end.
+
+    Of those that were tried from afar and follow nothing, a few.
+    """
     ordered = sorted(begun, key=lambda each: each.chi2)
     short = [each for each in ordered if is_short(each, whole)]
     if short:
         best = short[0].point.misfit
         near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in short)
         short = short[: near if best < _EXPLAINED else _KEPT]
-    return [*(each for each in ordered if not is_short(each, whole)), *short]
+    long = [each for each in ordered if not is_short(each, whole)]
+    return [*(long if not long or long[0].follows else long[:_KEPT]), *short]
 
 
 def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Explanation | None:
@@ -103,15 +124,21 @@ def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Exp
         record: chi^2 of the best so far.
         whole: all of the recordings.
     """
-    short = is_short(begun, whole.longest)
+    short, abrupt = is_short(begun, whole.longest), is_abrupt(begun.effects)
     if begun.fit.converged and not short:
         return begun
-    return refit(
-        begun,
-        begun.effects,
-        Patience(np.inf, record, is_abrupt(begun.effects)),
-        whole=whole if short else None,
-    )
+    if not short and is_hopeless(begun, record):
+        return begun
+    patience = Patience(np.inf, record, abrupt, _ABRUPT_GAINED if abrupt else _GAINED)
+    return refit(begun, begun.effects, patience, whole=whole if short else None)
+
+
+def is_hopeless(begun: Explanation, record: float) -> bool:
+    """Whether what another step promises, if that is known, is far from a record (chi^2).
+
+    A fit that does not follow the recordings begins again with their beginnings, where more may be promised.
+    """
+    return begun.follows and Patience(np.inf, record)(begun.point, begun.fit.promised)
 
 
 class Patience:
@@ -152,8 +179,3 @@ class Patience:
         slow = self.abrupt or point.misfit > OFF
         stuck = slow and len(self.seen) > _STUCK and point.chi2 > self.enough * self.seen[-_STUCK]
         return len(self.seen) > steps or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
-
-
-def is_abrupt(effects: Sequence[Effect]) -> bool:
-    """Whether something sticks and slips."""
-    return any(effect.abrupt for effect in effects)

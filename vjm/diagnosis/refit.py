@@ -12,18 +12,21 @@ from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
 from vjm.diagnosis.extension import Extension, adds_joint
-from vjm.effects.effect import Effect, Key
+from vjm.effects.effect import Effect, Key, is_abrupt
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit, first_horizon, fit_trajectory
 from vjm.identification.trajectory_problem import Point, TrajectoryProblem
+from vjm.simulate.initial_state import most_likely
 from vjm.simulate.run import transferred
 
 Array = NDArray[np.float64]
 Names = frozenset[Key]
 
 ADRIFT = 4.0  # misfit of a start that does not follow the recordings for long
+_ASTRAY = 1.5  # the same of one that was held
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
 _ABRUPT_START = 0.5  # of what sticks or rattles: much smaller than the motion, it does nothing that slopes show
+_BEGINNINGS = 3.0  # times the first periods: long enough to tell explanations apart where nothing is a guide
 _LEAST_START = 0.1  # of a joint: one that is nearly rigid says little of which way to go
 
 
@@ -73,6 +76,11 @@ class Explanation:
         return self.point.problem.guided
 
     @property
+    def follows(self) -> bool:
+        """Whether its simulations keep step with the recordings to their ends, as held ones do whatever they lack."""
+        return self.is_held or self.point.misfit <= ADRIFT
+
+    @property
     def everywhere(self) -> int:
         """Number of its effects that act in the reference recordings too."""
         return self.extension.everywhere
@@ -107,8 +115,8 @@ def refit(
     """
     base = start.point.problem.parametrisation
     extension = Extension(base, tuple(effects), start.everywhere)
-    x = np.concatenate([start.point.x[: len(base.coordinates)], *(effect.coordinates for effect in effects)])
-    x = np.clip(x, *extension.bounds)
+    chain = base.start if _is_astray(start, effects) else start.point.x[: len(base.coordinates)]
+    x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *extension.bounds)
     problem = replace(whole or start.point.problem, extension=extension)
     arms = problem.arms(x)
     states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
@@ -125,12 +133,26 @@ def refit(
 
 
 def _followed(start: Explanation, effects: Sequence[Effect]) -> float:
-    """How long an explanation is known to follow the recordings [s], with further effects."""
-    if start.is_held:
-        return np.inf
-    # What sticks and slips is found from the recordings' beginnings.
+    """How long an explanation is known to follow the recordings [s], with other effects."""
     new = [each for each in effects if each.key not in start.names]
-    return 0.0 if start.point.misfit > ADRIFT or any(each.abrupt for each in new) else np.inf
+    gone = [each for each in start.effects if each.key not in named(effects)]
+    # A joint more swings many times in a recording: with a wrong frequency, soon in any phase.
+    if any(adds_joint(each, start.point.chain) and not each.abrupt for each in (*new, *gone)):
+        return 0.0
+    if _is_astray(start, effects):
+        return 0.0
+    # Nor open loop can what sticks and slips be found but from there.
+    sticking = any(each.abrupt for each in new) and not start.is_held
+    return np.inf if start.follows and not sticking else 0.0
+
+
+def _is_astray(start: Explanation, effects: Sequence[Effect]) -> bool:
+    """Whether a fit that was held lacks so much that its chain may be any, and others had better begin at the nominal.
+
+    Held, no joint drifts, but a chain of wrong frequencies is soon in any phase too.
+    """
+    more = start.names != named(effects)
+    return more and start.is_held and start.point.misfit > _ASTRAY and not is_abrupt((*start.effects, *effects))
 
 
 def shortened(explanation: Explanation) -> Explanation:
@@ -151,10 +173,18 @@ def shortened(explanation: Explanation) -> Explanation:
     return Explanation(min(fits, key=lambda each: each.point.chi2))
 
 
+def of_beginnings(explanation: Explanation) -> Explanation:
+    """The same parameters beside the recordings' beginnings, from their most likely initial states there."""
+    point = explanation.point
+    part = point.problem.until(_BEGINNINGS * first_horizon(point.problem, point.x))
+    found = most_likely(part.arms(point.x), part.observed, [run.state for run in point.runs], part.coarse)
+    return Explanation(TrajectoryFit(Point(part, point.x, tuple(run for run, _ in found)), False, 0))
+
+
 def sized(effect: Effect, guess: Array, chain: Chain) -> Effect:
     """An effect of a guessed size (s,), in everyday sizes, to be fitted beside a chain."""
     found = effect.coordinates
-    least = _LEAST_START if adds_joint(effect, chain) else -_LARGEST_START
-    least = _ABRUPT_START if effect.abrupt else least
+    rigid = _LEAST_START if adds_joint(effect, chain) else -_LARGEST_START
+    least = _ABRUPT_START if effect.abrupt else rigid
     found[: effect.sizes] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(found, *effect.bounds))

@@ -230,24 +230,28 @@ def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[A
     where it moves nothing, beside a wrong fit.
     """
     null = [run.residual for run in point.runs]
+    sizes = [_unit(variant, 0, size) for size in (_JOINT_STEP, 2 * _JOINT_STEP)]
     try:
-        one, two = (_residuals(point, present, _unit(variant, 0, size)) for size in (_JOINT_STEP, 2 * _JOINT_STEP))
+        one, two = _residuals(point, present, sizes)
     except SimulationDivergedError:
         return [np.full(each.size, np.inf) for each in null]
     return [(3 * r0 - 4 * r1 + r2) / (2 * _JOINT_STEP) for r0, r1, r2 in zip(null, one, two, strict=True)]
 
 
-def _residuals(point: Point, present: Sequence[Effect], added: Effect) -> list[Array]:
-    """For each recording, (N,) whitened residuals with a further effect, all else as it is."""
-    extended = Arm.of(point.chain, (*present, added))
+def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect]) -> list[list[Array]]:
+    """For each further effect and each recording, (N,) whitened residuals with it, all else as it is."""
     arms, states, starts = [], [], []
-    for run in point.runs:
-        absent = run.observed.recording.condition == REFERENCE
-        arms.append(run.arm if absent else extended)
-        states.append(run.state if absent else transferred(run.chain, extended.chain, run.state))
-        starts.append(Start.of(arms[-1], run.observed.recording))
-    runs = run_all(arms, [run.observed for run in point.runs], starts, states, point.problem.coarse)
-    return [run.residual for run in runs]
+    for effect in added:
+        extended = Arm.of(point.chain, (*present, effect))
+        for run in point.runs:
+            absent = run.observed.recording.condition == REFERENCE
+            arms.append(run.arm if absent else extended)
+            states.append(run.state if absent else transferred(run.chain, extended.chain, run.state))
+            starts.append(Start.of(arms[-1], run.observed.recording))
+    count = len(point.runs)
+    observed = [run.observed for run in point.runs] * len(added)
+    found = [run.residual for run in run_all(arms, observed, starts, states, point.problem.coarse)]
+    return [found[first : first + count] for first in range(0, len(found), count)]
 
 
 class _Rows:

@@ -11,17 +11,19 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
-from vjm.diagnosis.race import Job, is_abrupt, proposal
+from vjm.diagnosis.race import Job, proposal
 from vjm.diagnosis.refit import Explanation, named, sized
 from vjm.diagnosis.screen import screen
 from vjm.diagnosis.trials import COARSE, NOISE, Tell, Trials
 from vjm.effects import Effect
-from vjm.effects.effect import Key
+from vjm.effects.effect import Key, is_abrupt
 from vjm.experiment.records import Rig
 
 Array = NDArray[np.float64]
 Step = tuple[Explanation, Sequence[int]]
 
+# Of what something that sticks or rattles explains, the share that a good fit may leave: impacts are not exact.
+_ABRUPT_LEAVES = 0.001
 _BEST = 8  # candidates refitted a round
 FEW = 3  # of them, among which what sticks and slips must be beside other effects
 _PAIRS = 4  # pairs refitted that no single step leads to
@@ -171,7 +173,7 @@ class Search:
         for effect in explanation.effects:
             if effect.abrupt:
                 without = self.trials.tried.get(explanation.names - {effect.key}, self.start)
-                least = max(least, effect.leaves * (self.trials.footing(without).chi2 - footing.chi2))
+                least = max(least, _ABRUPT_LEAVES * (self.trials.footing(without).chi2 - footing.chi2))
         return least
 
     def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
@@ -179,7 +181,7 @@ class Search:
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            job = proposal(self.trials.footing(start), seen, chosen, self.trials.from_afar(start))
+            job = proposal(self.trials.origin(start), seen, chosen, self.trials.from_afar(start))
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
         self.trials.fit(jobs)
@@ -203,10 +205,10 @@ class Search:
         if new and start.names == names:
             footing = trials.footing(start)
             seen = screen(footing.point, footing.effects, new)
-            trials.fit([proposal(footing, seen, [k], trials.from_afar(start)) for k in range(len(new))])
+            trials.fit([proposal(footing, seen, [k], trials.from_afar(start)) for k in range(len(new))], every=True)
         elif new:  # the others were never fitted without the cause
             chain = best.point.chain
-            trials.fit([Job(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()])
+            trials.fit([Job(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()], every=True)
 
     def _apart(
         self, family: Family, first: Family, best: Explanation, steps: Sequence[Step]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from vjm.diagnosis.holding import can_be_held, held, held_at_nominal, released
-from vjm.diagnosis.race import is_abrupt
 from vjm.diagnosis.refit import ADRIFT, Explanation, Names
 from vjm.diagnosis.search import FEW, Found, Search
+from vjm.effects.effect import is_abrupt
 
 
 def whole_search(search: Search, begun: Found) -> tuple[Search, Found]:

@@ -17,22 +17,24 @@ from vjm.diagnosis.race import (
     Job,
     Patience,
     begun_with,
+    explains_nearly_all,
     finished,
-    is_abrupt,
+    is_hopeless,
     is_short,
     near_noise,
     promising,
 )
-from vjm.diagnosis.refit import ADRIFT, Explanation, Names, named, refit, shortened
+from vjm.diagnosis.refit import Explanation, Names, named, of_beginnings, refit, shortened
 from vjm.effects import Effect
+from vjm.effects.effect import is_abrupt
 from vjm.experiment.records import Rig
 from vjm.identification.trajectory_problem import TrajectoryProblem
 
 Array = NDArray[np.float64]
 NOISE = 1.02  # misfit that leaves nothing to explain
-_POLISHED = 0.998  # share of chi^2 that some steps leave where something sticks or rattles and no more is to be gained
 COARSE = 1.15  # the same as long as the chain's coarseness is not known; what leaves more is not the end of a search
 Tell = Callable[[str], None]
+Enough = Callable[[Sequence[Explanation]], bool]
 
 
 class Trials:
@@ -60,10 +62,18 @@ class Trials:
 
     def footing(self, explanation: Explanation) -> Explanation:
         """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
-        if self.from_afar(explanation) or explanation.is_held or explanation.point.misfit < ADRIFT:
+        if self.from_afar(explanation) or explanation.follows:
             return explanation
         if explanation.names not in self._footings:
             self._footings[explanation.names] = shortened(explanation)
+        return self._footings[explanation.names]
+
+    def origin(self, explanation: Explanation) -> Explanation:
+        """Where fits with further effects begin: where slopes tell what is missing; from afar, the beginnings."""
+        if not self.from_afar(explanation):
+            return self.footing(explanation)
+        if explanation.names not in self._footings:
+            self._footings[explanation.names] = of_beginnings(explanation)
         return self._footings[explanation.names]
 
     def from_afar(self, explanation: Explanation) -> bool:
@@ -75,8 +85,14 @@ class Trials:
         found = [each for each in self.tried.values() if len(each.effects) == count]
         return min(found, key=lambda each: each.chi2, default=None)
 
-    def fit(self, jobs: Sequence[Job]) -> None:
-        """A few steps for each; then to the end for those that may be the best, the most promising first."""
+    def fit(self, jobs: Sequence[Job], every: bool = False) -> None:
+        """A few steps for each; then to the end for those that may be the best, the most promising first.
+
+        Args:
+            jobs: refits to try.
+            every: whether to try others once one leaves nothing, which may leave as little.
+        """
+        enough = _never if every else self._explained
         wanted = {named(job.effects): job for job in jobs}
         wanted = {names: job for names, job in wanted.items() if names not in self.tried}
         self.tell("trying " + ", ".join(sorted({name for names in wanted for name, _ in names})))
@@ -90,12 +106,13 @@ class Trials:
             found = self._map(partial(begun_with, whole=whole.longest), together)
             new = [each for each in found if each is not None]
             begun += new
-            if self._explained(self._finish([each for each in new if near_noise(each, whole.longest)], whole)):
+            near = [each for each in new if near_noise(each, whole.longest, self._fewer(each))]
+            if enough(self._finish(near, whole, enough)):
                 return
         rest = [each for each in promising(begun, whole.longest) if each.names not in self.tried]
-        self._finish(rest, whole)
+        self._finish(rest, whole, enough)
 
-    def _finish(self, begun: Sequence[Explanation], whole: TrajectoryProblem) -> list[Explanation]:
+    def _finish(self, begun: Sequence[Explanation], whole: TrajectoryProblem, enough: Enough) -> list[Explanation]:
         """Fits to their end, as long as they may be the best of so many effects."""
         known = [each.chi2 for each in self.tried.values() if begun and len(each.effects) == len(begun[0].effects)]
         record = min([*known, *(each.chi2 for each in begun if not is_short(each, whole.longest))], default=np.inf)
@@ -106,7 +123,7 @@ class Trials:
             found = self._map(partial(finished, record=record, whole=whole), together)
             ended += [each for each in found if each is not None]
             self.tried |= {each.names: each for each in ended}
-            if self._explained(ended):
+            if enough(ended):
                 break  # nothing can be better, and what equals it is asked for in the end
             record = min([record, *(each.chi2 for each in ended)])
         return ended
@@ -136,7 +153,8 @@ class Trials:
         steps = FIRST_STEPS if far else np.inf
         found = refit(explanation, kept, Patience(steps, record, is_abrupt(kept)))
         if far and known is not None and found is not None and found.chi2 < known.chi2:
-            found = refit(found, kept, Patience(np.inf, record, is_abrupt(kept)))
+            patience = Patience(np.inf, record, is_abrupt(kept))
+            found = found if is_hopeless(found, record) else refit(found, kept, patience)
         if found is None or (known is not None and names not in self.stale and known.chi2 < found.chi2):
             return known
         self.tried[names] = found
@@ -144,9 +162,15 @@ class Trials:
         return self.tried[names]
 
     def _explained(self, explanations: Sequence[Explanation]) -> bool:
-        """Whether one of them leaves nothing but noise, and what the chain's coarseness may."""
+        """Whether one of them leaves nothing but noise, and what the chain's coarseness may; or next to nothing."""
         least = COARSE if self.surplus is None else NOISE
-        return any(each.point.misfit < least for each in explanations)
+        return any(each.point.misfit < least or explains_nearly_all(each, self._fewer(each)) for each in explanations)
+
+    def _fewer(self, explanation: Explanation) -> Explanation:
+        """The best with fewer effects."""
+        count = len(explanation.effects)
+        found = [each for each in self.tried.values() if len(each.effects) < count]
+        return min(found, key=lambda each: each.chi2, default=self.start)
 
     def refresh(self, wanted: Sequence[Names]) -> None:
         """Fit again what was fitted before the chain's coarseness was known."""
@@ -161,10 +185,9 @@ class Trials:
         """Fitted to the very end, unless that is of no use."""
         if explanation.fit.converged or explanation.point.misfit > COARSE:
             return explanation
-        if explanation.is_held and not is_abrupt(explanation.effects):
-            return explanation  # it is fitted open loop in the end
-        patience = Patience(np.inf, abrupt=True, enough=_POLISHED) if is_abrupt(explanation.effects) else None
-        found = refit(explanation, explanation.effects, patience)
+        if explanation.is_held or is_abrupt(explanation.effects):
+            return explanation  # it is fitted open loop in the end, or was fitted as far as that leads anywhere
+        found = refit(explanation, explanation.effects)
         if found is None or found.chi2 > explanation.chi2:
             return explanation
         self.tried[found.names] = found
@@ -202,3 +225,7 @@ class Trials:
         if self.executor is None or len(jobs) < 2:
             return [work(job) for job in jobs]
         return [*self.executor.map(work, jobs)]
+
+
+def _never(explanations: Sequence[Explanation]) -> bool:
+    return False
