@@ -73,20 +73,20 @@ def _true(truth: Truth) -> Result:
     return {"truth": effects, "noise_rms": truth.noise_rms, "right_rms": truth.right_rms, "beam": asdict(truth.beam)}
 
 
-def read(file: Path) -> tuple[list[Result], list[Result]]:
-    """Headers, and records of finished cases, the last one of each; a line that was cut short is left out."""
-    headers: list[Result] = []
+def read(file: Path) -> list[Result]:
+    """Records of finished cases, the last one of each, with when and where it was made; a cut line is left out."""
     records: dict[str, Result] = {}
+    made = ""
     for line in file.read_text(encoding="utf-8").splitlines() if file.exists() else []:
         try:
             found = json.loads(line)
         except ValueError:
             continue
         if "key" in found:
-            records[found["key"]] = found
+            records[found["key"]] = found | {"made": made}
         else:
-            headers.append(found)
-    return headers, list(records.values())
+            made = f"{found['date']}, {found['commit']}, {found['machine']}"
+    return list(records.values())
 
 
 def append(file: Path, line: Mapping[str, Any]) -> None:
@@ -124,7 +124,7 @@ def finish(cases: Sequence[Case], arguments: argparse.Namespace, how: Diagnose) 
         [case for case in cases if not case.multiple],
         [case for case in cases if case.multiple],
     ):
-        records = {record["key"]: record for record in read(arguments.out)[1]}
+        records = {record["key"]: record for record in read(arguments.out)}
         pending = [case for case in wave if "result" not in records.get(case.key, {})]
         tasks = [(case, _smallest(case, records), how, arguments.keep) for case in pending]
         for count, record in enumerate(_results(tasks, arguments.jobs), 1):
@@ -175,9 +175,7 @@ def main(words: Iterable[str] | None = None, how: Diagnose = diagnose) -> None:
         append(arguments.out, header(arguments))
         finish(cases, arguments, how)
     wanted = {case.key for case in cases if case.suite in arguments.suites}
-    headers, records = read(arguments.out)
-    lines = dict.fromkeys(f"{each['date']}, {each['commit']}, {each['machine']}" for each in headers)
-    text = "\n".join([*lines, "", report([record for record in records if record["key"] in wanted])])
+    text = report([record for record in read(arguments.out) if record["key"] in wanted])
     print(text)
     arguments.out.with_suffix(".md").write_text(text, encoding="utf-8")
 

@@ -32,7 +32,36 @@ def report(records: Sequence[Record]) -> str:
     """All suites that have records, one after another."""
     suites = dict.fromkeys(record["suite"] for record in records)
     sections = [_section(suite, [record for record in records if record["suite"] == suite]) for suite in suites]
-    return "\n\n".join([_times(records), *sections]) + "\n"
+    return "\n\n".join([_runs(records), _times(records), *sections]) + "\n"
+
+
+def _runs(records: Sequence[Record]) -> str:
+    """What was diagnosed when, on which commit, and what came out of it."""
+    runs: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        runs.setdefault((record.get("made", ""), record["suite"]), []).append(record)
+    rows = [
+        (made, suite, _seeds(run), str(len(run)), _right(suite, usable(run)), middle(r["seconds"] for r in usable(run)))
+        for (made, suite), run in runs.items()
+    ]
+    return _table(("made", "suite", "seeds", "cases", "right", "s"), rows)
+
+
+def _seeds(records: Sequence[Record]) -> str:
+    """Seeds, those in a row as a range."""
+    seeds = sorted({int(record["seed"]) for record in records})
+    starts = [seed for seed in seeds if seed - 1 not in seeds]
+    ends = [seed for seed in seeds if seed + 1 not in seeds]
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in zip(starts, ends, strict=True))
+
+
+def _right(suite: str, records: Sequence[Record]) -> str:
+    """How many were told rightly: what was hidden and nothing else; where it is not in the list, that it is unknown."""
+    right = [
+        not alarmed(record) if not record["truth"] else flagged(record) if suite == "missing" else all_right(record)
+        for record in records
+    ]
+    return f"{sum(right)}/{len(right)}"
 
 
 def _section(suite: str, records: Sequence[Record]) -> str:
