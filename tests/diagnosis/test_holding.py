@@ -158,7 +158,9 @@ def test_what_cannot_be_told_apart_is_found_beside_what_was_only_ever_fitted_hel
     search = Search(RIG, Beginning(start, start), effects, Rules(), lambda text: None)
     search.trials.tried[best.names] = best
     found = Found(best, search.judged(start), search.judged(best))
-    assert [rival.effect.id for rival in alternatives(found, search, best.effects[1], 1.0)] == ["encoder_offset"]
+    assert [rival.effect.id for rival in alternatives(found, search, best.effects[1:2], 1.0)[best.effects[1].key]] == [
+        "encoder_offset"
+    ]
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ def test_all_that_cannot_be_told_apart_is_found() -> None:
     )
     search.trials.tried[best.names] = best
     found = Found(best, search.judged(start), search.judged(best))
-    alike = {rival.effect.id for rival in alternatives(found, search, best.effects[0], 1.0)}
+    alike = {rival.effect.id for rival in alternatives(found, search, best.effects[:1], 1.0)[best.effects[0].key]}
     assert alike == {"encoder_offset", "another_rotation"}
 
 

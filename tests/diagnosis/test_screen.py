@@ -12,7 +12,7 @@ from scipy import stats
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.records import Chain
 from vjm.diagnosis.candidates import Family, looked_for
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.directions import screen
 from vjm.effects import (
     CameraRotation,
     CameraScale,

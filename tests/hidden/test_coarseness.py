@@ -9,7 +9,7 @@ import vjm
 from tests.hidden.conftest import Plant
 from vjm.diagnosis.base import base_fit
 from vjm.diagnosis.coarseness import beside
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.directions import screen
 from vjm.effects import CubicStiffness
 from vjm.identification.trajectory_problem import Point
 

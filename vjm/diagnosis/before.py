@@ -10,6 +10,7 @@ from vjm.diagnosis.beginning import LACKING, Beginning
 from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.search import Found, Rules, Search
+from vjm.diagnosis.workers import Workers
 from vjm.effects import Effect
 from vjm.experiment.records import REFERENCE, Rig
 from vjm.identification.trajectory_problem import Point
@@ -17,7 +18,9 @@ from vjm.identification.trajectory_problem import Point
 _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
 
 
-def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callable[[str], None]) -> Explanation:
+def already_there(
+    base: Base, effects: Sequence[Effect], rig: Rig, tell: Callable[[str], None], workers: Workers
+) -> Explanation:
     """The model of the reference recordings, with the effect that explains much of them, if one does.
 
     Args:
@@ -25,12 +28,13 @@ def already_there(base: Base, effects: Sequence[Effect], rig: Rig, tell: Callabl
         effects: what to look for.
         rig: the arm.
         tell: told what is being done.
+        workers: share the work.
     """
     if not base.others or base.point.misfit < LACKING:
         return base.plain
     start = Explanation(replace(base.fit, point=_as(base.point, None)))
     smooth = [effect for effect in effects if not effect.abrupt]
-    search = Search(rig, Beginning(start, start), smooth, _MUCH, tell)
+    search = Search(rig, Beginning(start, start), smooth, _MUCH, tell, workers)
     best = search.run(Found.nothing(start, search.judged(start))).best
     if not best.effects:
         return base.plain

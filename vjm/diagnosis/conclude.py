@@ -62,7 +62,7 @@ def conclude(
     search.tell("asking what cannot be told apart")
     # What does not follow the recordings is no explanation that others could equal.
     asked = new if best.point.misfit < OFF else ()
-    rivals = {each.key: alternatives(found, search, each, scale) for each in asked}
+    rivals = alternatives(found, search, asked, scale)
     information, _ = of_trajectory(best.fit, True)
     causes = _causes(search, found, rivals, covariance(information))
     search.tell("replaying the recordings")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.records import Chain
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.directions import screen
 from vjm.effects.effect import Effect, Motion, inner, size
 from vjm.experiment.records import Rig
 from vjm.identification.trajectory_problem import Point

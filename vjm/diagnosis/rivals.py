@@ -7,12 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.diagnosis.directions import directions
 from vjm.diagnosis.race import ALIKE
 from vjm.diagnosis.records import Rival
-from vjm.diagnosis.refit import Explanation, named
-from vjm.diagnosis.screen import Screen, one_each, screen
+from vjm.diagnosis.refit import Explanation
+from vjm.diagnosis.screen import Screen, one_each
 from vjm.diagnosis.search import Found, Search
 from vjm.effects import Effect
+from vjm.effects.effect import Key
 
 Array = NDArray[np.float64]
 
@@ -21,30 +23,49 @@ _ALIKE = 0.5  # cosine from which what is slow to try is tried
 _NEAR = 5.0  # times the tolerance that a linear guess may be off
 
 
-def alternatives(found: Found, search: Search, cause: Effect, scale: float) -> tuple[Rival, ...]:
-    """Effects that explain the recordings as well as one of the causes.
+def alternatives(found: Found, search: Search, causes: Sequence[Effect], scale: float) -> dict[Key, tuple[Rival, ...]]:
+    """For each cause, effects that explain the recordings as well when they take its place.
 
     Args:
         found: where the search ended.
         search: can fit more.
-        cause: one of the best explanation's effects.
+        causes: of the best explanation's effects.
         scale: mean square of the residuals that is taken as noise.
     """
+    if not causes:
+        return {}
     best = found.best
-    others = [effect for effect in best.effects if effect is not cause]
     variants = [v for v in search.looked.variants if v.key not in best.names]
-    variants = [v for v in variants if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)]
-    seen = _beside(best, cause, variants)
-    guesses = _near(seen, cause, ALIKE * scale)
-    search.replacements(best, others, [seen.effects[k] for k in guesses], [*guesses.values()])
-    rest = named(others)
-    rivals = []
+    # What sticks or rattles is slow to try: only where it may look like the cause.
+    wanted = {
+        cause.key: [
+            k for k, v in enumerate(variants) if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)
+        ]
+        for cause in causes
+    }
+    shown = sorted({k for several in wanted.values() for k in several})
+    beside = directions(best.point, best.effects, [variants[k] for k in shown], search.workers)
+    rivals = {}
+    for cause in causes:
+        part = next(p for effect, p in zip(best.effects, best.extension.parts, strict=True) if effect is cause)
+        chosen = [shown.index(k) for k in wanted[cause.key]]
+        seen = beside.screen(again=(cause, part), chosen=chosen)
+        others = [effect for effect in best.effects if effect is not cause]
+        guesses = _near(seen, cause, ALIKE * scale)
+        search.replacements(best, others, [seen.effects[k] for k in guesses], [*guesses.values()])
+        rivals[cause.key] = _as_good(search, best, cause, ALIKE * scale)
+    return rivals
+
+
+def _as_good(search: Search, best: Explanation, cause: Effect, tolerance: float) -> tuple[Rival, ...]:
+    """What was fitted in a cause's place and leaves about as little, the least first."""
+    rest, rivals = best.names - {cause.key}, []
     for names, tried in search.trials.tried.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
         same = len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.trials.stale
         if same and new[0].key != cause.key:
             worse = tried.chi2 - best.chi2
-            if worse < ALIKE * scale:
+            if worse < tolerance:
                 rivals.append(Rival(new[0], float(worse)))
     return tuple(sorted(rivals, key=lambda each: each.worse))
 
@@ -54,12 +75,6 @@ def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
     one = [k for k, each in enumerate(first.effects) if each.key == cause.key]
     two = [k for k, each in enumerate(first.effects) if each.key == other.key]
     return any(first.likeness[i, j] > _ALIKE for i in one for j in two)
-
-
-def _beside(best: Explanation, cause: Effect, variants: Sequence[Effect]) -> Screen:
-    """The absent effects beside a cause, which is one among them."""
-    part = next(p for effect, p in zip(best.effects, best.extension.parts, strict=True) if effect is cause)
-    return screen(best.point, best.effects, variants, (cause, part))
 
 
 def _near(seen: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:

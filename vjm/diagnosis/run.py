@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context
+from collections.abc import Callable, Sequence
 
 from vjm.diagnosis.base import base_fit
 from vjm.diagnosis.before import already_there, told
@@ -16,6 +13,7 @@ from vjm.diagnosis.records import Diagnosis
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.diagnosis.sticking import whole_search
 from vjm.diagnosis.support import why_insufficient
+from vjm.diagnosis.workers import workers
 from vjm.effects import Effect
 from vjm.errors import ShapeError
 from vjm.experiment.records import Experiment
@@ -60,12 +58,12 @@ def diagnose(
     reasons = why_insufficient(experiment)
     tell("fitting the model without effects")
     base = base_fit(experiment, tell.inside)
-    known = already_there(base, chosen, experiment.rig, tell)
-    begun = beginning(base, known)
-    # What a model lacks before a change is no noise: only what explains much of the rest is a change.
-    rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
-    with _workers(jobs) as executor:
-        search = Search(experiment.rig, begun, chosen, rules, tell, executor, jobs)
+    with workers(jobs) as shared:
+        known = already_there(base, chosen, experiment.rig, tell, shared)
+        begun = beginning(base, known)
+        # What a model lacks before a change is no noise: only what explains much of the rest is a change.
+        rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
+        search = Search(experiment.rig, begun, chosen, rules, tell, shared)
         first = search.judged(begun.start)
         table = candidates(search.looked, first, rules.alpha, search.matters(begun.start))
         if reasons:
@@ -73,15 +71,6 @@ def diagnose(
         said = told(base, known, begun.lacking)
         search, found = whole_search(search, Found.nothing(begun.start, first))
         return conclude(experiment, base, search, found, table, said)
-
-
-@contextmanager
-def _workers(jobs: int) -> Iterator[Executor | None]:
-    if jobs == 1:
-        yield None
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("forkserver")) as executor:
-        yield executor
 
 
 class _Stages:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,10 +10,11 @@ from numpy.typing import NDArray
 
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
+from vjm.diagnosis.directions import screen
 from vjm.diagnosis.race import Job, proposal
 from vjm.diagnosis.refit import Explanation, named, sized
-from vjm.diagnosis.screen import screen
 from vjm.diagnosis.trials import COARSE, NOISE, Tell, Trials
+from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_abrupt
 from vjm.experiment.records import Rig
@@ -82,8 +82,7 @@ class Search:
         effects: Sequence[Effect],
         rules: Rules,
         tell: Tell,
-        executor: Executor | None = None,
-        workers: int = 1,
+        workers: Workers = ALONE,
     ) -> None:
         self.rig = rig
         self.effects = effects
@@ -91,13 +90,14 @@ class Search:
         self.tell = tell
         self.begun = begun
         self.start = begun.start
-        self.trials = Trials(rig, begun, tell, executor, workers)
+        self.workers = workers
+        self.trials = Trials(rig, begun, tell, workers)
         self.looked = self._looked(self.start)
 
     def again(self, start: Explanation) -> Search:
         """The same search from another start, which follows the recordings."""
         begun = replace(self.begun, start=start, lost=False)
-        return Search(self.rig, begun, self.effects, self.rules, self.tell, self.trials.executor, self.trials.workers)
+        return Search(self.rig, begun, self.effects, self.rules, self.tell, self.workers)
 
     def run(self, begun: Found, ended: Callable[[Found], bool] = lambda found: False) -> Found:
         """Add effects while they are needed.
@@ -156,7 +156,7 @@ class Search:
         ]
         variants = [looked.variants[k] for k in kept]
         footing = self.trials.footing(explanation)
-        seen = screen(footing.point, footing.effects, variants)
+        seen = screen(footing.point, footing.effects, variants, self.workers)
         return Family.of(seen, looked.times[kept], self.rules.alpha, self.rules.seed)
 
     def _looked(self, explanation: Explanation) -> Looked:
@@ -204,7 +204,7 @@ class Search:
         start = trials.tried.get(names, self.start)
         if new and start.names == names:
             footing = trials.footing(start)
-            seen = screen(footing.point, footing.effects, new)
+            seen = screen(footing.point, footing.effects, new, self.workers)
             trials.fit([proposal(footing, seen, [k], trials.from_afar(start)) for k in range(len(new))], every=True)
         elif new:  # the others were never fitted without the cause
             chain = best.point.chain

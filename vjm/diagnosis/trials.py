@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 
@@ -25,6 +24,7 @@ from vjm.diagnosis.race import (
     promising,
 )
 from vjm.diagnosis.refit import Explanation, Names, named, of_beginnings, refit, shortened
+from vjm.diagnosis.workers import Workers
 from vjm.effects import Effect
 from vjm.effects.effect import is_abrupt
 from vjm.experiment.records import Rig
@@ -48,12 +48,11 @@ class Trials:
         surplus: what more virtual joints would show, for each recording; None: not known yet.
     """
 
-    def __init__(self, rig: Rig, begun: Beginning, tell: Tell, executor: Executor | None, workers: int) -> None:
+    def __init__(self, rig: Rig, begun: Beginning, tell: Tell, workers: Workers) -> None:
         self.rig = rig
         self.start = begun.start
         self.lost = begun.lost
         self.tell = tell
-        self.executor = executor
         self.workers = workers
         self.tried: dict[Names, Explanation] = {begun.start.names: begun.start}
         self.stale: set[Names] = set()
@@ -102,11 +101,12 @@ class Trials:
         pending = [replace(job, start=self._known(job.start)) for job in wanted.values()]
         begun: list[Explanation] = []
         while pending:
-            together, pending = pending[: self.workers], pending[self.workers :]
-            found = self._map(partial(begun_with, whole=whole.longest), together)
+            together, pending = pending[: self.workers.count], pending[self.workers.count :]
+            found = self.workers.map(partial(begun_with, whole=whole.longest), together)
             new = [each for each in found if each is not None]
             begun += new
             near = [each for each in new if near_noise(each, whole.longest, self._fewer(each))]
+            near.sort(key=lambda each: each.chi2)
             if enough(self._finish(near, whole, enough)):
                 return
         rest = [each for each in promising(begun, whole.longest) if each.names not in self.tried]
@@ -117,10 +117,13 @@ class Trials:
         known = [each.chi2 for each in self.tried.values() if begun and len(each.effects) == len(begun[0].effects)]
         record = min([*known, *(each.chi2 for each in begun if not is_short(each, whole.longest))], default=np.inf)
         ended: list[Explanation] = []
-        for first in range(0, len(begun), self.workers):
-            together = begun[first : first + self.workers]
+        waiting = [*begun]
+        while waiting:
+            # What explains all so far is waited for alone: others beside it may take far longer.
+            count = 1 if enough(waiting[:1]) else self.workers.count
+            together, waiting = waiting[:count], waiting[count:]
             self.tell("fitting " + " and ".join(sorted({name for each in together for name, _ in each.names})))
-            found = self._map(partial(finished, record=record, whole=whole), together)
+            found = self.workers.map(partial(finished, record=record, whole=whole), together)
             ended += [each for each in found if each is not None]
             self.tried |= {each.names: each for each in ended}
             if enough(ended):
@@ -220,11 +223,6 @@ class Trials:
         if self.surplus is None or explanation.names not in self.stale:
             return explanation
         return replace(explanation, fit=replace(explanation.fit, point=beside(explanation.point, self.surplus)))
-
-    def _map(self, work: Callable[..., Explanation | None], jobs: Sequence[object]) -> list[Explanation | None]:
-        if self.executor is None or len(jobs) < 2:
-            return [work(job) for job in jobs]
-        return [*self.executor.map(work, jobs)]
 
 
 def _never(explanations: Sequence[Explanation]) -> bool:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from vjm.diagnosis.candidates import looked_for
 from vjm.diagnosis.contract.bench import Bench
 from vjm.diagnosis.contract.faults import Clause
+from vjm.diagnosis.directions import screen
 from vjm.diagnosis.extension import Extension, adds_joint
-from vjm.diagnosis.screen import screen
 from vjm.effects.effect import Effect
 from vjm.errors import SimulationDivergedError
 from vjm.identification.parametrisation import Parametrisation
