@@ -177,3 +177,55 @@ def test_from_afar_explanations_are_tried_on_the_recordings_beginnings(lost: boo
 
 def viscous_of(family: Family) -> int:
     return next(k for k, effect in enumerate(family.seen.effects) if effect.id == "viscous_friction")
+
+
+@pytest.mark.parametrize(
+    ("gravity", "there", "abrupt", "anew"),
+    [
+        (0.3, (), False, True),
+        (0.3, (ViscousFriction(link=0, coefficient=0.02),), False, True),
+        (0.003, (), False, False),  # it lacks little
+        (0.3, (), True, False),  # what sticks is found from wherever slopes lead
+        (0.3, (CoulombFriction(link=0, torque=0.004),), False, False),
+    ],
+)
+def test_beside_what_lacks_much_held_fits_begin_anew(
+    gravity: float, there: tuple[Effect, ...], abrupt: bool, anew: bool
+) -> None:
+    """At the nominal chain and with the recordings' first periods: its own parameters may be any."""
+    start = held_at_nominal(unfitted((InPlaneGravity(gx=0.0, gy=gravity),), 1))
+    assert start is not None
+    nominal, count = start.point.x, start.point.x.size
+    with_effects = refit(start, there, Patience(0))
+    assert with_effects is not None
+    x = np.concatenate([nominal + 0.01, with_effects.point.x[count:]])
+    astray = replace(with_effects, fit=replace(with_effects.fit, point=replace(with_effects.point, x=x)))
+    search = Search(RIG, Beginning(start, start), [TorqueOffset()], Rules(), lambda text: None)
+    origin = search.trials.origin(astray, abrupt).point
+    assert origin.x[:count] == pytest.approx(nominal if anew else nominal + 0.01)
+    assert origin.x[count:] == pytest.approx(x[count:])
+    assert (origin.problem.longest < astray.point.problem.longest) == anew
+
+
+def test_what_lacks_far_more_than_others_after_its_first_steps_is_given_up() -> None:
+    tried = [Tried(float(misfit) ** 2, True) for misfit in (9, 280, 260)]
+    found = promising(cast(list[Explanation], tried), 5.0)
+    assert [each.misfit for each in cast(list[Tried], found)] == [9.0, 260.0]
+
+
+@pytest.mark.parametrize(("best", "kept"), [(1.05, 6), (5.0, 4)])
+def test_of_what_was_tried_beside_the_beginnings_the_near_best_go_on(best: float, kept: int) -> None:
+    """All of them where the best explains the beginnings, a few where none does; none that is far from the best."""
+    tried = [Tried((best * (1 + 0.05 * k)) ** 2, True, 1.0) for k in (5, 3, 4, 1, 2, 0)]
+    found = promising(cast(list[Explanation], [*tried, Tried((2 * best) ** 2, True, 1.0)]), 5.0)
+    assert [each.misfit for each in cast(list[Tried], found)] == pytest.approx(
+        [best * (1 + 0.05 * k) for k in range(kept)]
+    )
+
+
+@pytest.mark.parametrize("rough", [False, True])
+def test_what_is_held_is_not_fitted_to_its_very_end(rough: bool) -> None:
+    noise = [Stop(1000.0, 1.0), Stop(999.5, 1.0)]
+    asked = Patience(np.inf, rough=rough)
+    assert [asked(cast(Point, each), 0.5) for each in noise] == [rough, rough]
+    assert not asked(cast(Point, noise[0]), 5.0)

@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis import refit as refits
 from vjm.diagnosis.extension import Extension
 from vjm.diagnosis.holding import held_at_nominal
 from vjm.diagnosis.refit import Explanation, refit
@@ -17,8 +16,6 @@ from vjm.effects import (
     CoulombFriction,
     Effect,
     GearElasticity,
-    InPlaneGravity,
-    TimeOffset,
     ViscoelasticCreep,
     ViscousFriction,
 )
@@ -56,37 +53,6 @@ def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -
     assert found is not None
     assert found.point.misfit == pytest.approx(1.0, abs=0.03)
     assert found.effects[0].values["stiffness"] == pytest.approx(56.0, rel=0.015)
-
-
-@pytest.mark.parametrize(
-    ("gravity", "effect", "anew"),
-    [
-        (0.3, TimeOffset(delay=0.005), True),
-        (0.003, TimeOffset(delay=0.005), False),  # it lacks little
-        (0.3, CoulombFriction(link=0, torque=0.004), False),  # what sticks is found from wherever slopes lead
-        (0.3, None, False),  # nothing new
-    ],
-)
-def test_beside_what_lacks_much_a_held_search_begins_anew(
-    monkeypatch: pytest.MonkeyPatch, gravity: float, effect: Effect | None, anew: bool
-) -> None:
-    """At the nominal chain and with the recordings' beginnings: its own parameters may be any."""
-    recordings = recorded(Arm.of(chain_of(), (InPlaneGravity(gx=0.0, gy=gravity),)), 1)
-    held = held_at_nominal(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
-    assert held is not None
-    nominal = held.point.x
-    moved = replace(held, fit=replace(held.fit, point=replace(held.point, x=nominal + 0.01)))
-    begun: list[tuple[Array, float]] = []
-
-    def fit(problem: object, x: Array, *rest: object, known: float, **others: object) -> TrajectoryFit:
-        begun.append((x, known))
-        return held.fit
-
-    monkeypatch.setattr(refits, "fit_trajectory", fit)
-    refit(moved, () if effect is None else (effect,))
-    ((x, known),) = begun
-    assert x[: nominal.size] == pytest.approx(nominal if anew else nominal + 0.01)
-    assert known == (0.0 if anew else np.inf)
 
 
 @pytest.mark.parametrize(

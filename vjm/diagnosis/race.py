@@ -25,11 +25,15 @@ _KEPT = 4  # explanations that are followed where none does
 FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
 _MOST_FIRST_STEPS = 6  # the same as long as the next one promises much
 _MUCH = 0.1  # of chi^2
+_MOST_SHORT_STEPS = 20  # beside the recordings' beginnings
+_FAR = 2.0  # times the best misfit there
+_HOPELESS = 30.0  # times the best misfit of all, after some steps
 _STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
 _ABRUPT_GAINED = 0.998  # the same where something sticks or rattles: such a fit creeps to its end
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
 # Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
 _DONE = ((1.5, 1e-2), (1.01, 1e-3))
+_ROUGHLY = 1e-3  # of chi^2: well below what an effect must explain to matter
 
 
 @dataclass(frozen=True)
@@ -64,17 +68,20 @@ def proposal(start: Explanation, seen: Screen, chosen: Sequence[int], from_afar:
     return Job(start, (*start.effects, *new))
 
 
-def begun_with(job: Job, whole: float) -> Explanation | None:
-    """A refit's first steps; of recordings' beginnings, all steps.
+def begun_with(job: Job, whole: float, record: float = np.inf) -> Explanation | None:
+    """A refit's first steps; of recordings' beginnings, as many as may still make it one of the best.
 
     Args:
         job: the refit.
         whole: duration of the longest recording [s].
+        record: chi^2 of the best beside the beginnings so far.
     """
-    steps = np.inf if is_short(job.start, whole) else FIRST_STEPS
+    abrupt = is_abrupt(job.effects)
+    if is_short(job.start, whole):
+        return refit(job.start, job.effects, Patience(_MOST_SHORT_STEPS, _FAR**2 * record, abrupt))
     # Held, a fit goes where its steps point; open loop, what a step promises may be far from what it does.
     most = _MOST_FIRST_STEPS if job.start.is_held else FIRST_STEPS
-    return refit(job.start, job.effects, Patience(steps, abrupt=is_abrupt(job.effects), most=most))
+    return refit(job.start, job.effects, Patience(FIRST_STEPS, abrupt=abrupt, most=most))
 
 
 def is_short(explanation: Explanation, whole: float) -> bool:
@@ -104,16 +111,18 @@ def explains_nearly_all(explanation: Explanation, fewer: Explanation) -> bool:
 def promising(begun: Sequence[Explanation], whole: float) -> list[Explanation]:
     """The best first; of those that were tried on the recordings' beginnings, the ones that may be best in the end.
 
-    Of those that were tried from afar and follow nothing, a few.
+    Of those that explain nothing, a few at most.
     """
-    ordered = sorted(begun, key=lambda each: each.chi2)
+    ordered = sorted(begun, key=lambda each: each.point.misfit)
     short = [each for each in ordered if is_short(each, whole)]
     if short:
         best = short[0].point.misfit
         near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in short)
-        short = short[: near if best < _EXPLAINED else _KEPT]
-    long = [each for each in ordered if not is_short(each, whole)]
-    return [*(long if not long or long[0].follows else long[:_KEPT]), *short]
+        short = short[: near if best < _EXPLAINED else min(near, _KEPT)]
+    least = min((each.point.misfit for each in begun), default=np.inf)
+    long = [each for each in ordered if not is_short(each, whole) and each.point.misfit < _HOPELESS * least]
+    kept = [*(long if not long or long[0].follows else long[:_KEPT]), *short]
+    return sorted(kept, key=lambda each: each.point.misfit)
 
 
 def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Explanation | None:
@@ -129,7 +138,8 @@ def finished(begun: Explanation, record: float, whole: TrajectoryProblem) -> Exp
         return begun
     if not short and is_hopeless(begun, record):
         return begun
-    patience = Patience(np.inf, record, abrupt, _ABRUPT_GAINED if abrupt else _GAINED)
+    enough = _ABRUPT_GAINED if abrupt else _GAINED
+    patience = Patience(np.inf, record, abrupt, enough, rough=begun.is_held and not abrupt)
     return refit(begun, begun.effects, patience, whole=whole if short else None)
 
 
@@ -153,6 +163,7 @@ class Patience:
         abrupt: whether something sticks and slips.
         enough: share of chi^2 below which some steps have gained enough.
         most: steps, as long as the next one promises much.
+        rough: whether it need not be fitted to its very end, as what is held and will be fitted open loop.
     """
 
     def __init__(
@@ -162,8 +173,10 @@ class Patience:
         abrupt: bool = False,
         enough: float = _GAINED,
         most: float = 0.0,
+        rough: bool = False,
     ) -> None:
         self.steps = steps
+        self.rough = rough
         self.most = most
         self.record = record
         self.abrupt = abrupt
@@ -175,7 +188,8 @@ class Patience:
         self.seen.append(point.chi2)
         share = predicted / point.chi2
         steps = self.steps if share < _MUCH else max(self.steps, self.most)
-        wrong = any(point.misfit > misfit and share < little for misfit, little in _DONE)
+        done = any(point.misfit > misfit and share < little for misfit, little in _DONE)
+        done = done or (self.rough and share < _ROUGHLY)
         slow = self.abrupt or point.misfit > OFF
         stuck = slow and len(self.seen) > _STUCK and point.chi2 > self.enough * self.seen[-_STUCK]
-        return len(self.seen) > steps or wrong or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
+        return len(self.seen) > steps or done or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE

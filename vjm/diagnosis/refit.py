@@ -115,7 +115,7 @@ def refit(
     """
     base = start.point.problem.parametrisation
     extension = Extension(base, tuple(effects), start.everywhere)
-    chain = base.start if _is_astray(start, effects) else start.point.x[: len(base.coordinates)]
+    chain = start.point.x[: len(base.coordinates)]
     x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *extension.bounds)
     problem = replace(whole or start.point.problem, extension=extension)
     arms = problem.arms(x)
@@ -139,20 +139,9 @@ def _followed(start: Explanation, effects: Sequence[Effect]) -> float:
     # A joint more swings many times in a recording: with a wrong frequency, soon in any phase.
     if any(adds_joint(each, start.point.chain) and not each.abrupt for each in (*new, *gone)):
         return 0.0
-    if _is_astray(start, effects):
-        return 0.0
     # Nor open loop can what sticks and slips be found but from there.
     sticking = any(each.abrupt for each in new) and not start.is_held
     return np.inf if start.follows and not sticking else 0.0
-
-
-def _is_astray(start: Explanation, effects: Sequence[Effect]) -> bool:
-    """Whether a fit that was held lacks so much that its chain may be any, and others had better begin at the nominal.
-
-    Held, no joint drifts, but a chain of wrong frequencies is soon in any phase too.
-    """
-    more = start.names != named(effects)
-    return more and start.is_held and start.point.misfit > _ASTRAY and not is_abrupt((*start.effects, *effects))
 
 
 def shortened(explanation: Explanation) -> Explanation:
@@ -173,12 +162,38 @@ def shortened(explanation: Explanation) -> Explanation:
     return Explanation(min(fits, key=lambda each: each.point.chi2))
 
 
+def is_astray(explanation: Explanation) -> bool:
+    """Whether a fit that was held lacks so much that its chain may be any, and others had better begin at the nominal.
+
+    Held, no joint drifts, but a chain of wrong frequencies is soon in any phase too.
+    """
+    return explanation.is_held and explanation.point.misfit > _ASTRAY and not is_abrupt(explanation.effects)
+
+
 def of_beginnings(explanation: Explanation) -> Explanation:
     """The same parameters beside the recordings' beginnings, from their most likely initial states there."""
     point = explanation.point
-    part = point.problem.until(_BEGINNINGS * first_horizon(point.problem, point.x))
-    found = most_likely(part.arms(point.x), part.observed, [run.state for run in point.runs], part.coarse)
-    return Explanation(TrajectoryFit(Point(part, point.x, tuple(run for run, _ in found)), False, 0))
+    duration = _BEGINNINGS * first_horizon(point.problem, point.x)
+    return _beside_first(explanation, point.x, duration, [run.state for run in point.runs])
+
+
+def anew(explanation: Explanation) -> Explanation:
+    """Its effects beside the nominal chain and the recordings' first periods; itself where that cannot be simulated."""
+    nominal = explanation.point.problem.parametrisation.start
+    x = np.concatenate([nominal, explanation.point.x[nominal.size :]])
+    try:
+        return _beside_first(explanation, x, first_horizon(explanation.point.problem, x))
+    except (SimulationDivergedError, InsufficientDataError):
+        return explanation
+
+
+def _beside_first(
+    explanation: Explanation, x: Array, duration: float, states: Sequence[Array] | None = None
+) -> Explanation:
+    """Coordinates x (p,) beside the recordings' first seconds, not fitted."""
+    part = explanation.point.problem.until(duration)
+    found = most_likely(part.arms(x), part.observed, states, part.coarse)
+    return Explanation(TrajectoryFit(Point(part, x, tuple(run for run, _ in found)), False, 0))
 
 
 def sized(effect: Effect, guess: Array, chain: Chain) -> Effect:

@@ -181,7 +181,8 @@ class Search:
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            job = proposal(self.trials.origin(start), seen, chosen, self.trials.from_afar(start))
+            abrupt = any(seen.effects[k].abrupt for k in chosen)
+            job = proposal(self.trials.origin(start, abrupt), seen, chosen, self.trials.from_afar(start))
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
         self.trials.fit(jobs)
@@ -203,9 +204,10 @@ class Search:
         new = [added[k] for k in sizes]
         start = trials.tried.get(names, self.start)
         if new and start.names == names:
-            footing = trials.footing(start)
+            footing, afar = trials.footing(start), trials.from_afar(start)
             seen = screen(footing.point, footing.effects, new, self.workers)
-            trials.fit([proposal(footing, seen, [k], trials.from_afar(start)) for k in range(len(new))], every=True)
+            jobs = [proposal(trials.origin(start, each.abrupt), seen, [k], afar) for k, each in enumerate(new)]
+            trials.fit(jobs, every=True)
         elif new:  # the others were never fitted without the cause
             chain = best.point.chain
             trials.fit([Job(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()], every=True)

@@ -23,7 +23,7 @@ from vjm.diagnosis.race import (
     near_noise,
     promising,
 )
-from vjm.diagnosis.refit import Explanation, Names, named, of_beginnings, refit, shortened
+from vjm.diagnosis.refit import Explanation, Names, anew, is_astray, named, of_beginnings, refit, shortened
 from vjm.diagnosis.workers import Workers
 from vjm.effects import Effect
 from vjm.effects.effect import is_abrupt
@@ -58,6 +58,7 @@ class Trials:
         self.stale: set[Names] = set()
         self.surplus: tuple[Array, ...] | None = None
         self._footings: dict[Names, Explanation] = {}
+        self._origins: dict[Names, Explanation] = {}
 
     def footing(self, explanation: Explanation) -> Explanation:
         """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
@@ -67,13 +68,19 @@ class Trials:
             self._footings[explanation.names] = shortened(explanation)
         return self._footings[explanation.names]
 
-    def origin(self, explanation: Explanation) -> Explanation:
-        """Where fits with further effects begin: where slopes tell what is missing; from afar, the beginnings."""
-        if not self.from_afar(explanation):
+    def origin(self, explanation: Explanation, abrupt: bool = False) -> Explanation:
+        """Where fits with further effects begin: the recordings' beginnings, where its own parameters are no guide.
+
+        Args:
+            explanation: the effects that are there.
+            abrupt: whether a further one sticks or rattles, which is found from wherever slopes lead.
+        """
+        far = self.from_afar(explanation)
+        if not far and (abrupt or not is_astray(explanation)):
             return self.footing(explanation)
-        if explanation.names not in self._footings:
-            self._footings[explanation.names] = of_beginnings(explanation)
-        return self._footings[explanation.names]
+        if explanation.names not in self._origins:
+            self._origins[explanation.names] = of_beginnings(explanation) if far else anew(explanation)
+        return self._origins[explanation.names]
 
     def from_afar(self, explanation: Explanation) -> bool:
         """Whether nothing is a guide from there."""
@@ -102,7 +109,8 @@ class Trials:
         begun: list[Explanation] = []
         while pending:
             together, pending = pending[: self.workers.count], pending[self.workers.count :]
-            found = self.workers.map(partial(begun_with, whole=whole.longest), together)
+            record = min((each.chi2 for each in begun if is_short(each, whole.longest)), default=np.inf)
+            found = self.workers.map(partial(begun_with, whole=whole.longest, record=record), together)
             new = [each for each in found if each is not None]
             begun += new
             near = [each for each in new if near_noise(each, whole.longest, self._fewer(each))]
@@ -211,6 +219,7 @@ class Trials:
         known = Explanation(corrected(explanation.fit, found, rough), found.shift)
         self.surplus, self.stale = found.surplus, {*self.tried} - {known.names}
         self._footings.clear()
+        self._origins.clear()
         self.tried[known.names] = known
         return known
 

@@ -30,6 +30,7 @@ Progress = Callable[[str, int, int], None]
 
 _MOST_ITERATIONS = 60
 _NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths of a standard error
+_ROUGH = 0.5  # the same, once a step has not lowered it at all
 _COARSE = 1e-2  # the same relative to chi^2, before the whole recordings are looked at
 _FIRST_PERIODS = 3.0  # of the slowest mode
 _LONGER = 3.0  # from one horizon to the next
@@ -147,6 +148,9 @@ def _search(
             point = replace(trial, runs=tuple(run.weighed() for run in trial.runs))
             damping = damping.better()
         else:
+            if trial is not None and _step(point, 0.0).predicted < _ROUGH * max(point.misfit, 1.0) ** 2:
+                done = True  # what yields or sticks makes the cost rough: no step finds what slopes promise
+                break
             damping = damping.worse(partial(_length, point))
             if damping.exhausted:
                 break
