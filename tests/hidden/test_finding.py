@@ -73,6 +73,24 @@ def test_two_causes_are_found(plant: Plant) -> None:
     assert_found(diagnosis, truth)
 
 
+def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
+    file, truth = plant("hub", "coulomb_friction", seed=17)
+    diagnosis = vjm.diagnose(with_few(file), effects=["coulomb_friction", "viscous_friction", "torque_gain"])
+    assert diagnosis.verdict == "named"
+    (cause,), (hidden,) = diagnosis.causes, truth.effects
+    assert cause.effect.id == "coulomb_friction"
+    assert cause.parameters["torque"].value == pytest.approx(hidden.parameters["torque"], rel=0.01)
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.reduction > 0.95
+
+
+@pytest.mark.slow
+def test_play_is_found_beside_what_looks_like_it(plant: Plant) -> None:
+    file, _ = plant("hub", "backlash", seed=18)
+    diagnosis = vjm.diagnose(with_few(file), effects=["backlash", "gear_elasticity", "coulomb_friction"])
+    assert [cause.effect.id for cause in diagnosis.causes] == ["backlash"]
+
+
 @pytest.mark.slow
 def test_gravity_without_which_nothing_is_followed_is_found(plant: Plant) -> None:
     """Without it the model misses by a thousand times the noise."""
