@@ -18,6 +18,7 @@ from vjm.diagnosis.propose import next_experiment
 from vjm.diagnosis.race import OFF
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Remaining, Rival, Size, Verdict
 from vjm.diagnosis.refit import Explanation
+from vjm.diagnosis.repeats import Repeated, noise_told, remains_told, repeated
 from vjm.diagnosis.replays import follow, found_symptoms
 from vjm.diagnosis.rivals import alternatives
 from vjm.diagnosis.search import Found, Search
@@ -70,10 +71,10 @@ def conclude(
     runner_up = _runner_up(search, best)
     followed = follow(experiment, base, search.begun.before, best, runner_up)
     gained = gain(followed, search.rules.seed)
-    left = leftover(best.point.runs)
+    left, again = leftover(best.point.runs), repeated(best.point.runs)
     needed = _still_needed(best, search, found)
     remains = _remains(best, base, search, left, needed)
-    description = _described(experiment, best, left, found, needed) if remains else ""
+    description = _described(experiment, best, left, again, found, needed) if remains else ""
     verdict = _verdict(causes, remains)
     diagnosis = Diagnosis(
         experiment=experiment,
@@ -88,7 +89,7 @@ def conclude(
         remaining=Remaining(left.p_value, description),
         symptoms=found_symptoms(experiment, plain, followed, base),
         next_experiment=next_experiment(experiment, verdict, causes, partial(_worth, search, best)),
-        noise=base.noise.source,
+        noise=f"{base.noise.source}; {noise_told(again)}",
         warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
         notes=_notes(base, best, left, remains),
     )
@@ -132,7 +133,7 @@ def insufficient(experiment: Experiment, base: Base, table: tuple[Candidate, ...
         remaining=Remaining(None),
         symptoms=found_symptoms(experiment, plain, followed, base),
         next_experiment=reasons[0],
-        noise=base.noise.source,
+        noise=f"{base.noise.source}; {noise_told(repeated(base.point.runs))}",
         warnings=tuple(dict.fromkeys([*reasons, *experiment.warnings, *base.problems])),
     )
 
@@ -239,7 +240,14 @@ def _runner_up(search: Search, best: Explanation) -> Explanation | None:
     return min(others, key=lambda each: each.chi2, default=None)
 
 
-def _described(experiment: Experiment, best: Explanation, left: Leftover, found: Found, needed: Sequence[int]) -> str:
+def _described(
+    experiment: Experiment,
+    best: Explanation,
+    left: Leftover,
+    again: Repeated | None,
+    found: Found,
+    needed: Sequence[int],
+) -> str:
     """Where something remains and what it looks like."""
     parts = []
     if left.bands and left.p_value < _UNLIKELY:
@@ -247,8 +255,7 @@ def _described(experiment: Experiment, best: Explanation, left: Leftover, found:
         low, high = worst.band
         parts.append(f"most of it in the {worst.sensor} of {worst.file}, between {low:.3g} and {high:.3g} Hz")
     looks = described(best.point, best.effects, experiment.rig)
-    if looks:
-        parts.append(looks)
+    parts += [each for each in (looks, remains_told(again)) if each]
     if needed:
         most = max(needed, key=lambda k: float(found.last.seen.statistics[k]))
         parts.append(f"a further effect, {found.last.seen.effects[most].id}, would explain part of it")
