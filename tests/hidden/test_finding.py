@@ -71,6 +71,8 @@ def test_two_causes_are_found(plant: Plant) -> None:
     diagnosis = vjm.diagnose(with_few(file), effects=SOME)
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
+    first, second = diagnosis.causes  # each with what is lost without it alone
+    assert first.gain > 1.2 * second.gain
 
 
 def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:

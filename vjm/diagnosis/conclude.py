@@ -171,7 +171,8 @@ def _causes(search: Search, found: Found, rivals: Mapping[Key, tuple[Rival, ...]
     best, causes = found.best, []
     estimated = best.extension.present(best.estimate)
     for effect, beam, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][best.everywhere :]:
-        without = search.trials.tried.get(best.names - {effect.key}, search.start)
+        fewer = search.trials.tried.get(best.names - {effect.key}) or search.trials.without(best, effect, np.inf)
+        without = fewer or search.start
         drop = without.chi2 - best.chi2
         before, after = without.point.misfit, best.point.misfit
         evidence = (
