@@ -73,6 +73,9 @@ def test_two_causes_are_found(plant: Plant) -> None:
     assert_found(diagnosis, truth)
     first, second = diagnosis.causes  # each with what is lost without it alone
     assert first.gain > 1.2 * second.gain
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.runner_up is not None  # what the next best would have gained
+    assert diagnosis.gain.runner_up > 1.03 * diagnosis.gain.after
 
 
 def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:

@@ -167,6 +167,7 @@ def make_diagnosis(
         symptoms=symptoms(shown, base.modes().frequencies[:2].tolist()),
         next_experiment=None,
         noise="from the experiment file, and what the quiet recording shows agrees",
+        runner_up=other,
         notes=("the chain has 4 virtual joints",),
     )
     return replace(made, **changes)  # type: ignore[arg-type]

@@ -25,7 +25,7 @@ from tests.report.schema import DiagnoseResult
 from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
 from vjm.diagnosis.records import Diagnosis, Remaining, Size
-from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, TipPayload
+from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
 from vjm.files import json_text
 from vjm.report import save as saving
 from vjm.report.diagnosis_page import diagnosis_page
@@ -116,6 +116,9 @@ def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(verdict.headline)
     told = "Held-out error: 85 % less (95 % interval of the reduction: 83 … 87 %)"
     assert f"{told}; the next best explanation leaves 1.2 mm." in [plain(point) for point in verdict.points]
+    called = diagnosis_verdict(replace(found, gain=gain, runner_up=(TimeOffset(), LinearDrag(link=0))))
+    said = "the next best explanation, time offset and linear drag, leaves 1.2 mm."
+    assert f"{told}; {said}" in [plain(point) for point in called.points]
     assert "not tested" in " ".join(diagnosis_verdict(replace(found, gain=None)).points)
 
 

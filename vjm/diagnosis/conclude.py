@@ -68,7 +68,7 @@ def conclude(
     causes = _causes(search, found, rivals, covariance(information))
     search.tell("replaying the recordings")
     model, plain = _model(experiment, base, best, information), _model(experiment, base, search.begun.before, None)
-    runner_up = _runner_up(search, best)
+    runner_up = search.trials.runner_up(best) or found.runner_up
     followed = follow(experiment, base, search.begun.before, best, runner_up)
     gained = gain(followed, search.rules.seed)
     left, again = leftover(best.point.runs), repeated(best.point.runs)
@@ -90,6 +90,7 @@ def conclude(
         symptoms=found_symptoms(experiment, plain, followed, base),
         next_experiment=next_experiment(experiment, verdict, causes, partial(_worth, search, best)),
         noise=f"{base.noise.source}; {noise_told(again)}",
+        runner_up=runner_up.effects[runner_up.everywhere :] if runner_up else (),
         warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
         notes=_notes(base, best, left, remains),
     )
@@ -108,6 +109,7 @@ def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
         verdict="none",
         causes=(),
         model=diagnosis.base,
+        runner_up=(),
         parameters=diagnosis.base.estimates,
         recordings=followed,
         gain=gain(followed, seed),
@@ -232,13 +234,6 @@ def _worth(search: Search, best: Explanation, cause: Cause) -> Sequence[Proposal
     others = best.names - {cause.effect.key}
     rivals = [search.trials.tried.get(others | {rival.effect.key}) for rival in cause.rivals]
     return proposals(best, [each for each in rivals if each is not None])
-
-
-def _runner_up(search: Search, best: Explanation) -> Explanation | None:
-    """The next best explanation of as many effects."""
-    others = [each for each in search.trials.tried.values() if len(each.effects) == len(best.effects) > best.everywhere]
-    others = [each for each in others if each.names != best.names]
-    return min(others, key=lambda each: each.chi2, default=None)
 
 
 def _described(

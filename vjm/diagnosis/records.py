@@ -164,6 +164,7 @@ class Diagnosis:
         symptoms: what the model without effects gets wrong, before any cause is named.
         next_experiment: the recording that would tell what these cannot; None where there is nothing to tell.
         noise: in words, how the sensors' noise was judged.
+        runner_up: effects of the next best explanation; empty where nothing else was fitted.
         warnings: what a user should know before trusting the result.
         notes: what was decided on the way, and why.
     """
@@ -181,5 +182,6 @@ class Diagnosis:
     symptoms: Symptoms | None
     next_experiment: str | None
     noise: str = ""
+    runner_up: tuple[Effect, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())

@@ -59,12 +59,14 @@ class Found:
         first: the screen beside the model without effects, and its p-values.
         last: the same beside the best explanation.
         p_values: of each effect of the best explanation, when it was added.
+        runner_up: the next best of as many effects, where another search found both; None: this one knows.
     """
 
     best: Explanation
     first: Family
     last: Family
     p_values: dict[Key, float] = field(default_factory=dict)
+    runner_up: Explanation | None = None
 
     @classmethod
     def nothing(cls, start: Explanation, first: Family) -> Found:

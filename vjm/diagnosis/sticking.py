@@ -38,7 +38,7 @@ def whole_search(search: Search, begun: Found) -> tuple[Search, Found]:
             beside = other.run(beside)
             if is_abrupt(beside.best.effects):
                 return other, beside
-            found = _released(search, found, beside.best)
+            found = _released(search, found, beside.best, other.trials.runner_up(beside.best))
             asked.add(found.best.names)
 
 
@@ -74,11 +74,11 @@ def _held(search: Search, found: Found) -> tuple[Search, Found] | None:
     return other, Found(best, first, other.judged(best), found.p_values)
 
 
-def _released(search: Search, found: Found, best: Explanation) -> Found:
+def _released(search: Search, found: Found, best: Explanation, runner_up: Explanation | None) -> Found:
     """What was found with simulations held, fitted open loop; what was before where that cannot be simulated."""
     free = None if best.names == found.best.names else released(best, search.start)
     if free is None:
         return found
     search.trials.tried[free.names] = free
     free = search.trials.sharpen(search.trials.polish(free))
-    return Found(free, found.first, search.judged(free), found.p_values)
+    return Found(free, found.first, search.judged(free), found.p_values, runner_up)

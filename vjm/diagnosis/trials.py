@@ -57,6 +57,7 @@ class Trials:
         self.tried: dict[Names, Explanation] = {begun.start.names: begun.start}
         self.stale: set[Names] = set()
         self.surplus: tuple[Array, ...] | None = None
+        self._begun: dict[Names, Explanation] = {}
         self._footings: dict[Names, Explanation] = {}
         self._origins: dict[Names, Explanation] = {}
 
@@ -91,6 +92,19 @@ class Trials:
         found = [each for each in self.tried.values() if len(each.effects) == count]
         return min(found, key=lambda each: each.chi2, default=None)
 
+    def runner_up(self, best: Explanation) -> Explanation | None:
+        """The next best explanation of as many effects; None where nothing else was tried, or nothing is explained.
+
+        Where the best left nothing, so that no other was fitted to its end, the most promising one is now.
+        """
+        tried, begun = ([each for each in some.values() if _rivals(each, best)] for some in (self.tried, self._begun))
+        if not tried and begun:
+            self.tell("fitting the next best")
+            most = min(begun, key=lambda each: each.point.misfit)
+            found = finished(most, np.inf, self._beside(self.start).point.problem)
+            tried = [] if found is None else [found]
+        return min(tried, key=lambda each: each.chi2, default=None)
+
     def fit(self, jobs: Sequence[Job], every: bool = False) -> None:
         """A few steps for each; then to the end for those that may be the best, the most promising first.
 
@@ -113,6 +127,7 @@ class Trials:
             found = self.workers.map(partial(begun_with, whole=whole.longest, record=record), together)
             new = [each for each in found if each is not None]
             begun += new
+            self._begun |= {each.names: each for each in new}
             near = [each for each in new if near_noise(each, whole.longest, self._fewer(each))]
             near.sort(key=lambda each: each.chi2)
             if enough(self._finish(near, whole, enough)):
@@ -232,6 +247,12 @@ class Trials:
         if self.surplus is None or explanation.names not in self.stale:
             return explanation
         return replace(explanation, fit=replace(explanation.fit, point=beside(explanation.point, self.surplus)))
+
+
+def _rivals(one: Explanation, best: Explanation) -> bool:
+    """Whether it has as many effects as the best, and others; what sticks or rattles is slow to fit, and left out."""
+    slow = is_abrupt(one.effects) and not is_abrupt(best.effects)
+    return len(one.effects) == len(best.effects) > best.everywhere and one.names != best.names and not slow
 
 
 def _never(explanations: Sequence[Explanation]) -> bool:

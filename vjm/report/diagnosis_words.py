@@ -154,7 +154,9 @@ def _gain_points(diagnosis: Diagnosis) -> list[str]:
     less = f"{abs(100 * gain.reduction):.0f} % {'less' if gain.reduction >= 0 else 'more'}"
     text = f"Held-out error: {less} (95 % interval of the reduction: {low} … {high} %)"
     if gain.runner_up is not None:
-        text += f"; the next best explanation leaves {millimetres(gain.runner_up)}"
+        others = listed([named(each.id).lower() for each in diagnosis.runner_up])
+        called = f", {others}," if others else ""
+        text += f"; the next best explanation{called} leaves {millimetres(gain.runner_up)}"
     return [f"{text}."]
 
 
