@@ -234,3 +234,20 @@ def test_beside_a_fit_without_a_hub_a_gear_is_no_candidate() -> None:
     seen = screen(point_of(light, (), recorded(Arm(chain), 3)), (), [bound(GearElasticity()), bound(JointSpring())])
     assert seen.absorbed.tolist() == [True, False]
     assert seen.statistics[0] == 0.0
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_fit_is_judged_as_a_screen_is(seed: int) -> None:
+    """By the fall of chi^2, whose limit the score statistic is; more freedom and more looks make it less certain."""
+    chain, variants = chain_of(), [bound(TorqueGain()), bound(JointSpring())]
+    seen = screen(point_of(chain, (), recorded(Arm(chain), seed)), (), variants)
+    family = Family.of(seen, np.ones(2), 0.01, 0)
+    gain = variants[0]
+    assert family.p_of_fit(gain, float(seen.statistics[0])) == pytest.approx(family.p_values[0])
+    assert family.p_of_fit(gain, 30.0) < family.p_of_fit(gain, 20.0) < 0.01
+    often = replace(family, times=np.array([50.0, 1.0]))
+    assert often.p_of_fit(gain, 20.0) == pytest.approx(50 * family.p_of_fit(gain, 20.0), rel=0.01)
+    freer = Family.of(
+        screen(point_of(chain, (), recorded(Arm(chain), seed)), (), [bound(InPlaneGravity())]), np.ones(1), 0.01, 0
+    )
+    assert freer.p_of_fit(bound(InPlaneGravity()), 20.0) > stats.chi2.sf(20.0, 1) * freer.looks

@@ -161,6 +161,12 @@ class Family:
         """(V,) of the whole search."""
         return _several(_several(self.seen.p_values, self.times), np.full(len(self.times), self.looks))
 
+    def p_of_fit(self, effect: Effect, fall: float) -> float:
+        """Of the whole search, that noise alone lets a fitted effect lower chi^2 by so much (likelihood ratio)."""
+        times = [t for t, each in zip(self.times.tolist(), self.seen.effects, strict=True) if each.key == effect.key]
+        single = np.array([stats.chi2.sf(fall, effect.coordinates.size)])
+        return float(_several(_several(single, np.array([max(times, default=1.0)])), np.array([self.looks]))[0])
+
     def threshold(self, alpha: float) -> Array:
         """(V,) z that a candidate must reach to be below alpha."""
         single = -np.expm1(np.log1p(-alpha) / (self.looks * self.times))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -10,20 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.base import Base
+from vjm.diagnosis.causes import found_causes
 from vjm.diagnosis.gain import gain
 from vjm.diagnosis.leftover import Leftover, leftover
 from vjm.diagnosis.menu import Proposal, proposals
 from vjm.diagnosis.probes import described
 from vjm.diagnosis.propose import next_experiment
 from vjm.diagnosis.race import OFF
-from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Remaining, Rival, Size, Verdict
+from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Remaining, Verdict
 from vjm.diagnosis.refit import Explanation
 from vjm.diagnosis.repeats import Repeated, noise_told, remains_told, repeated
 from vjm.diagnosis.replays import follow, found_symptoms
 from vjm.diagnosis.rivals import alternatives
 from vjm.diagnosis.search import Found, Search
-from vjm.effects import Effect
-from vjm.effects.effect import Key
 from vjm.experiment.records import REFERENCE, Experiment
 from vjm.identification.information import Information, of_trajectory
 from vjm.identification.uncertainty import covariance, estimates, to_physical
@@ -35,7 +34,6 @@ Array = NDArray[np.float64]
 _UNLIKELY = 1e-3  # that noise alone leaves so much
 _NIL = 0.002  # reduction of the held-out error that is none
 _LITTLE = 0.02  # share of chi^2; what explains more is real, whether the recordings held out show it or not
-_SLOPE_STEP = 1e-5
 _CLEARLY = 2.0  # times the misfit before the change
 
 
@@ -65,7 +63,7 @@ def conclude(
     asked = new if best.point.misfit < OFF else ()
     rivals = alternatives(found, search, asked, scale)
     information, _ = of_trajectory(best.fit, True)
-    causes = _causes(search, found, rivals, covariance(information))
+    causes = found_causes(search, found, rivals, covariance(information))
     search.tell("replaying the recordings")
     model, plain = _model(experiment, base, best, information), _model(experiment, base, search.begun.before, None)
     runner_up = search.trials.runner_up(best) or found.runner_up
@@ -74,7 +72,7 @@ def conclude(
     left, again = leftover(best.point.runs), repeated(best.point.runs)
     needed = _still_needed(best, search, found)
     remains = _remains(best, base, search, left, needed)
-    description = _described(experiment, best, left, again, found, needed) if remains else ""
+    description = _described(experiment, best, left, again, found, needed) if remains else _usual(best, base, search)
     verdict = _verdict(causes, remains)
     diagnosis = Diagnosis(
         experiment=experiment,
@@ -92,7 +90,7 @@ def conclude(
         noise=f"{base.noise.source}; {noise_told(again)}",
         runner_up=runner_up.effects[runner_up.everywhere :] if runner_up else (),
         warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
-        notes=_notes(base, best, left, remains),
+        notes=_notes(search, base, best, left, remains),
     )
     little = search.start.chi2 - best.chi2 < _LITTLE * best.chi2
     useless = bool(causes) and little and (gained is None or gained.reduction < _NIL)
@@ -157,60 +155,26 @@ def _still_needed(best: Explanation, search: Search, found: Found) -> list[int]:
 def _remains(best: Explanation, base: Base, search: Search, left: Leftover, needed: Sequence[int]) -> bool:
     """Whether the explanation leaves more than noise; more than before the change, where that was more than noise."""
     if search.begun.lacking > 1:
-        return _worse_than_before(best, base.point.misfit / search.begun.lacking)
+        return _changed_misfit(best, search) > _CLEARLY * base.point.misfit
     unlikely = left.p_value < _UNLIKELY and left.excess > search.matters(best)
     return unlikely or bool(needed)
 
 
-def _worse_than_before(best: Explanation, usual: float) -> bool:
-    """Whether changed recordings are missed by clearly more than the reference ones by a model without effects."""
+def _changed_misfit(best: Explanation, search: Search) -> float:
+    """By how many times the noise the changed recordings are missed."""
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     squares, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
-    return bool(np.sqrt(squares / max(count, 1)) > _CLEARLY * usual)
+    return float(search.begun.lacking * np.sqrt(squares / max(count, 1)))
 
 
-def _causes(search: Search, found: Found, rivals: Mapping[Key, tuple[Rival, ...]], spread: Array) -> tuple[Cause, ...]:
-    best, causes = found.best, []
-    estimated = best.extension.present(best.estimate)
-    for effect, beam, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][best.everywhere :]:
-        fewer = search.trials.tried.get(best.names - {effect.key}) or search.trials.without(best, effect, np.inf)
-        without = fewer or search.start
-        drop = without.chi2 - best.chi2
-        before, after = without.point.misfit, best.point.misfit
-        evidence = (
-            f"without it the model misses the training recordings by {before:.3g} times the noise, with it by "
-            f"{after:.3g}; chi^2 falls by {drop:.3g}"
-        )
-        causes.append(
-            Cause(
-                effect,
-                _sizes(beam, spread[part, part]),
-                max(found.p_values.get(effect.key, 0.0), 1e-300),
-                drop,
-                rivals.get(effect.key, ()),
-                evidence,
-            )
-        )
-    return tuple(sorted(causes, key=lambda cause: -cause.gain))
-
-
-def _sizes(effect: Effect, spread: Array) -> dict[str, Size]:
-    """Parameters with standard errors, from the covariance (p, p) of the effect's coordinates."""
-    at, values = effect.coordinates, effect.values
-    slopes = {name: np.zeros(at.size) for name in values}
-    for k in range(at.size):
-        step = _SLOPE_STEP * max(abs(at[k]), 1.0)
-        moved = effect.at(at + step * np.eye(at.size)[k]).values
-        for name, value in values.items():
-            slopes[name][k] = (moved[name] - value) / step
-    found = {}
-    for each in effect.parameters():
-        slope = slopes[each.name]
-        with np.errstate(invalid="ignore"):  # of an explanation that the recordings do not determine
-            variance = float(slope @ spread @ slope)
-        std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not each.whole else None
-        found[each.name] = Size(float(values[each.name]), std, each.unit)
-    return found
+def _usual(best: Explanation, base: Base, search: Search) -> str:
+    """What is left where as much was missing before a change; empty where noise is all that is usual."""
+    if search.begun.lacking <= 1:
+        return ""
+    return (
+        f"the changed recordings are missed by {_changed_misfit(best, search):.2g} times the noise; the reference ones "
+        f"were by {base.point.misfit:.2g}, by a model without effects: about what was missing before the change"
+    )
 
 
 def _model(experiment: Experiment, base: Base, explanation: Explanation, information: Information | None) -> Model:
@@ -258,11 +222,16 @@ def _described(
     return "; ".join(parts)
 
 
-def _notes(base: Base, best: Explanation, left: Leftover, remains: bool) -> tuple[str, ...]:
+def _notes(search: Search, base: Base, best: Explanation, left: Leftover, remains: bool) -> tuple[str, ...]:
     joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in base.point.chain.links)
     known = "is measured against a finer chain" if best.shift is not None else "was not measured"
     notes = [f"virtual joints of the search's chain: {joints}; what so few of them get wrong {known}"]
-    if not remains and left.p_value < _UNLIKELY:
+    if search.begun.lost:
+        notes.append(
+            "without a change the model follows so little of the changed recordings that the table of candidates, "
+            "which is linear, is no guide: each was fitted"
+        )
+    if not remains and search.begun.lacking == 1 and left.p_value < _UNLIKELY:
         notes.append("what is left is a little more than noise, and too little to matter")
     if best.is_held:
         notes.append(
