@@ -12,7 +12,7 @@ from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family, Looked, looked_for
 from vjm.diagnosis.directions import screen
 from vjm.diagnosis.race import Job, proposal
-from vjm.diagnosis.refit import Explanation, named, sized
+from vjm.diagnosis.refit import Explanation, Names, named, sized
 from vjm.diagnosis.trials import COARSE, NOISE, Tell, Trials
 from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
@@ -239,12 +239,22 @@ class Search:
         return [k for place, k in enumerate(needed) if place < FEW or not seen.effects[k].abrupt]
 
     def _pairs(self, first: Family, best: Explanation) -> list[Step]:
-        """Pairs that explain most by the first screen, without the best single effect."""
+        """Pairs that explain most by the first screen, without the best single effect.
+
+        Of several variants, as of a marker that is off, the best may be another beside another effect than alone.
+        """
         seen = first.seen
-        alone = [k for k in seen.one_each(range(len(seen.effects))) if seen.effects[k].key not in best.names]
-        scored = [(seen.pair(i, j), i, j) for n, i in enumerate(alone) for j in alone[:n]]
-        scored.sort(reverse=True)
-        return [(self.start, [i, j]) for _, i, j in scored[:_PAIRS]]
+        others = [k for k, effect in enumerate(seen.effects) if effect.key not in best.names]
+        scored = [
+            (seen.pair(i, j), i, j)
+            for n, i in enumerate(others)
+            for j in others[:n]
+            if seen.effects[i].key != seen.effects[j].key
+        ]
+        found: dict[Names, list[int]] = {}
+        for _, i, j in sorted(scored, reverse=True):
+            found.setdefault(frozenset({seen.effects[i].key, seen.effects[j].key}), [i, j])
+        return [(self.start, pair) for pair in [*found.values()][:_PAIRS]]
 
     def _worth(self, fewer: Explanation, more: Explanation) -> bool:
         return fewer.chi2 - more.chi2 > max(self.rules.least(fewer.chi2), self.matters(fewer))
