@@ -17,7 +17,17 @@ from vjm.diagnosis.race import Job, Patience, explains_nearly_all, finished, nea
 from vjm.diagnosis.refit import Explanation, refit, sized
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.diagnosis.trials import COARSE
-from vjm.effects import Backlash, CoulombFriction, Effect, InPlaneGravity, TorqueGain, TorqueOffset, ViscousFriction
+from vjm.effects import (
+    Backlash,
+    CameraScale,
+    CoulombFriction,
+    Effect,
+    InPlaneGravity,
+    MarkerOffset,
+    TorqueGain,
+    TorqueOffset,
+    ViscousFriction,
+)
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_problem import Point
 from vjm.simulate.arm import Arm
@@ -229,3 +239,20 @@ def test_what_is_held_is_not_fitted_to_its_very_end(rough: bool) -> None:
     asked = Patience(np.inf, rough=rough)
     assert [asked(cast(Point, each), 0.5) for each in noise] == [rough, rough]
     assert not asked(cast(Point, noise[0]), 5.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_pair_begins_with_the_marker_that_explains_most_beside_the_other(seed: int) -> None:
+    """Alone, the offset of another marker looks more like a camera's scale and a marker's offset together."""
+    truth = CameraScale(scale=1.01), MarkerOffset(marker=2, along=-0.003)
+    start = unfitted(truth, seed)
+    search = Search(RIG, Beginning(start, start), [CameraScale(), MarkerOffset()], Rules(), lambda text: None)
+    first = search.judged(start)
+    seen = first.seen
+    ((_, pair),) = search._pairs(first, start)
+    (marker,) = [seen.effects[k] for k in pair if seen.effects[k].id == "marker_offset"]
+    alone = max(
+        (k for k, each in enumerate(seen.effects) if each.id == "marker_offset"), key=lambda k: seen.statistics[k]
+    )
+    assert int(marker.values["marker"]) == 2
+    assert int(seen.effects[alone].values["marker"]) != 2
