@@ -58,8 +58,7 @@ def repeated(runs: Sequence[Run]) -> Repeated | None:
 
 def _pairs(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
     """(N,), (N,) residuals of the same marker coordinates at the same instants since the start."""
-    labels = {run.observed.recording.repeat for run in runs} - {None}
-    for label in sorted(each for each in labels if each is not None):
+    for label in sorted({each for run in runs if (each := run.observed.recording.repeat) is not None}):
         for one, two in pairwise(run for run in runs if run.observed.recording.repeat == label):
             (times, residuals), (others, there) = _frames(one), _frames(two)
             nearest = np.clip(np.searchsorted(others, times), 1, others.size - 1) if others.size > 1 else None
