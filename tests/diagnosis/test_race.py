@@ -13,8 +13,8 @@ from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis.beginning import Beginning
 from vjm.diagnosis.candidates import Family
 from vjm.diagnosis.holding import held_at_nominal
-from vjm.diagnosis.race import Job, Patience, explains_nearly_all, finished, near_noise, promising
-from vjm.diagnosis.refit import Explanation, refit, sized
+from vjm.diagnosis.race import Job, Patience, begun_with, explains_nearly_all, finished, near_noise, promising
+from vjm.diagnosis.refit import Explanation, anew, refit, sized
 from vjm.diagnosis.search import Found, Rules, Search
 from vjm.diagnosis.trials import COARSE
 from vjm.effects import (
@@ -256,3 +256,19 @@ def test_a_pair_begins_with_the_marker_that_explains_most_beside_the_other(seed:
     )
     assert int(marker.values["marker"]) == 2
     assert int(seen.effects[alone].values["marker"]) != 2
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_beside_the_beginnings_what_is_far_from_the_best_is_not_fitted_further(seed: int) -> None:
+    start = held_at_nominal(unfitted((InPlaneGravity(gx=0.0, gy=0.3),), seed))
+    assert start is not None
+    job = Job(anew(start), (InPlaneGravity(gx=0.0, gy=0.05),))
+    whole = start.point.problem.longest
+    first, near = begun_with(job, whole), begun_with(job, whole, record=job.start.chi2)
+    far = begun_with(job, whole, record=1.0 - 1e6 * job.start.chi2)
+    assert first is not None
+    assert near is not None
+    assert far is not None
+    assert first.point.problem.longest < whole
+    assert near.chi2 == first.chi2 < 0.01 * job.start.chi2
+    assert far.fit.iterations == 1

@@ -30,3 +30,9 @@ def test_the_mass_on_the_tip_is_named_and_weighed(effects: list[str] | None) -> 
     # The silicone creeps, on the tip or not.
     (said,) = [warning for warning in diagnosis.warnings if "already in the reference recordings" in warning]
     assert "viscoelastic_creep" in said
+    # No screen is a guide from so far away; the fit is, and what is left is told beside what was missing before.
+    assert diagnosis.causes[0].p_value < 1e-12
+    assert "what was missing before the change" in diagnosis.causes[0].evidence
+    assert "by a model without effects" in diagnosis.remaining.description
+    assert any("table of candidates" in note for note in diagnosis.notes)
+    assert diagnosis.runner_up
