@@ -38,11 +38,12 @@ from mujoco import sysid
 from numpy.typing import NDArray
 
 import vjm
-from vjm.chain import Chain, LinkChain, marker_positions
+from vjm.chain.curve import marker_positions
+from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.experiment import Experiment, Recording
-from vjm.identification.select import cuts_of, nominal_chain
-from vjm.model import Model
-from vjm.simulate import simulate
+from vjm.identification.virtual_joints import cuts_of, nominal_chain
+from vjm.simulation.integrate import simulate
+from vjm.simulation.model import Model
 
 sys.path.append(str(ROOT))
 

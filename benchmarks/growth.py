@@ -12,12 +12,12 @@ import numpy as np
 from clock import header, line
 
 import vjm
-from vjm.chain import Chain, layout, uniform_chain
-from vjm.experiment.records import Experiment, Link, Recording, Rig
-from vjm.simulate import rollouts
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Arcs
-from vjm.simulate.steps import sample
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
+from vjm.records import Experiment, Link, Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import rollouts, sample
+from vjm.simulation.measurement import Arcs
 
 SAMPLES = (10_000, 100_000, 1_000_000)
 JOINTS = (5, 10, 20, 40)

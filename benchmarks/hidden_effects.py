@@ -44,7 +44,7 @@ Smallest = Mapping[str, Mapping[str, float]]
 def diagnose(file: Path, effects: list[str] | None) -> Result:
     """The package's own diagnosis."""
     import vjm
-    from vjm.result import diagnosis_result
+    from vjm.report.result_json import diagnosis_result
 
     found: Result = diagnosis_result(vjm.diagnose(vjm.load_experiment(file), effects=effects, seed=0))
     return found

@@ -4,10 +4,11 @@ import numpy as np
 import pinocchio as pin
 from clock import header, in_turns, line
 
-from vjm import dynamics
-from vjm.chain import Chain, layout, uniform_chain
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.experiment import Link
-from vjm.torque import torque_errors
+from vjm.model import dynamics
+from vjm.model.torque import torque_errors
 
 SAMPLES, JOINTS, THREADS = 100_000, 6, 2
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from vjm.model_file import read_model
-from vjm.modes import modes
-from vjm.urdf import chain_to_urdf
+from vjm.model.modes import modes
+from vjm.model.urdf import chain_to_urdf
+from vjm.report.model_json import read_model
 
 STEP = 1e-4  # s
 

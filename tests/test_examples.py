@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 import vjm
-from vjm.chain import Chain, layout, uniform_chain
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.experiment import Link
-from vjm.model_file import write_model
-from vjm.urdf import chain_from_urdf
+from vjm.model.urdf_reader import chain_from_urdf
+from vjm.report.model_json import write_model
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PNG = b"\x89PNG"

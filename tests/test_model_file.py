@@ -18,10 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.urdf.chains import HOSTILE, chains, contents, plain_chain, plain_link
-from vjm.chain.records import Chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ModelFileError, ShapeError
 from vjm.files import json_text, write_bytes_atomic, write_text_atomic
-from vjm.model_file import read_model, write_model
+from vjm.report.model_json import read_model, write_model
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -13,10 +13,8 @@ import pytest
 import vjm
 from tests.fine_beam.make_demo import NOMINAL_STIFFNESS, TRUE_BEAM
 from vjm.cli.arguments import parse
-from vjm.experiment.cells import parse_cells, read_text
-from vjm.experiment.load import parse_experiment
-from vjm.experiment.rules import build_rig
-from vjm.experiment.table import check_columns
+from vjm.experiment.csv import check_columns, parse_cells, read_text
+from vjm.experiment.load import build_rig, parse_experiment
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from vjm import effects
-    from vjm.checking import Check, check
     from vjm.diagnosis import Diagnosis, diagnose
-    from vjm.diagnosis.contract import check_effect
+    from vjm.diagnosis.check_effect import check_effect
     from vjm.errors import InputError, VjmError
     from vjm.experiment import Experiment, load_experiment
     from vjm.identification import Identification, bootstrap, identify, profile_interval
-    from vjm.model import Model
-    from vjm.report.comparison import Comparison, compare
+    from vjm.identification.check import Check, check
+    from vjm.identification.comparison import Comparison, compare
     from vjm.report.save import save
+    from vjm.simulation.model import Model
 
 __all__ = [
     "Check",
@@ -40,18 +40,18 @@ __all__ = [
 
 # Imported when first used: `import vjm` and `vjm --help` stay quick.
 _HOMES = {
-    "Check": "vjm.checking",
-    "Comparison": "vjm.report.comparison",
+    "Check": "vjm.identification.check",
+    "Comparison": "vjm.identification.comparison",
     "Diagnosis": "vjm.diagnosis",
     "Experiment": "vjm.experiment",
     "Identification": "vjm.identification",
     "InputError": "vjm.errors",
-    "Model": "vjm.model",
+    "Model": "vjm.simulation.model",
     "VjmError": "vjm.errors",
     "bootstrap": "vjm.identification",
-    "check": "vjm.checking",
-    "check_effect": "vjm.diagnosis.contract",
-    "compare": "vjm.report.comparison",
+    "check": "vjm.identification.check",
+    "check_effect": "vjm.diagnosis.check_effect",
+    "compare": "vjm.identification.comparison",
     "diagnose": "vjm.diagnosis",
     "identify": "vjm.identification",
     "load_experiment": "vjm.experiment",

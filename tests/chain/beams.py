@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from vjm.chain import Chain, layout, uniform_chain
-from vjm.chain.records import Distal
-from vjm.experiment.records import Link
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain, Distal
+from vjm.records import Link
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from scipy.interpolate import make_interp_spline
 
 from tests.chain.beams import beam_chain
 from tests.fine_beam import Beam, State, modal_state, simulate, static_state
-from vjm.chain import LAYOUTS
 from vjm.chain.curve import curve_map
-from vjm.chain.records import LinkChain
+from vjm.chain.layout import LAYOUTS
+from vjm.chain.virtual_links import LinkChain
 
 Array = NDArray[np.float64]
 ARCS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])

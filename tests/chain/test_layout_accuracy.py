@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tests.chain.beams import beam_chain, clamped_frequencies, hub_frequencies
 from vjm.chain.curve import curve_map
-from vjm.modes import modes
+from vjm.model.modes import modes
 
 Array = NDArray[np.float64]
 

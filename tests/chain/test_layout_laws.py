@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.chain.beams import beam_chain
-from vjm.chain import LAYOUTS, Chain, free_layout, layout
-from vjm.chain.records import Distal, LinkChain
+from vjm.chain.layout import LAYOUTS, free_layout, layout
+from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.errors import ChoiceError, InputError, ShapeError
 
 COUNTS = st.integers(1, 40)

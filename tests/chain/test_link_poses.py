@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.chain.beams import beam_chain
-from vjm.chain import Chain, marker_positions
-from vjm.chain.curve import curve_map, link_poses
+from vjm.chain.curve import curve_map, link_poses, marker_positions
+from vjm.chain.virtual_links import Chain
 
 Array = NDArray[np.float64]
 Joint = Literal["revolute", "clamped"]

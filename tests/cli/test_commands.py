@@ -16,14 +16,15 @@ from pydantic import BaseModel
 from tests.report.diagnoses import nothing, undecided
 from tests.report.fits import DEMO, demo_fit, elbow_fit
 from tests.report.schema import CheckResult, DemoResult, DiagnoseResult, IdentifyResult, SimulateResult, UrdfResult
-from vjm.checking import Check
 from vjm.cli import commands, main
-from vjm.cli.progress import progress
+from vjm.cli.commands import progress
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.model_file import write_model
+from vjm.identification.check import Check
+from vjm.identification.comparison import Comparison
+from vjm.model.urdf import chain_to_urdf
+from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report import save as saving
-from vjm.report.comparison import Comparison
-from vjm.urdf import chain_from_urdf, chain_to_urdf
+from vjm.report.model_json import write_model
 
 Raise = Callable[[BaseException], None]
 
@@ -46,7 +47,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(saving, "diagnosis_pictures", lambda _: [])
     monkeypatch.setattr("vjm.diagnosis.diagnose", lambda *_, **__: undecided())
     checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})
-    monkeypatch.setattr("vjm.checking.check", lambda experiment: checked)
+    monkeypatch.setattr("vjm.identification.check.check", lambda experiment: checked)
 
 
 @pytest.fixture
@@ -160,7 +161,7 @@ def test_check_of_hopeless_recordings_ends_with_status_2(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hopeless = Check(demo_fit().experiment, (), np.array([1.2]), (), {}, "identification: nothing moves; excite it")
-    monkeypatch.setattr("vjm.checking.check", lambda experiment: hopeless)
+    monkeypatch.setattr("vjm.identification.check.check", lambda experiment: hopeless)
     status, out, err = run(capsys, "check", DEMO)
     assert status == 2
     assert err == "vjm: identification: nothing moves; excite it\n"
@@ -306,7 +307,7 @@ def test_warnings_and_names_are_printed_as_they_are(
 ) -> None:
     fit = demo_fit()
     strange = Check(fit.experiment, ("[red]not markup[/red] :smile:", ""), np.array([1.0]), (4,), {})
-    monkeypatch.setattr("vjm.checking.check", lambda experiment: strange)
+    monkeypatch.setattr("vjm.identification.check.check", lambda experiment: strange)
     assert "[red]not markup[/red] :smile:" in run(capsys, "check", DEMO)[1]
     result = json.loads(run(capsys, "check", DEMO, "--json")[1])
     assert result["warnings"][0] == "[red]not markup[/red] :smile:"

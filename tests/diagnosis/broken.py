@@ -8,10 +8,10 @@ from typing import Self
 
 import numpy as np
 
-from vjm.chain.records import Array, Chain
+from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import Effect, Motion, Way, inner, size
-from vjm.effects.places import JointEffect, active_coordinate, changed_link
-from vjm.experiment.records import Recording, Rig
+from vjm.effects.effect import JointEffect, active_coordinate, changed_link
+from vjm.records import Recording, Rig
 
 
 @dataclass(frozen=True)

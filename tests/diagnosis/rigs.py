@@ -8,18 +8,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
-from vjm.chain import uniform_chain
-from vjm.chain.layout import layout
-from vjm.chain.records import Chain
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.noise import Noise, whitened
 from vjm.effects import Effect
-from vjm.experiment.records import Link, Recording, Rig
-from vjm.identification.parametrisation import Parametrisation
-from vjm.identification.trajectory_problem import Point, TrajectoryProblem
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Observed
-from vjm.simulate.rollout import simulate
-from vjm.simulate.run import Start, run_all
+from vjm.identification.parameters import Parametrisation
+from vjm.identification.trajectory_fit import Point, TrajectoryProblem
+from vjm.records import Link, Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import simulate
+from vjm.simulation.measurement import Observed
+from vjm.simulation.run import Start, run_all
 
 NOISE = (3e-4, 1e-4)
 LINK = Link("beam", "revolute", 1.0, 0.44, 1.97, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)

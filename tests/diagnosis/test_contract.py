@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.diagnosis import broken
-from vjm.diagnosis.contract import CLAUSES, check_effect
+from vjm.diagnosis.check_effect import CLAUSES, check_effect
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import EffectError
 

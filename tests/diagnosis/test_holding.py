@@ -10,13 +10,11 @@ import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
 from tests.simulate.test_abrupt_start import seen_at
-from vjm.diagnosis.beginning import Beginning
-from vjm.diagnosis.holding import can_be_held, freed, held, held_at_nominal, released, replayed
-from vjm.diagnosis.race import Patience
-from vjm.diagnosis.refit import Explanation, refit
-from vjm.diagnosis.rivals import alternatives
-from vjm.diagnosis.search import Found, Rules, Search
-from vjm.diagnosis.sticking import whole_search
+from vjm.diagnosis.alternatives import alternatives
+from vjm.diagnosis.candidate_fit import Explanation, refit
+from vjm.diagnosis.encoder_feedback import can_be_held, freed, held, held_at_nominal, released, replayed
+from vjm.diagnosis.fit_cache import Patience
+from vjm.diagnosis.selection import Beginning, Found, Rules, Search, whole_search
 from vjm.effects import (
     Backlash,
     CameraRotation,
@@ -29,12 +27,11 @@ from vjm.effects import (
     TorqueOffset,
     ViscousFriction,
 )
-from vjm.experiment.records import Recording
-from vjm.identification.information import of_trajectory
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
-from vjm.identification.uncertainty import covariance
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Observed
+from vjm.identification.uncertainty import covariance, of_trajectory
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.measurement import Observed
 
 
 def made(effects: Sequence[Effect], seed: int, duration: float = 2.0) -> list[Recording]:

@@ -11,7 +11,7 @@ import pytest
 
 import vjm
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
-from vjm.experiment.records import Experiment, Recording
+from vjm.records import Experiment, Recording
 
 DEMO = Path(vjm.__file__).parent / "demo" / "later.toml"
 FEW = ["tip_payload", "quadratic_drag"]

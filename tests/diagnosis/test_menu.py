@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.menu import proposals
-from vjm.diagnosis.refit import Explanation, refit
+from vjm.diagnosis.candidate_fit import Explanation, refit
+from vjm.diagnosis.next_experiment import proposals
 from vjm.effects import CameraRotation, ClampCompliance, CubicStiffness, Effect, EncoderOffset, StiffnessDrift
-from vjm.experiment.records import Recording
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.simulate.arm import Arm
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
 
 CUBIC = CubicStiffness(link=0, coefficient=0.3)
 DRIFT = StiffnessDrift(link=0, rate=-0.01)

@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
 from vjm.diagnosis.noise import Noise, _autoregression, _covariance, camera_noise, whitened
 from vjm.effects import InPlaneGravity
-from vjm.experiment.records import Link, Recording, Rig
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Observed
+from vjm.records import Link, Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.measurement import Observed
 
 RIG = Rig("rig", (Link("beam", "clamped", 1.0, 0.4, 2.0, (0.5, 1.0)),))
 

@@ -10,13 +10,20 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
-from vjm.diagnosis.beginning import Beginning
-from vjm.diagnosis.candidates import Family
-from vjm.diagnosis.holding import held_at_nominal
-from vjm.diagnosis.race import Job, Patience, begun_with, explains_nearly_all, finished, near_noise, promising
-from vjm.diagnosis.refit import Explanation, anew, refit, sized
-from vjm.diagnosis.search import Found, Rules, Search
-from vjm.diagnosis.trials import COARSE
+from vjm.diagnosis.candidate_fit import Explanation, anew, refit, sized
+from vjm.diagnosis.encoder_feedback import held_at_nominal
+from vjm.diagnosis.fit_cache import (
+    COARSE,
+    Job,
+    Patience,
+    begun_with,
+    explains_nearly_all,
+    finished,
+    near_noise,
+    promising,
+)
+from vjm.diagnosis.screen import Family
+from vjm.diagnosis.selection import Beginning, Found, Rules, Search
 from vjm.effects import (
     Backlash,
     CameraScale,
@@ -28,9 +35,8 @@ from vjm.effects import (
     TorqueOffset,
     ViscousFriction,
 )
-from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.identification.trajectory_problem import Point
-from vjm.simulate.arm import Arm
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.simulation.arm import Arm
 
 Step = tuple[object, list[int]]
 

@@ -9,22 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.extension import Extension
-from vjm.diagnosis.holding import held_at_nominal
-from vjm.diagnosis.refit import Explanation, refit
-from vjm.effects import (
-    CoulombFriction,
-    Effect,
-    GearElasticity,
-    ViscoelasticCreep,
-    ViscousFriction,
-)
+from vjm.diagnosis.candidate_fit import Explanation, Extension, refit
+from vjm.diagnosis.encoder_feedback import held_at_nominal
+from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
-from vjm.identification.trajectory_fit import TrajectoryFit, _attempt, _Step
-from vjm.identification.trajectory_problem import Point
-from vjm.simulate.arm import Arm
-from vjm.simulate.run import Run
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, _attempt, _Step
+from vjm.simulation.arm import Arm
+from vjm.simulation.run import Run
 
 Array = NDArray[np.float64]
 

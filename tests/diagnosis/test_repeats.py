@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.repeats import noise_told, remains_told, repeated
+from vjm.diagnosis.residual_tests import noise_told, remains_told, repeated
 from vjm.effects import TorqueGain
-from vjm.experiment.records import Recording
-from vjm.identification.trajectory_problem import Point
-from vjm.simulate.arm import Arm
-from vjm.simulate.run import Run
+from vjm.identification.trajectory_fit import Point
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.run import Run
 
 # Of a torque: 2 % more than is told to the model, in every one of several recordings or in the last one alone.
 MORE = TorqueGain(link=0, gain=1.02)

@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
-from vjm.chain.records import Chain
-from vjm.diagnosis.candidates import Family, looked_for
+from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.directions import screen
+from vjm.diagnosis.screen import Family, looked_for
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -36,9 +36,9 @@ from vjm.effects import (
     ViscoelasticCreep,
     ViscousFriction,
 )
-from vjm.identification.trajectory_problem import Point
-from vjm.simulate.arm import Arm
-from vjm.simulate.run import Start, run_all, transferred
+from vjm.identification.trajectory_fit import Point
+from vjm.simulation.arm import Arm
+from vjm.simulation.run import Start, run_all, transferred
 
 EFFECTS: tuple[Effect, ...] = (
     TipPayload(),

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vjm.chain.records import Chain, LinkChain
+from vjm.chain.virtual_links import Chain, LinkChain
 
 Array = NDArray[np.float64]
 GRAVITY = (1.7, -9.81)

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.records import Chain, LinkChain
+from vjm.chain.virtual_links import Chain, LinkChain
 
 Array = NDArray[np.float64]
 _STEP = 1e-30  # of the complex-step derivative, which has no rounding error

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.dynamics.arms import arms, one_joint_arm, random_motion
-from vjm.chain.records import Chain
-from vjm.dynamics import build, inverse_dynamics, mass_regressor
+from vjm.chain.virtual_links import Chain
+from vjm.model.dynamics import build, inverse_dynamics, mass_regressor
 
 Array = NDArray[np.float64]
 

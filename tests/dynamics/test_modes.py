@@ -11,9 +11,9 @@ from scipy.optimize import brentq
 
 from tests.dynamics.arms import arms, one_joint_arm
 from tests.dynamics.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
-from vjm.chain.records import Chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
-from vjm.modes import equilibrium, linearise, modes, modes_of
+from vjm.model.modes import equilibrium, linearise, modes, modes_of
 
 STILL = (0.0, 0.0)
 

@@ -16,10 +16,10 @@ from scipy.integrate import solve_ivp
 
 from tests.dynamics.arms import GRAVITY, arms, one_joint_arm, random_motion
 from tests.dynamics.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
-from vjm.chain.records import Chain
-from vjm.dynamics import build
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
-from vjm.torque import objective, torque_errors
+from vjm.model.dynamics import build
+from vjm.model.torque import objective, torque_errors
 
 Array = NDArray[np.float64]
 PAYLOAD = 0.16

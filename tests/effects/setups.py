@@ -9,9 +9,10 @@ import numpy as np
 from hypothesis import strategies as st
 
 from tests.dynamics.arms import arms
-from vjm.chain import Chain, layout, uniform_chain
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.effects import BUILTIN, Effect
-from vjm.experiment.records import Array, Link, Recording, Rig
+from vjm.records import Array, Link, Recording, Rig
 
 Draw = Callable[[tuple[int, ...]], Array]
 

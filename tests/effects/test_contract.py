@@ -14,7 +14,7 @@ from tests.effects.setups import PRESENT, RIG, chain_of, draw_from, recording_of
 from tests.urdf.chains import contents
 from vjm.effects import BUILTIN, Effect, by_id
 from vjm.errors import ChoiceError
-from vjm.experiment.records import Recording
+from vjm.records import Recording
 
 TABLE = Path(__file__).parents[3] / "shared" / "EFFECTS.md"
 CHAIN = chain_of(*RIG.links)

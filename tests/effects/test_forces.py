@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tests.dynamics.arms import random_motion
 from tests.effects.setups import FORE, LINK, POST, PRESENT, chain_of, placed_first, recording_of, revolute_arms
-from vjm.chain.records import Array, Chain
+from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import (
     CoulombFriction,
     CubicStiffness,
@@ -30,12 +30,11 @@ from vjm.effects import (
     TipPayload,
     ViscousFriction,
 )
-from vjm.experiment.records import Recording, Rig
-from vjm.modes import linearise, modes, modes_of
-from vjm.simulate.arm import Arm
-from vjm.simulate.rollout import rollouts
-from vjm.simulate.sensitivity import Path, followed
-from vjm.simulate.steps import sample
+from vjm.model.modes import linearise, modes, modes_of
+from vjm.records import Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import rollouts, sample
+from vjm.simulation.sensitivity import Path, followed
 
 HUB = chain_of(LINK)
 # What has internal states may give back what it took: the contract follows it over a motion.

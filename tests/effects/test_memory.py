@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, chain_of
-from vjm.chain.records import Array
+from vjm.chain.virtual_links import Array
 from vjm.effects import Hysteresis, ViscoelasticCreep
-from vjm.effects.memory import MemoryEffect
+from vjm.effects.bending import MemoryEffect
 
 CHAIN = chain_of(LINK, n=1)
 STIFFNESS = CHAIN.stiffness[1]

@@ -9,7 +9,7 @@ import pytest
 
 from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
 from vjm.effects import BUILTIN, ExternalTone, Hysteresis, ViscoelasticCreep, by_id
-from vjm.experiment.records import Recording, Rig
+from vjm.records import Recording, Rig
 
 CLAMPED, HUB = Rig("post", (POST,)), Rig("hub", (LINK,))
 JOINT = {

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.dynamics.arms import arms, random_motion
-from vjm.chain.records import Array, Chain
-from vjm.dynamics import build
+from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import ClampCompliance, RestCurvature
-from vjm.effects.rods import Rods
+from vjm.effects.drag import Rods
+from vjm.model.dynamics import build
 
 STEP = 1e-6
 

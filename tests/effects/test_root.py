@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.effects.setups import LINK, POST, chain_of
-from vjm.chain.records import Array
+from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, ClampCompliance, GearElasticity
-from vjm.modes import modes
+from vjm.model.modes import modes
 
 HUB, CLAMPED = chain_of(LINK), chain_of(POST)
 GAP = 0.01

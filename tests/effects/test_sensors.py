@@ -20,7 +20,7 @@ from vjm.effects import (
     TorqueOffset,
 )
 from vjm.errors import ShapeError
-from vjm.experiment.records import Array, Rig
+from vjm.records import Array, Rig
 
 TIME = np.array([0.0, 0.1, 0.5])
 RNG = np.random.default_rng(3)

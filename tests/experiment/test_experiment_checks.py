@@ -13,19 +13,17 @@ from experiment_files import DRIVEN, FREE, ROWS, TOML, csv_text, rows, write_exp
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, Recording, load_experiment
 from vjm.experiment.checks import (
+    absence_warnings,
     camera_rate,
+    clipped_runs,
+    clipping_warnings,
     coverage_warnings,
     difference_noise,
+    distance_warnings,
     gap_warnings,
     idle_torque_warnings,
     moves,
     torque_difference,
-)
-from vjm.experiment.marker_checks import (
-    absence_warnings,
-    clipped_runs,
-    clipping_warnings,
-    distance_warnings,
     units_warnings,
 )
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from vjm.errors import InputError, RecordingError
 from vjm.experiment import Experiment, load_experiment
-from vjm.experiment.cells import _parse_at_once, _parse_row_by_row
+from vjm.experiment.csv import _parse_at_once, _parse_row_by_row
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NUMBER_LIKE = st.text("0123456789+-.eE \t", max_size=8)

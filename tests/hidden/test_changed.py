@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import vjm
 from tests.hidden.rigs import Conditions, write_hidden
 from tests.hidden.severities import Planted, draw
-from vjm.diagnosis.base import base_fit
+from vjm.diagnosis.baseline import base_fit
 
 
 @pytest.mark.parametrize("seed", [502, 503])

@@ -7,11 +7,11 @@ import pytest
 
 import vjm
 from tests.hidden.conftest import Plant
-from vjm.diagnosis.base import base_fit
-from vjm.diagnosis.coarseness import beside
+from vjm.diagnosis.baseline import base_fit
 from vjm.diagnosis.directions import screen
+from vjm.diagnosis.discretization import beside
 from vjm.effects import CubicStiffness
-from vjm.identification.trajectory_problem import Point
+from vjm.identification.trajectory_fit import Point
 
 
 def cubic(point: Point) -> float:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from tests.identification.test_recovery import demo
-from vjm.checking import Check, check
-from vjm.experiment.records import Experiment
+from vjm.identification.check import Check, check
+from vjm.records import Experiment
 
 
 @pytest.fixture(scope="module")

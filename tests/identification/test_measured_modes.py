@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from vjm.noise import white_noise
-from vjm.spectrum import MeasuredModes, match, measure_modes
+from vjm.experiment.noise import white_noise
+from vjm.experiment.spectrum import MeasuredModes, match, measure_modes
 
 
 def decay(t: np.ndarray, frequency: float, ratio: float, phase: float) -> np.ndarray:

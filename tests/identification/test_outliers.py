@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vjm.experiment.records import Recording
 from vjm.identification.outliers import without_outliers
+from vjm.records import Recording
 
 Array = NDArray[np.float64]
 

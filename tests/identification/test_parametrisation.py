@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vjm.chain import Chain, free_layout, layout, uniform_chain
+from vjm.chain.layout import free_layout, layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError
-from vjm.experiment.records import Link
-from vjm.identification.parametrisation import PARAMETRISATIONS, Parametrisation
+from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
+from vjm.records import Link
 
 
 def template(joint: str = "revolute", n: int = 3) -> Chain:

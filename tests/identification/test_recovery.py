@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vjm.chain import Chain, layout, marker_positions, uniform_chain
-from vjm.chain.layout import free_layout
+from vjm.chain.curve import marker_positions
+from vjm.chain.layout import free_layout, layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
 from vjm.experiment import load_experiment
-from vjm.experiment.records import Experiment, Link, Recording, Rig
 from vjm.identification import Identification, identify
-from vjm.identification.data import Options, read_data
-from vjm.identification.parametrisation import Parametrisation
-from vjm.identification.torque_fit import evaluate
-from vjm.identification.torque_method import fit_refined, fit_uniform, refined
-from vjm.simulate import rollout
+from vjm.identification.parameters import Parametrisation
+from vjm.identification.prepare import Options, read_data
+from vjm.identification.torque_method import evaluate, fit_refined, fit_uniform, refined
+from vjm.records import Experiment, Link, Recording, Rig
+from vjm.simulation.integrate import rollout
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / "shared" / "data"

@@ -7,9 +7,8 @@ import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.identification import trajectory_fit
-from vjm.identification.trajectory_fit import _Step, fit_trajectory
-from vjm.identification.trajectory_problem import Point
-from vjm.simulate.arm import Arm
+from vjm.identification.trajectory_fit import Point, _Step, fit_trajectory
+from vjm.simulation.arm import Arm
 
 
 @pytest.mark.parametrize("seed", [1, 2])

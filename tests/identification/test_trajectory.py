@@ -16,17 +16,16 @@ import vjm
 from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
 from tests.identification.test_recovery import SHARED, chain_recordings, demo
 from tests.simulate.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
-from vjm.experiment.records import Experiment, Recording
 from vjm.identification import Identification, identify
-from vjm.identification.parametrisation import Parametrisation
+from vjm.identification.parameters import Parametrisation
 from vjm.identification.resampling import Resampled, resample
-from vjm.identification.trajectory_fit import fit_trajectory
-from vjm.identification.trajectory_problem import Point, TrajectoryProblem
-from vjm.identification.trajectory_search import _coarsest
+from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
+from vjm.identification.trajectory_method import _coarsest
 from vjm.identification.uncertainty import to_physical
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Observed
-from vjm.simulate.run import Start, run_all
+from vjm.records import Experiment, Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.measurement import Observed
+from vjm.simulation.run import Start, run_all
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -174,8 +173,7 @@ def _coloured(rng: np.random.Generator, count: int, size: int) -> Array:
 
 
 def _std(fit: object) -> Array:
-    from vjm.identification.information import of_trajectory
-    from vjm.identification.uncertainty import covariance
+    from vjm.identification.uncertainty import covariance, of_trajectory
 
     information, whiteness = of_trajectory(fit, noise_known=True)  # type: ignore[arg-type]
     assert all(one.coloured for one in whiteness)
@@ -284,7 +282,7 @@ def test_demo_comes_out_as_it_was_put_in() -> None:
 
 def test_measured_shapes_tell_modes_apart() -> None:
     """MAC of the first mode with the second's shape is small."""
-    from vjm.identification.mode_shapes import assurance, model_shapes
+    from vjm.identification.assess import assurance, model_shapes
 
     model = identify(demo(), "torque").model
     first, second = model_shapes(model.chain, model.rig, 0.0)[:2]

@@ -21,13 +21,14 @@ from vjm.effects import (
     ViscousFriction,
 )
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
-from vjm.model import Model
-from vjm.parameters import Estimate
+from vjm.records import Estimate
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.pictures import Picture
-from vjm.simulate import simulate
-from vjm.simulate.arm import Arm
-from vjm.symptoms import Followed, symptoms
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import simulate
+from vjm.simulation.model import Model
+from vjm.symptoms.find import symptoms
+from vjm.symptoms.records import Followed
 
 Array = NDArray[np.float64]
 

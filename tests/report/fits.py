@@ -12,28 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vjm
-from vjm.angles.estimate import ShapeSettings, estimate_angles
-from vjm.chain import Chain, Layout, layout, uniform_chain
-from vjm.derivatives import Smoother
+from vjm.chain.layout import Layout, layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
-from vjm.identification.information import Whiteness
-from vjm.identification.parametrisation import Parametrisation
-from vjm.identification.records import (
-    Identification,
-    ModeComparison,
-    RecordingFit,
-    TorqueData,
-    TrajectorySummary,
-)
-from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.identification.trajectory_problem import Point, TrajectoryProblem
-from vjm.model import Model
-from vjm.parameters import Estimate
+from vjm.identification.parameters import Parametrisation
+from vjm.identification.records import Identification, ModeComparison, RecordingFit, TorqueData, TrajectorySummary
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
+from vjm.identification.uncertainty import Whiteness
+from vjm.markers.angles import ShapeSettings, estimate_angles
+from vjm.markers.smoothing import Smoother
+from vjm.model.torque import torque_errors
+from vjm.records import Estimate
 from vjm.report.figures.pictures import Picture, identification_pictures
-from vjm.simulate import Replay, simulate
-from vjm.simulate.observation import Observed
-from vjm.simulate.run import Start, run_all
-from vjm.torque import torque_errors
+from vjm.simulation.initial_state import Replay
+from vjm.simulation.integrate import simulate
+from vjm.simulation.measurement import Observed
+from vjm.simulation.model import Model
+from vjm.simulation.run import Start, run_all
 
 Array = NDArray[np.float64]
 Replayer = Callable[[Model, Recording], Replay]

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.report.fits import elbow_fit
-from vjm.parameters import Estimate
-from vjm.report.figures.correlations import correlation_map, correlations
+from vjm.records import Estimate
+from vjm.report.figures.residuals import correlation_map, correlations
 
 Array = NDArray[np.float64]
 

@@ -27,18 +27,24 @@ from tests.report.test_page import HOSTILE, Elements, assert_self_contained
 from vjm.diagnosis.records import Diagnosis, Remaining, Size
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
 from vjm.files import json_text
+from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report import save as saving
-from vjm.report.diagnosis_page import diagnosis_page
-from vjm.report.diagnosis_tables import candidate_table, cause_table, followed_table
-from vjm.report.diagnosis_words import diagnosis_verdict, indistinct
-from vjm.report.effect_words import carried_points, clause, differences_text, quantity, sizes_text
+from vjm.report.diagnosis_text import (
+    carried_points,
+    clause,
+    diagnosis_verdict,
+    differences_text,
+    indistinct,
+    quantity,
+    sizes_text,
+)
 from vjm.report.figures import diagnosis as drawing
-from vjm.report.figures.diagnosis_evidence import evidence
-from vjm.report.figures.diagnosis_gain import before_and_after, gain_of_recordings
+from vjm.report.figures.diagnosis import before_and_after, evidence, gain_of_recordings
+from vjm.report.model_json import stored_model
+from vjm.report.page import diagnosis_page
+from vjm.report.result_json import diagnosis_result
 from vjm.report.save import save
-from vjm.report.stored import stored_model
-from vjm.result import diagnosis_result
-from vjm.urdf import chain_from_urdf
+from vjm.report.tables import candidate_table, cause_table, followed_table
 
 
 @pytest.fixture(params=list(DIAGNOSES))

@@ -10,21 +10,13 @@ from html.parser import HTMLParser
 import pytest
 
 from tests.report.fits import demo_fit, elbow_fit, not_simulated, pictures_of, torque_fit
-from vjm.identification.information import Whiteness
+from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification, RecordingFit
-from vjm.parameters import Estimate
-from vjm.report.comparison import Comparison
+from vjm.identification.uncertainty import Whiteness
+from vjm.records import Estimate
 from vjm.report.page import comparison_page, identification_page
-from vjm.report.tables import (
-    mode_table,
-    nominal_value,
-    parameter_table,
-    recording_table,
-    remedy_table,
-    whiteness_table,
-)
-from vjm.report.verdict import comparison_verdict, identification_verdict
-from vjm.report.wording import millimetres
+from vjm.report.tables import mode_table, nominal_value, parameter_table, recording_table, remedy_table, whiteness_table
+from vjm.report.text import comparison_verdict, identification_verdict, millimetres
 
 HOSTILE = "<script>alert('1')</script><img src=http://evil.example/x onerror=alert(2)>&amp; \"quoted\" {{ 7 * 7 }}"
 

@@ -7,10 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.report.fits import hub_chain
-from vjm.identification.information import Information
-from vjm.identification.parametrisation import Parametrisation
-from vjm.identification.uncertainty import estimates
-from vjm.parameters import Estimate
+from vjm.identification.parameters import Parametrisation
+from vjm.identification.uncertainty import Information, estimates
+from vjm.records import Estimate
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from tests.report.fits import demo_fit, elbow_fit
 from vjm.identification.records import Identification, RecordingFit
-from vjm.report.figures.residuals import residual_map, residual_spectra
-from vjm.report.residuals import columns, misfit, spectrum
+from vjm.report.figures.residuals import columns, misfit, residual_map, residual_spectra, spectrum
 
 Array = NDArray[np.float64]
 _NOISE = 3e-4

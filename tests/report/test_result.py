@@ -11,12 +11,13 @@ import pytest
 
 from tests.report.fits import demo_fit, elbow_fit, torque_fit
 from tests.report.schema import CheckResult, IdentifyResult, SimulateResult, UrdfResult
-from vjm.checking import Check
 from vjm.files import json_text
+from vjm.identification.check import Check
+from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
-from vjm.parameters import Estimate
-from vjm.report.comparison import Comparison
-from vjm.result import (
+from vjm.model.urdf import chain_to_urdf
+from vjm.records import Estimate
+from vjm.report.result_json import (
     bending_stiffness,
     check_result,
     comparison_result,
@@ -24,7 +25,6 @@ from vjm.result import (
     model_result,
     urdf_result,
 )
-from vjm.urdf import chain_to_urdf
 
 
 def test_identification_has_the_keys_of_the_interface(fit: Identification) -> None:

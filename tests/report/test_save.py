@@ -11,13 +11,12 @@ import pytest
 
 from tests.report.fits import demo_fit, pictures_of
 from tests.report.schema import IdentifyResult, SimulateResult
-from vjm.model_file import read_model
+from vjm.files import FolderError, write_together
+from vjm.identification.comparison import Comparison, compare
+from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report import save as saving
-from vjm.report.comparison import Comparison, compare
-from vjm.report.folder import FolderError, write_together
+from vjm.report.model_json import read_model, stored_model
 from vjm.report.save import save
-from vjm.report.stored import stored_model
-from vjm.urdf import chain_from_urdf
 
 
 @pytest.fixture(autouse=True)
@@ -99,7 +98,7 @@ def test_a_failure_in_the_middle_leaves_the_folder_as_it_was(
         for name in ("result.json", "report.html", "model.json", "figures/tip_1.png", "figures/fit.png"):
             (stage / name).write_text("new")
 
-    monkeypatch.setattr("vjm.report.folder.os.replace", failing_replace(at, error))
+    monkeypatch.setattr("vjm.files.os.replace", failing_replace(at, error))
     expected = FolderError if isinstance(error, OSError) else KeyboardInterrupt
     if at <= 8:  # one stale figure and two old files are set aside, five new ones put in place
         with pytest.raises(expected):

@@ -16,11 +16,9 @@ from tests.report.fits import _chain, two_link_experiment
 from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, size
 from vjm.errors import ModelFileError
 from vjm.experiment import Experiment
-from vjm.model import Model
-from vjm.model_file import write_model
-from vjm.report.stored import stored_chain, stored_effects, stored_model
-from vjm.urdf import chain_from_urdf
-from vjm.urdf.read import friction_from_urdf
+from vjm.model.urdf_reader import chain_from_urdf, friction_from_urdf
+from vjm.report.model_json import stored_chain, stored_effects, stored_model, write_model
+from vjm.simulation.model import Model
 
 
 def present(experiment: Experiment) -> tuple[Effect, ...]:

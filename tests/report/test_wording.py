@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vjm.report.wording import interval, listed, millimetres, number, short, with_error
+from vjm.report.text import interval, listed, millimetres, number, short, with_error
 
 _EXPONENT = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 

@@ -8,11 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vjm.angles import ShapeSettings, estimate_angles
-from vjm.angles.estimate import AngleMethod
-from vjm.chain import Chain, Layout, layout, marker_positions, uniform_chain
+from vjm.chain.curve import marker_positions
+from vjm.chain.layout import Layout, layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError
-from vjm.experiment.records import Link, Recording, Rig
+from vjm.markers.angles import AngleMethod, ShapeSettings, estimate_angles
+from vjm.records import Link, Recording, Rig
 
 Array = NDArray[np.float64]
 N = 3

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from vjm.derivatives import Smoother, interpolate
 from vjm.errors import InsufficientDataError, ShapeError
+from vjm.markers.smoothing import Smoother, interpolate
 
 RATE = 30.0
 

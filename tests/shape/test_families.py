@@ -8,8 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from vjm.errors import ChoiceError, ShapeError
-from vjm.shape import FAMILIES, basis, choose_order, fit_shape, required_markers, visible_modes
-from vjm.shape.families import cantilever_roots
+from vjm.markers.shape import (
+    FAMILIES,
+    basis,
+    cantilever_roots,
+    choose_order,
+    fit_shape,
+    required_markers,
+    visible_modes,
+)
 
 ARCS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
 

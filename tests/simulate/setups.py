@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.chain.beams import beam_chain
-from vjm.chain import Chain
-from vjm.chain.records import Distal, LinkChain
-from vjm.experiment.records import Link, Recording, Rig
+from vjm.chain.virtual_links import Chain, Distal, LinkChain
+from vjm.records import Link, Recording, Rig
 
 Array = NDArray[np.float64]
 DOWN = (0.0, -9.81)

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of
-from vjm.chain.records import Array
+from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
-from vjm.experiment.records import Kind, Recording
-from vjm.simulate.abrupt_start import run_nearer, run_or_stand, standing
-from vjm.simulate.arm import Arm
-from vjm.simulate.guide import Guide
-from vjm.simulate.initial_state import most_likely
-from vjm.simulate.observation import Arcs, Observed, view
-from vjm.simulate.run import Run, Start, run_all
-from vjm.simulate.steps import still
+from vjm.records import Kind, Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.encoder_feedback import Guide
+from vjm.simulation.initial_state import most_likely, run_nearer, run_or_stand, standing
+from vjm.simulation.integrate import still
+from vjm.simulation.measurement import Arcs, Observed, view
+from vjm.simulation.run import Run, Start, run_all
 
 GAP, ANGLE = 0.004, 0.3
 PLAY = Arm.of(chain_of(), [Backlash(link=0, gap=GAP)])
@@ -137,7 +136,7 @@ def test_only_what_sticks_and_is_held_is_left_after_a_few_steps_in_vain(
         observed = observed.held(Guide.of(observed.recording, arm.chain, NOISE[1], 1.0, 0.3))
     moving = np.concatenate([stands(arm), np.full(arm.chain.size, 0.05)])
     tried = []
-    monkeypatch.setattr("vjm.simulate.initial_state._attempts", lambda pending, coarse: tried.append(0) or [None])
+    monkeypatch.setattr("vjm.simulation.initial_state._attempts", lambda pending, coarse: tried.append(0) or [None])
     ((run, _),) = most_likely([arm], [observed], [moving])
     assert run.state is moving
     assert (len(tried) == 4) == (held and effect.abrupt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vjm.simulate.damping import Damping
+from vjm.simulation.least_squares import Damping
 
 
 @given(st.floats(-9.0, 3.0), st.floats(-10.0, 3.0))

@@ -9,15 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.simulate.setups import arm_of, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
-from vjm.chain import Chain
+from vjm.chain.virtual_links import Chain
 from vjm.effects import EncoderOffset
-from vjm.experiment.records import Recording
-from vjm.simulate import rollouts
-from vjm.simulate.arm import Arm
-from vjm.simulate.guide import Guide, shown
-from vjm.simulate.observation import Observed
-from vjm.simulate.run import Run, Start, run_all
-from vjm.simulate.sensitivity import Moved
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.encoder_feedback import Guide, shown
+from vjm.simulation.integrate import rollouts
+from vjm.simulation.measurement import Observed
+from vjm.simulation.run import Run, Start, run_all
+from vjm.simulation.sensitivity import Moved
 
 Array = NDArray[np.float64]
 NOISE = (3e-4, 1e-4)

@@ -26,13 +26,12 @@ from tests.simulate.setups import (
     steel_link,
     two_link_arm,
 )
-from vjm import dynamics
-from vjm.chain import Chain
-from vjm.experiment.records import Recording
-from vjm.modes import modes
-from vjm.simulate import INTEGRATORS, default_step, rollout, rollouts, simulate
-from vjm.simulate.arm import Arm
-from vjm.simulate.steps import Steps, sample
+from vjm.chain.virtual_links import Chain
+from vjm.model import dynamics
+from vjm.model.modes import modes
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import INTEGRATORS, Steps, default_step, rollout, rollouts, sample, simulate
 
 Array = NDArray[np.float64]
 TEN_SECONDS = np.arange(5001) / 500.0

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
 from tests.simulate.setups import DOWN, arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
-from vjm.chain import Chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
-from vjm.experiment.records import Recording
-from vjm.simulate import Replay, replay, rollout, simulate
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Arcs
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.initial_state import Replay, replay
+from vjm.simulation.integrate import rollout, simulate
+from vjm.simulation.measurement import Arcs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4

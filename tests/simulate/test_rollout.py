@@ -9,10 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.simulate.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
-from vjm.chain import Chain, marker_positions
+from vjm.chain.curve import marker_positions
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InputError, InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.experiment.records import Recording
-from vjm.simulate import INTEGRATORS, rollout, simulate
+from vjm.records import Recording
+from vjm.simulation.integrate import INTEGRATORS, rollout, simulate
 
 Array = NDArray[np.float64]
 HUB = arm_of(steel_link(3, "revolute"))

@@ -16,9 +16,10 @@ from tests.fine_beam import simulate as simulate_beam
 from tests.fine_beam.beam import DEFAULT_NUMERICS
 from tests.fine_beam.mechanics import Mechanics
 from tests.simulate.setups import DOWN, arm_of, recording_of, rig_of, steel_link
-from vjm.chain import Chain, marker_positions
-from vjm.modes import equilibrium, modes
-from vjm.simulate import simulate
+from vjm.chain.curve import marker_positions
+from vjm.chain.virtual_links import Chain
+from vjm.model.modes import equilibrium, modes
+from vjm.simulation.integrate import simulate
 
 Array = NDArray[np.float64]
 MARKERS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])

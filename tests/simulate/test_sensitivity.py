@@ -22,15 +22,15 @@ from tests.simulate.setups import (
     steel_link,
     two_link_arm,
 )
-from vjm.chain import Chain
-from vjm.experiment.records import Recording
-from vjm.simulate import rollouts
-from vjm.simulate.arm import Arm
-from vjm.simulate.observation import Observed
-from vjm.simulate.phi import phi_functions
-from vjm.simulate.run import Run, Start, run_all, transferred
-from vjm.simulate.sensitivity import Moved
-from vjm.simulate.triangle import Triangle
+from vjm.chain.virtual_links import Chain
+from vjm.records import Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.exponential import phi_functions
+from vjm.simulation.integrate import rollouts
+from vjm.simulation.least_squares import Triangle
+from vjm.simulation.measurement import Observed
+from vjm.simulation.run import Run, Start, run_all, transferred
+from vjm.simulation.sensitivity import Moved
 
 Array = NDArray[np.float64]
 STEP = 1e-5
@@ -144,7 +144,7 @@ def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -
     run = run_of(chain, recording, state)
     moved = [Moved(Arm(each), STEP) for each in changed(chain, STEP).values()]
     whole = run.triangle(moved)
-    monkeypatch.setattr("vjm.simulate.sensitivity._NUMBERS_A_CHUNK", 2000)
+    monkeypatch.setattr("vjm.simulation.sensitivity._NUMBERS_A_CHUNK", 2000)
     again = run_of(chain, recording, state)
     assert len(list(again.rows(moved))) > 3
     np.testing.assert_allclose(again.triangle(moved).R.T @ again.triangle(moved).R, whole.R.T @ whole.R, rtol=1e-8)

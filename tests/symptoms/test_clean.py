@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.symptoms.trajectories import MOTION, STILL, followed, found
-from vjm.symptoms import Symptoms
+from vjm.symptoms.find import Symptoms
 
 Array = NDArray[np.float64]
 

@@ -13,12 +13,8 @@ from matplotlib.figure import Figure
 
 from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
 from tests.symptoms.trajectories import MOTION, STILL, followed, found
-from vjm.report.figures.symptom_bands import bands, with_amplitude
-from vjm.report.figures.symptom_motion import lags, overview
-from vjm.report.figures.symptom_profiles import profiles
-from vjm.report.figures.symptom_quiet import quiet
-from vjm.report.figures.symptoms import NAMES, symptom_pictures
-from vjm.symptoms import Symptoms
+from vjm.report.figures.symptoms import NAMES, bands, lags, overview, profiles, quiet, symptom_pictures, with_amplitude
+from vjm.symptoms.find import Symptoms
 
 
 @cache

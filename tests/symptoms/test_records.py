@@ -10,8 +10,9 @@ import pytest
 from tests.symptoms.trajectories import FREQUENCIES, MOTION, RIG, followed, found
 from vjm.errors import ShapeError
 from vjm.experiment import Link, Recording, Rig
-from vjm.symptoms import Followed, symptoms
 from vjm.symptoms.amplitude import free_stretch
+from vjm.symptoms.find import symptoms
+from vjm.symptoms.records import Followed
 from vjm.symptoms.signals import observe
 
 

@@ -23,7 +23,7 @@ from tests.symptoms.trajectories import (
     kinds,
     the,
 )
-from vjm.symptoms import symptoms
+from vjm.symptoms.find import symptoms
 
 Array = NDArray[np.float64]
 seeds = pytest.mark.parametrize("seed", range(3))

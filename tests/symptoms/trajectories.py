@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.experiment import Link, Recording, Rig
-from vjm.symptoms import Followed, Kind, Symptom, Symptoms, symptoms
+from vjm.symptoms.find import Symptoms, symptoms
+from vjm.symptoms.records import Followed, Kind, Symptom
 
 Array = NDArray[np.float64]
 Change = Callable[[Array, Array, Array], tuple[Array, Array]]

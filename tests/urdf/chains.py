@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 from hypothesis import strategies as st
 
-from vjm.chain.records import Array, Chain, LinkChain, frozen
+from vjm.chain.virtual_links import Array, Chain, LinkChain, frozen
 
 HOSTILE = "<a&\"b'>]]> é世\U0001f9be --"
 NAMES = st.text(

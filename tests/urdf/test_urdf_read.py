@@ -9,10 +9,10 @@ import yourdfpy
 from hypothesis import given, settings
 
 from tests.urdf.chains import HOSTILE, chains, contents, extended_chain, plain_chain, plain_link
-from vjm.chain.records import Chain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ModelFileError
-from vjm.urdf import chain_from_urdf, chain_to_urdf, friction_from_urdf
-from vjm.urdf.check import check_urdf
+from vjm.model.urdf import chain_to_urdf
+from vjm.model.urdf_reader import chain_from_urdf, check_urdf, friction_from_urdf
 
 
 def one_link() -> str:

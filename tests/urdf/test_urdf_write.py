@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.urdf.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
-from vjm import dynamics
-from vjm.chain.records import Array, Chain
+from vjm.chain.virtual_links import Array, Chain
 from vjm.errors import ShapeError, VjmError
-from vjm.urdf import chain_to_urdf, templates
-from vjm.urdf.elements import inertial, section
+from vjm.model import dynamics
+from vjm.model import urdf as templates
+from vjm.model.urdf import chain_to_urdf, inertial, section
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from tests.urdf.chains import contents, plain_chain
-from vjm.model_file import write_model
-from vjm.urdf import chain_from_urdf, chain_to_urdf
+from vjm.model.urdf import chain_to_urdf
+from vjm.model.urdf_reader import chain_from_urdf
+from vjm.report.model_json import write_model
 
 REPOSITORY = Path(__file__).parents[2]
 WRITE = """

@@ -2,6 +2,6 @@
 
 from vjm.chain.curve import marker_positions
 from vjm.chain.layout import LAYOUTS, Layout, free_layout, layout, uniform_chain
-from vjm.chain.records import Chain, LinkChain
+from vjm.chain.virtual_links import Chain, LinkChain
 
 __all__ = ["LAYOUTS", "Chain", "Layout", "LinkChain", "free_layout", "layout", "marker_positions", "uniform_chain"]

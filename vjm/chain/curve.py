@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
 from vjm.chain.layout import Layout
-from vjm.chain.records import Chain, Distal, LinkChain
+from vjm.chain.virtual_links import Chain, Distal, LinkChain
 
 Array = NDArray[np.float64]
 

@@ -14,9 +14,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from vjm.chain.records import Distal, LinkChain
+from vjm.chain.virtual_links import Distal, LinkChain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.experiment.records import Link
+from vjm.records import Link
 
 Array = NDArray[np.float64]
 LayoutName = Literal["fourth-order", "end-corrected", "half-ends", "equal"]

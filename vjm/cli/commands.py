@@ -4,41 +4,162 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from vjm.chain.records import Chain
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as ProgressBar
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from vjm.chain.virtual_links import Chain
 from vjm.cli.arguments import DEFAULT_JOBS, DEFAULT_MAX_EFFECTS, DEFAULT_METHOD, DEFAULT_SEED
-from vjm.cli.printing import Summary, print_json
-from vjm.cli.progress import Report, progress
 from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
 from vjm.experiment import load_experiment
-from vjm.files import json_text, write_text_atomic
+from vjm.files import FolderError, check_folder, check_parent, json_text, write_text_atomic, write_together
 from vjm.identification import identify
+from vjm.identification.comparison import Comparison, compare
 from vjm.identification.records import Identification
-from vjm.identification.select import choose_virtual_joints, cuts_of, nominal_chain
-from vjm.model import extended_urdf
-from vjm.parameters import Estimate
-from vjm.report.comparison import Comparison, compare
-from vjm.report.diagnosis_tables import candidate_table, cause_table, followed_table
-from vjm.report.diagnosis_words import diagnosis_verdict
-from vjm.report.effect_words import carried_points
-from vjm.report.folder import FolderError, check_folder, check_parent, write_together
+from vjm.identification.virtual_joints import choose_virtual_joints, cuts_of, nominal_chain
+from vjm.markers.shape import visible_modes
+from vjm.records import Estimate
+from vjm.report.diagnosis_text import carried_points, diagnosis_verdict
+from vjm.report.model_json import stored_chain, stored_model
+from vjm.report.result_json import check_result, comparison_result, diagnosis_result, identification_result, urdf_result
 from vjm.report.save import REPORT, save
-from vjm.report.stored import stored_chain, stored_model
-from vjm.report.tables import mode_table, parameter_table, recording_table
-from vjm.report.verdict import comparison_verdict, identification_verdict
-from vjm.report.wording import counted, number
-from vjm.result import check_result, comparison_result, diagnosis_result, identification_result, urdf_result
-from vjm.shape.order import visible_modes
-from vjm.simulate.arm import Arm
+from vjm.report.tables import (
+    Table,
+    candidate_table,
+    cause_table,
+    followed_table,
+    mode_table,
+    parameter_table,
+    recording_table,
+)
+from vjm.report.text import Verdict, comparison_verdict, counted, identification_verdict, number
+from vjm.simulation.arm import Arm
+from vjm.simulation.model import extended_urdf
 
 if TYPE_CHECKING:
-    from vjm.checking import Check
     from vjm.diagnosis.records import Diagnosis
+    from vjm.identification.check import Check
+
+
+_MOST_ROWS = 16
+_MOST_WARNINGS = 8
+_LONGEST_NAME = 30
+_COLORS = {"good": "green", "fair": "yellow", "poor": "red"}
+_PLAIN_WIDTH = 110  # columns where the output is no terminal
+
+
+def print_json(result: dict[str, Any]) -> None:
+    """The result object, and nothing else."""
+    _forgiving_stdout()
+    sys.stdout.write(json_text(result))
+
+
+class Summary:
+    """Prints the parts of a summary on stdout."""
+
+    def __init__(self, title: str) -> None:
+        _forgiving_stdout()
+        width = None if sys.stdout.isatty() else _PLAIN_WIDTH
+        self.console = Console(file=sys.stdout, markup=False, highlight=False, emoji=False, width=width)
+        self.console.print(Text(title, style="bold"))
+
+    def verdict(self, verdict: Verdict) -> None:
+        """The finding and its points."""
+        self.console.print(Text(verdict.headline, style=_COLORS[verdict.grade]))
+        self.points(verdict.points)
+
+    def points(self, points: Sequence[str]) -> None:
+        """A list of sentences."""
+        for point in points:
+            self._item("-", point)
+
+    def line(self, text: str) -> None:
+        """One line."""
+        self.console.print(Text(text))
+
+    def table(self, table: Table) -> None:
+        """A table; of a long one the first rows."""
+        rich = RichTable(box=box.SIMPLE_HEAD, title=table.caption, title_justify="left", title_style="bold")
+        rich.collapse_padding = True
+        rich.pad_edge = False
+        for k, header in enumerate(table.headers):
+            words = k < table.words
+            rich.add_column(
+                Text(header), justify="left" if words else "right", overflow="fold", no_wrap=_whole(k, table)
+            )
+        for row in table.rows[:_MOST_ROWS]:
+            rich.add_row(*map(Text, row))
+        self.console.print(rich)
+        left = len(table.rows) - _MOST_ROWS
+        if left > 0:
+            self.line(f"  … and {left} more in the report")
+
+    def notes(self, notes: Sequence[str]) -> None:
+        """What was decided on the way, and what the result rests on."""
+        if notes:
+            self.console.print(Text("Notes:", style="bold"))
+            self.points(notes)
+
+    def warnings(self, warnings: Sequence[str]) -> None:
+        """What a user should know before trusting the result."""
+        if not warnings:
+            return
+        self.console.print(Text("Warnings:", style="bold yellow"))
+        for warning in warnings[:_MOST_WARNINGS]:
+            self._item("!", warning)
+        if len(warnings) > _MOST_WARNINGS:
+            self._item("!", f"… and {len(warnings) - _MOST_WARNINGS} more, see the report")
+
+    def report(self, path: Path) -> None:
+        """Where everything is; on one line, so that it can be copied."""
+        self.console.print(Text(f"Report: {path}"), soft_wrap=True)
+
+    def _item(self, mark: str, text: str) -> None:
+        wrapper = textwrap.TextWrapper(self.console.width - 1, f"  {mark} ", "    ", break_on_hyphens=False)
+        self.console.print(Text(wrapper.fill(text)), soft_wrap=True)
+
+
+def _whole(column: int, table: Table) -> bool:
+    """Whether a column's cells are never broken: names, which are copied, unless one is far too long."""
+    return column == 0 and max((len(row[0]) for row in table.rows), default=0) <= _LONGEST_NAME
+
+
+def _forgiving_stdout() -> None:
+    """Let a terminal without Unicode show a substitute instead of failing."""
+    reconfigure = getattr(sys.stdout, "reconfigure", None)
+    if reconfigure is not None:
+        reconfigure(errors="replace" if sys.stdout.encoding.lower() not in ("utf-8", "utf8") else "backslashreplace")
+
+
+Report = Callable[[str, int, int], None]
+
+
+@contextmanager
+def progress(arguments: argparse.Namespace) -> Iterator[Report]:
+    """A function (text, done, total) that moves the bar; one that does nothing where no bar is wanted."""
+    if arguments.quiet or arguments.no_progress or not sys.stderr.isatty():
+        yield lambda text, done, total: None
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    with ProgressBar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("reading", total=None)
+
+        def report(text: str, done: int, total: int) -> None:
+            bar.update(task, description=text, completed=done, total=total)
+
+        yield report
+
 
 DIAGNOSIS = "diagnosis"  # folder of the demo's diagnosis, inside that of its identification
 _MOST_NAMED = 6
@@ -166,7 +287,7 @@ def _save(result: Identification | Comparison | Diagnosis, directory: Path, repo
 
 def checking(arguments: argparse.Namespace) -> None:
     """`vjm check`."""
-    from vjm.checking import check
+    from vjm.identification.check import check
 
     if arguments.out is not None:
         check_folder(arguments.out)

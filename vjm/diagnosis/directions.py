@@ -9,17 +9,17 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.extension import adds_joint
+from vjm.diagnosis.candidate_fit import adds_joint
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects.effect import Effect
 from vjm.errors import SimulationDivergedError
-from vjm.experiment.records import REFERENCE
-from vjm.identification.trajectory_problem import Point
-from vjm.simulate.arm import Arm
-from vjm.simulate.run import Run, Start, run_all, transferred
-from vjm.simulate.sensitivity import Moved
-from vjm.simulate.triangle import Triangle
+from vjm.identification.trajectory_fit import Point
+from vjm.records import REFERENCE
+from vjm.simulation.arm import Arm
+from vjm.simulation.least_squares import Triangle
+from vjm.simulation.run import Run, Start, run_all, transferred
+from vjm.simulation.sensitivity import Moved
 
 Array = NDArray[np.float64]
 Told = tuple[Array, Array]  # a recording's triangle, initial state eliminated, and (c,) squares of its directions

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import solve_toeplitz
 
-from vjm.simulate.observation import Observed, sampled
-from vjm.simulate.run import Run
+from vjm.simulation.measurement import Observed, sampled
+from vjm.simulation.run import Run
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int_]

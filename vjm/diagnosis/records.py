@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.effects.effect import Effect
-from vjm.experiment.records import Experiment, Recording
-from vjm.model import Model
-from vjm.parameters import Estimate
-from vjm.simulate.initial_state import Replay
-from vjm.symptoms import Symptoms
+from vjm.records import Estimate, Experiment, Recording
+from vjm.simulation.initial_state import Replay
+from vjm.simulation.model import Model
+from vjm.symptoms.find import Symptoms
 
 Array = NDArray[np.float64]
 Verdict = Literal["none", "named", "set", "unknown", "insufficient"]

@@ -7,19 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.base import Base
-from vjm.diagnosis.holding import freed, replayed
+from vjm.diagnosis.baseline import Base
+from vjm.diagnosis.candidate_fit import Explanation
+from vjm.diagnosis.encoder_feedback import freed, replayed
 from vjm.diagnosis.records import Replayed
-from vjm.diagnosis.refit import Explanation
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Experiment
 from vjm.identification.outliers import trimmed
-from vjm.model import Model
-from vjm.simulate.initial_state import Replay, report
-from vjm.simulate.observation import Observed
-from vjm.simulate.run import Run
-from vjm.symptoms import Followed, Symptoms, symptoms
+from vjm.records import Experiment
+from vjm.simulation.initial_state import Replay, report
+from vjm.simulation.measurement import Observed
+from vjm.simulation.model import Model
+from vjm.simulation.run import Run
+from vjm.symptoms.find import Symptoms, symptoms
+from vjm.symptoms.records import Followed
 
 Array = NDArray[np.float64]
 Known = dict[str, tuple[Run, bool]]  # runs by file, and whether their initial states were found

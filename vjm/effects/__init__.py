@@ -1,18 +1,29 @@
 """What a model may lack: candidate physics and sensor faults, one small class each."""
 
-from vjm.effects.bending import CubicStiffness, RestCurvature, StiffnessDrift, StructuralDamping, UnmodelledMode
-from vjm.effects.camera import CameraRotation, CameraScale, LensDistortion, MarkerOffset
-from vjm.effects.clock import ClockScale, RollingShutter, TimeOffset
+from vjm.effects.bending import (
+    CubicStiffness,
+    Hysteresis,
+    RestCurvature,
+    StiffnessDrift,
+    StructuralDamping,
+    UnmodelledMode,
+    ViscoelasticCreep,
+)
 from vjm.effects.drag import LinearDrag, QuadraticDrag
 from vjm.effects.effect import Effect, Motion, Parameter, Way, inner, size
-from vjm.effects.encoder import EncoderOffset
-from vjm.effects.gravity import InPlaneGravity
-from vjm.effects.joint import CoulombFriction, JointSpring, ViscousFriction
-from vjm.effects.memory import Hysteresis, ViscoelasticCreep
+from vjm.effects.joint import CoulombFriction, JointSpring, TorqueGain, TorqueOffset, ViscousFriction
 from vjm.effects.root import Backlash, ClampCompliance, GearElasticity
-from vjm.effects.tip import TipPayload
-from vjm.effects.tone import ExternalTone
-from vjm.effects.torque import TorqueGain, TorqueOffset
+from vjm.effects.sensors import (
+    CameraRotation,
+    CameraScale,
+    ClockScale,
+    EncoderOffset,
+    LensDistortion,
+    MarkerOffset,
+    RollingShutter,
+    TimeOffset,
+)
+from vjm.effects.tip import ExternalTone, InPlaneGravity, TipPayload
 from vjm.errors import ChoiceError
 
 # All that comes with vjm, absent: mechanics first, then sensors.

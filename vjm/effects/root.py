@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.records import Chain, LinkChain
-from vjm.effects.effect import Effect, Motion, size
-from vjm.effects.places import JointEffect, LinkEffect
+from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.effects.effect import Effect, JointEffect, LinkEffect, Motion, size
 
 Array = NDArray[np.float64]
 

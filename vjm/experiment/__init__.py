@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from vjm.experiment.records import Array, Experiment, Joint, Kind, Link, MarkersFrame, Recording, Rig, Role
+from vjm.records import Array, Experiment, Joint, Kind, Link, MarkersFrame, Recording, Rig, Role
 
 __all__ = [
     "Array",

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.experiment.marker_checks import DEFAULT_MARKER_NOISE, clipped_runs, distance_limits
-from vjm.experiment.records import Array, Recording, Rig
+from vjm.experiment.checks import DEFAULT_MARKER_NOISE, clipped_runs, distance_limits
+from vjm.records import Array, Recording, Rig
 
 Mask = NDArray[np.bool_]
 

@@ -1,17 +1,10 @@
 """Identification of the chain's parameters from recordings."""
 
 from vjm.identification.assess import fit_recordings
-from vjm.identification.parametrisation import PARAMETRISATIONS
-from vjm.identification.profile import ProfileInterval, profile_interval
-from vjm.identification.records import (
-    METHODS,
-    Identification,
-    ModeComparison,
-    RecordingFit,
-    TorqueData,
-)
-from vjm.identification.resampling import Resampled, bootstrap
-from vjm.identification.run import identify
+from vjm.identification.identify import identify
+from vjm.identification.parameters import PARAMETRISATIONS
+from vjm.identification.records import METHODS, Identification, ModeComparison, RecordingFit, TorqueData
+from vjm.identification.resampling import ProfileInterval, Resampled, bootstrap, profile_interval
 
 __all__ = [
     "METHODS",

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, median_filter
 
-from vjm.experiment.records import Recording
-from vjm.simulate.observation import Observed, view
-from vjm.simulate.run import Run
+from vjm.records import Recording
+from vjm.simulation.measurement import Observed, view
+from vjm.simulation.run import Run
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

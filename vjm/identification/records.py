@@ -9,14 +9,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.angles.estimate import Angles
-from vjm.derivatives import Derivatives
-from vjm.experiment.records import Experiment, Recording
-from vjm.identification.information import Whiteness
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.model import Model
-from vjm.parameters import Estimate
-from vjm.simulate.initial_state import Replay
+from vjm.identification.uncertainty import Whiteness
+from vjm.markers.angles import Angles
+from vjm.markers.smoothing import Derivatives
+from vjm.records import Estimate, Experiment, Recording
+from vjm.simulation.initial_state import Replay
+from vjm.simulation.model import Model
 
 Array = NDArray[np.float64]
 Method = Literal["torque", "torque+frequency", "trajectory"]

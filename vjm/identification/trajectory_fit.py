@@ -10,23 +10,199 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import is_abrupt
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_problem import Point, TrajectoryProblem
-from vjm.modes import modes
-from vjm.simulate.abrupt_start import run_nearer, run_or_stand
-from vjm.simulate.damping import Damping
-from vjm.simulate.initial_state import most_likely
-from vjm.simulate.run import Start
+from vjm.identification.parameters import Parametrisation
+from vjm.model.modes import modes
+from vjm.records import Progress, Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.initial_state import most_likely, run_nearer, run_or_stand
+from vjm.simulation.least_squares import Damping, Triangle
+from vjm.simulation.measurement import Observed
+from vjm.simulation.run import Run, Start
+from vjm.simulation.sensitivity import Moved
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, int, int], None]
+
+_DERIVATIVE_STEP = 1e-6
+
+
+class Coordinates(Protocol):
+    """What a search varies."""
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), (p,)."""
+
+    @property
+    def reach(self) -> Array:
+        """(p,) by how much a step may change each coordinate."""
+
+    def chain(self, x: Array) -> Chain:
+        """The chain at coordinates x (p,), without effects."""
+
+    def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
+        """What moves in each of the recordings."""
+
+
+@dataclass(frozen=True)
+class Hold:
+    """One physical parameter held at a value.
+
+    Attributes:
+        index: of the parameter.
+        value: in its unit.
+        width: how closely, in its unit.
+    """
+
+    index: int
+    value: float
+    width: float
+
+
+@dataclass(frozen=True)
+class TrajectoryProblem:
+    """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
+
+    Attributes:
+        parametrisation: the coordinates.
+        observed: the recordings.
+        coarse: multiple of the integrator's default step.
+        preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
+        spread: size of the weighted residuals that counts as one standard deviation beside the preference.
+        hold: a parameter that is not free; None: all are.
+        extension: what is varied where that is more than the parametrisation, whose coordinates come first.
+    """
+
+    parametrisation: Parametrisation
+    observed: tuple[Observed, ...]
+    coarse: float = 1.0
+    preference: tuple[Array, Array] | None = None
+    spread: float = 1.0
+    hold: Hold | None = None
+    extension: Coordinates | None = None
+
+    @property
+    def varied(self) -> Coordinates:
+        """What the search varies."""
+        return self.parametrisation if self.extension is None else self.extension
+
+    @property
+    def longest(self) -> float:
+        """Duration of the longest recording [s]."""
+        return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
+
+    @property
+    def guided(self) -> bool:
+        """Whether simulations are held near the angles that encoders measured."""
+        return any(each.guide is not None for each in self.observed)
+
+    def until(self, duration: float) -> TrajectoryProblem:
+        """The same with the recordings' first seconds only."""
+        parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]
+        return replace(self, observed=tuple(parts))
+
+    def arms(self, x: Array) -> tuple[Arm, ...]:
+        """What moves in each recording."""
+        return self.varied.arms(x, [each.recording for each in self.observed])
+
+    def moved(self, x: Array) -> tuple[tuple[Moved, ...], ...]:
+        """For each recording, its arm with each coordinate moved a little."""
+        found = []
+        upper = self.varied.bounds[1]
+        for k, value in enumerate(x):
+            by = _DERIVATIVE_STEP * max(abs(value), 1e-2)
+            by = by if value + by <= upper[k] else -by
+            point = x.copy()
+            point[k] += by
+            found.append([Moved(arm, by) for arm in self.arms(point)])
+        return tuple(zip(*found, strict=True))
+
+    def preferred(self, x: Array) -> tuple[Array, Array]:
+        """Rows (r, p) and what they want (r,) of a preference and of a parameter held, for a change of x."""
+        rows, wanted = np.zeros((0, x.size)), np.zeros(0)
+        if self.preference is not None:
+            centre, width = self.preference
+            rows, wanted = np.diag(self.spread / width), self.spread * (centre - x) / width
+        if self.hold is None:
+            return rows, wanted
+        slope = self.parametrisation.jacobian(x)[self.hold.index] / self.hold.width
+        return np.vstack([rows, slope]), np.append(wanted, self.held(x))
+
+    def held(self, x: Array) -> float:
+        """How far the parameter held is off its value, in widths; zero where none is held."""
+        if self.hold is None:
+            return 0.0
+        return float((self.hold.value - self.parametrisation.physical(x)[self.hold.index]) / self.hold.width)
+
+
+@dataclass(frozen=True)
+class Point:
+    """Coordinates and initial states, with every recording simulated from there.
+
+    Attributes:
+        problem: what is minimised.
+        x: (p,) coordinates.
+        runs: one a recording.
+    """
+
+    problem: TrajectoryProblem
+    x: Array
+    runs: tuple[Run, ...]
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The chain at x."""
+        return self.problem.varied.chain(self.x)
+
+    @cached_property
+    def cost(self) -> float:
+        """What the search minimises."""
+        wanted = self.problem.preferred(self.x)[1]
+        return sum(run.cost for run in self.runs) + float(wanted @ wanted)
+
+    @property
+    def held_cost(self) -> float:
+        """What a parameter held adds to the cost."""
+        return self.problem.held(self.x) ** 2
+
+    @property
+    def chi2(self) -> float:
+        """Sum of squared weighted residuals."""
+        return sum(run.chi2 for run in self.runs)
+
+    @property
+    def count(self) -> int:
+        """Number of measured values."""
+        return sum(run.observed.count for run in self.runs)
+
+    @property
+    def misfit(self) -> float:
+        """RMS weighted residual: one where it is the noise."""
+        return float(np.sqrt(self.chi2 / self.count))
+
+    @cached_property
+    def triangles(self) -> tuple[Triangle, ...]:
+        """Each recording's linearised problem: its initial state first, then the coordinates."""
+        moved = self.problem.moved(self.x)
+        return tuple(run.triangle(own) for run, own in zip(self.runs, moved, strict=True))
+
+    def gathered(self, damping: float = 0.0) -> tuple[Triangle, tuple[Triangle, ...]]:
+        """What recordings and preference together say of the coordinates, and each recording's own problem."""
+        parts = tuple(triangle.damped(damping) for triangle in self.triangles)
+        rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
+        rows.append(np.column_stack(self.problem.preferred(self.x)))
+        stacked = np.vstack(rows)
+        return Triangle.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
+
 
 _MOST_ITERATIONS = 60
 _NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths of a standard error

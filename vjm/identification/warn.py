@@ -7,14 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from vjm.experiment.checks import camera_rate
-from vjm.experiment.records import Experiment, Link, Recording, Rig
-from vjm.identification.information import Whiteness
+from vjm.experiment.spectrum import MeasuredModes
 from vjm.identification.prepare import Prepared
 from vjm.identification.records import ModeComparison, RecordingFit
-from vjm.identification.select import FREQUENCY_TOLERANCE, JointChoice
-from vjm.parameters import Estimate
-from vjm.shape.order import required_markers, visible_modes
-from vjm.spectrum import MeasuredModes
+from vjm.identification.uncertainty import Whiteness
+from vjm.identification.virtual_joints import FREQUENCY_TOLERANCE, JointChoice
+from vjm.markers.shape import required_markers, visible_modes
+from vjm.records import Estimate, Experiment, Link, Recording, Rig
 
 _LEAST_SAMPLES_A_PERIOD = 2.5
 _MANY_NOISES = 1.5  # a training replay this many times the noise is not followed

@@ -7,20 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from vjm.files import json_text
+from vjm.files import check_folder, json_text, write_together
+from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
-from vjm.model import Model, extended_urdf
-from vjm.model_file import write_model
-from vjm.report.comparison import Comparison
-from vjm.report.diagnosis_page import diagnosis_page
 from vjm.report.figures import diagnosis as of_diagnosis
 from vjm.report.figures import symptoms as of_symptoms
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.pictures import NAMES, Picture, identification_pictures, replay_pictures
-from vjm.report.folder import check_folder, write_together
-from vjm.report.page import comparison_page, identification_page
-from vjm.report.stored import diagnosis_extra, identification_extra, stored_effects
-from vjm.result import comparison_result, diagnosis_result, identification_result
+from vjm.report.model_json import diagnosis_extra, identification_extra, stored_effects, write_model
+from vjm.report.page import comparison_page, diagnosis_page, identification_page
+from vjm.report.result_json import comparison_result, diagnosis_result, identification_result
+from vjm.simulation.model import Model, extended_urdf
 
 if TYPE_CHECKING:
     from vjm.diagnosis.records import Diagnosis

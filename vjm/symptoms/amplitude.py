@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.experiment.records import Recording
+from vjm.records import Recording
 from vjm.symptoms.bands import Band, Bands
 from vjm.symptoms.demodulation import REACH, Demodulated
 from vjm.symptoms.records import Estimate

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.errors import ShapeError
-from vjm.experiment.records import Recording, Rig
+from vjm.records import Recording, Rig
 
 Array = NDArray[np.float64]
 Kind = Literal[

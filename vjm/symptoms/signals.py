@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly
 
-from vjm.experiment.records import Rig
+from vjm.records import Rig
 from vjm.symptoms.records import Followed
 
 Array = NDArray[np.float64]

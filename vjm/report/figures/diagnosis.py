@@ -2,26 +2,665 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
 
+from vjm.effects.effect import Effect
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.experiment.records import REFERENCE
-from vjm.report.abscissae import most_improved
-from vjm.report.choose import tip_signal
-from vjm.report.effect_words import named
-from vjm.report.figures.diagnosis_evidence import evidence
-from vjm.report.figures.diagnosis_gain import before_and_after, gain_of_recordings
+from vjm.identification.records import RecordingFit, TorqueData
+from vjm.records import REFERENCE, Recording, Rig
+from vjm.report.diagnosis_text import capital, clause, named, place
+from vjm.report.figures.motion import drawn, label, simulated
 from vjm.report.figures.pictures import Picture
-from vjm.report.figures.style import png
+from vjm.report.figures.residuals import spectrum
+from vjm.report.figures.style import (
+    BAND,
+    IDENTIFIED,
+    MEASURED,
+    NOMINAL,
+    NOMINAL_STYLE,
+    TORQUE,
+    Row,
+    Sheet,
+    log_ticks,
+    panel_title,
+    png,
+    printable,
+    sheet,
+    styled,
+)
 from vjm.report.figures.symptoms import symptom_pictures
-from vjm.report.wording import short
+from vjm.report.text import millimetres, short
+from vjm.simulation.initial_state import Replay
+from vjm.simulation.model import Model
+from vjm.symptoms.joints import profiles
+from vjm.symptoms.profiles import Profile, joined
+from vjm.symptoms.records import Followed
+from vjm.symptoms.signals import observe
 
 if TYPE_CHECKING:
     from vjm.diagnosis.records import Cause, Diagnosis, Replayed
+
+
+Array = NDArray[np.float64]
+Abscissa = Literal["time", "amplitude", "velocity", "position", "radius", "turn", "marker", "frequency", "joint"]
+
+_OF: dict[str, Abscissa] = {
+    "coulomb_friction": "joint",
+    "viscous_friction": "joint",
+    "joint_spring": "joint",
+    "torque_offset": "joint",
+    "linear_drag": "amplitude",
+    "quadratic_drag": "amplitude",
+    "structural_damping": "amplitude",
+    "viscoelastic_creep": "amplitude",
+    "hysteresis": "amplitude",
+    "cubic_stiffness": "amplitude",
+    "rest_curvature": "marker",
+    "marker_offset": "marker",
+    "external_tone": "frequency",
+    "time_offset": "velocity",
+    "rolling_shutter": "velocity",
+    "camera_scale": "position",
+    "lens_distortion": "radius",
+    "camera_rotation": "turn",
+}
+_WINDOW = 0.08  # of a recording, over which a local size is taken
+_LEAST_FRAMES = 40
+
+
+class Cloud(NamedTuple):
+    """A residual without and with a cause, against something.
+
+    Attributes:
+        x: (P,) what it is held against.
+        before, after: (P,) what the two models leave [m].
+        label: of x, with its unit.
+        squared: whether the size of the residual matters, not its sign.
+    """
+
+    x: Array
+    before: Array
+    after: Array
+    label: str
+    squared: bool
+
+
+def abscissa_of(effect: Effect) -> Abscissa:
+    """Against what an effect is plainest; time for those that nothing is known of."""
+    return _OF.get(effect.id, "time")
+
+
+def most_improved(diagnosis: Diagnosis) -> Replayed | None:
+    """The recording in which the causes gain most; a held-out one where that gains about as much. None: nowhere."""
+    known = [each for each in diagnosis.recordings if each.before is not None and each.after is not None]
+    known = [each for each in known if each.recording.kind != "quiet" and each.recording.frames.size >= _LEAST_FRAMES]
+    known = known or [each for each in diagnosis.recordings if each.before is not None and each.after is not None]
+
+    def gained(each: Replayed) -> float:
+        before, after = (0.0 if replay is None else replay.marker_rms for replay in (each.before, each.after))
+        return (before**2 - after**2) / each.noise**2 * (2.0 if each.recording.role == "holdout" else 1.0)
+
+    return max(known, key=gained, default=None)
+
+
+def cloud(effect: Effect, recording: Recording, before: Replay, after: Replay) -> Cloud:
+    """What two models leave of a recording against the abscissa of an effect (never `joint` or `frequency`)."""
+    frames = recording.frames
+    measured = recording.markers[frames]
+    left = [measured - each.simulation.markers[frames] for each in (before, after)]
+    time, shown = recording.time[frames], after.simulation.markers[frames]
+    kind = abscissa_of(effect)
+    if kind == "velocity":
+        velocity = np.gradient(shown, time, axis=0)
+        return _cloud(velocity, left, "velocity of the marker [m/s]", False)
+    if kind == "position":
+        return _cloud(shown, left, "coordinate of the marker [m]", False)
+    if kind in ("radius", "turn"):
+        return _polar(shown, left, kind)
+    if kind == "marker":
+        marker = np.broadcast_to(np.arange(1.0, shown.shape[1] + 1)[None, :, None], shown.shape)
+        return _cloud(marker, left, "marker, from the base outwards [1]", True)
+    if kind == "amplitude":
+        return _cloud(_local(shown - np.nanmean(shown, axis=0)), left, "local size of the motion, RMS [m]", True)
+    whole = np.broadcast_to((time - time[0])[:, None, None], shown.shape)
+    return _cloud(whole, left, "time since the start [s]", True)
+
+
+def added(recording: Recording, before: Replay, after: Replay) -> tuple[Array, Array]:
+    """What the causes add to the simulated marker coordinates, and what was missing: (P,), (P,) [m]."""
+    frames = recording.frames
+    first = before.simulation.markers[frames]
+    x, y = after.simulation.markers[frames] - first, recording.markers[frames] - first
+    known = np.isfinite(y)
+    return x[known], y[known]
+
+
+def _cloud(x: Array, left: list[Array], label: str, squared: bool) -> Cloud:
+    known = np.isfinite(left[0]) & np.isfinite(left[1]) & np.isfinite(x)
+    return Cloud(x[known], left[0][known], left[1][known], label, squared)
+
+
+def _polar(shown: Array, left: list[Array], kind: Abscissa) -> Cloud:
+    """Residual outwards, or around the base, against the distance from it."""
+    radius = np.linalg.norm(shown, axis=-1)
+    outwards = shown / np.maximum(radius, 1e-12)[..., None]
+    around = np.stack([-outwards[..., 1], outwards[..., 0]], axis=-1)
+    way = outwards if kind == "radius" else around
+    parts = [(each * way).sum(axis=-1) for each in left]
+    return _cloud(radius, parts, "distance from the base [m]", False)
+
+
+def _local(values: Array) -> Array:
+    """Root mean square over a stretch of time around each frame, of values (F, k, 2)."""
+    width = max(3, round(_WINDOW * len(values)))
+    kernel = np.ones(width) / width
+    squares = np.nan_to_num(values**2).reshape(len(values), -1)
+    weights = np.convolve(np.ones(len(values)), kernel, mode="same")
+    smooth = np.stack([np.convolve(column, kernel, mode="same") / weights for column in squares.T], axis=1)
+    result: Array = np.sqrt(np.maximum(smooth, 0.0)).reshape(values.shape)
+    return result
+
+
+LEGIBLE_PERIODS = 14  # more oscillations than this across a panel are a black blob
+_SHOWN_PERIODS = 6
+_LEAST_FRAMES_CHOOSE = 20  # in a window
+_MOST_HOLDOUT = 2
+_DIED_OUT = 0.03  # of the largest deflection: what comes after shows nothing
+_CLEARLY = 1.5  # x is shown where it moves so much more than y
+
+
+class Signal(NamedTuple):
+    """One measured coordinate of one marker.
+
+    Attributes:
+        marker: its index among all markers of the rig.
+        axis: 0 for x, 1 for y.
+        time: (F,) instants at which it was measured [s].
+        value: (F,) [m].
+    """
+
+    marker: int
+    axis: int
+    time: Array
+    value: Array
+
+
+def marker_name(rig: Rig, marker: int) -> str:
+    """`LINK.mK` of a marker given by its index among all."""
+    for link, own in zip(rig.links, rig.marker_slices, strict=True):
+        if own.start <= marker < own.stop:
+            return f"{link.name}.m{marker - own.start + 1}"
+    raise IndexError(marker)
+
+
+def tip_signal(rig: Rig, recording: Recording) -> Signal | None:
+    """The coordinate that moves most of the outermost marker that was measured; None without any marker."""
+    order = sorted(range(len(rig.links)), reverse=True)
+    for link in order:
+        own = rig.marker_slices[link]
+        by_arc = np.argsort(rig.links[link].markers)[::-1] + own.start
+        for marker in by_arc.tolist():
+            found = moving_signal(recording, marker)
+            if found is not None:
+                return found
+    return None
+
+
+def moving_signal(recording: Recording, marker: int) -> Signal | None:
+    """The lateral coordinate of one marker, or x where that moves clearly more; None where no two frames show it."""
+    spread: list[float] = []
+    for axis in (0, 1):
+        values = recording.markers[:, marker, axis]
+        known = np.isfinite(values)
+        spread.append(float(np.std(values[known])) if known.sum() >= 2 else -1.0)
+    if max(spread) < 0:
+        return None
+    axis = 0 if spread[0] > _CLEARLY * max(spread[1], 0.0) else 1
+    known = np.isfinite(recording.markers[:, marker, axis])
+    return Signal(marker, axis, recording.time[known], recording.markers[known, marker, axis])
+
+
+def motion(rig: Rig, recording: Recording) -> float:
+    """Root mean square motion of the outermost marker [m]."""
+    signal = tip_signal(rig, recording)
+    return 0.0 if signal is None else float(np.std(signal.value))
+
+
+def period(time: Array, value: Array) -> float | None:
+    """Period of the strongest oscillation in a signal [s]; None where there is none to speak of."""
+    if time.size < 2 * _LEAST_FRAMES_CHOOSE or np.ptp(value) == 0:
+        return None
+    grid = np.linspace(time[0], time[-1], time.size)
+    even = np.interp(grid, time, value)
+    trend = np.polyval(np.polyfit(grid - grid[0], even, 1), grid - grid[0])
+    power = np.abs(np.fft.rfft((even - trend) * np.hanning(grid.size))) ** 2
+    peak = int(np.argmax(power[2:])) + 2
+    return float((grid[-1] - grid[0]) / peak)
+
+
+def windows(time: Array, value: Array) -> list[tuple[float, float]]:
+    """All of the motion where its oscillations stay apart on paper; else its first and its last few periods."""
+    start, stop = float(time[0]), _end_of_motion(time, value)
+    cycle = period(time, value)
+    if cycle is None or stop - start <= LEGIBLE_PERIODS * cycle:
+        return [(start, stop)]
+    length = _few_periods(time, cycle)
+    if 2 * length >= stop - start:
+        return [(start, stop)]
+    return [(start, start + length), (stop - length, stop)]
+
+
+def _end_of_motion(time: Array, value: Array) -> float:
+    """Instant after which a signal has died out; the recording's end where it has not, or where it came first."""
+    deflection = np.abs(value - np.median(value))
+    moving = np.flatnonzero(deflection > _DIED_OUT * deflection.max())
+    if not moving.size or moving[-1] < _LEAST_FRAMES_CHOOSE:
+        return float(time[-1])
+    return float(time[moving[-1]])
+
+
+def _few_periods(time: Array, cycle: float) -> float:
+    return max(_SHOWN_PERIODS * cycle, _LEAST_FRAMES_CHOOSE * float(np.median(np.diff(time))))
+
+
+def liveliest_window(time: Array, value: Array) -> tuple[float, float]:
+    """The few periods of a signal (T,) that move most; the whole of it where it is short."""
+    cycle = period(time, value)
+    length = np.inf if cycle is None else _few_periods(time, cycle)
+    if length >= time[-1] - time[0]:
+        return float(time[0]), float(time[-1])
+    squares = np.cumsum(np.r_[0.0, (value - np.mean(value)) ** 2])
+    stops = np.searchsorted(time, time + length, side="right")
+    whole = np.flatnonzero(time + length <= time[-1])
+    best = int(whole[np.argmax((squares[stops] - squares[np.arange(time.size)])[whole])])
+    return float(time[best]), float(time[best] + length)
+
+
+def tips(rig: Rig, fits: Sequence[RecordingFit], most: int) -> list[RecordingFit]:
+    """Recordings to show tip motion of: held-out ones first, then the worst followed; repeats and rest left out."""
+    usable = [fit for fit in fits if fit.replay is not None and fit.recording.kind != "quiet"]
+    usable = [fit for fit in usable if tip_signal(rig, fit.recording) is not None]
+    holdout = _worst_first([fit for fit in usable if fit.recording.role == "holdout"])
+    rest = _worst_first([fit for fit in usable if fit.recording.role == "train"])
+    chosen = _one_of_each_repeat([*holdout[:_MOST_HOLDOUT], *rest, *holdout[_MOST_HOLDOUT:]])[:most]
+    return [fit for fit in (*holdout, *rest) if any(fit is each for each in chosen)]
+
+
+def _worst_first(fits: list[RecordingFit]) -> list[RecordingFit]:
+    return sorted(fits, key=lambda fit: -fit.replay.marker_rms / fit.marker_noise if fit.replay else 0.0)
+
+
+def _one_of_each_repeat(fits: list[RecordingFit]) -> list[RecordingFit]:
+    seen: set[str] = set()
+    kept = []
+    for fit in fits:
+        label = fit.recording.repeat
+        if label is None or label not in seen:
+            kept.append(fit)
+        if label is not None:
+            seen.add(label)
+    return kept
+
+
+def liveliest(rig: Rig, data: Sequence[TorqueData], most: int) -> list[TorqueData]:
+    """Training recordings that move most, one of each set of repeats, quiet ones last."""
+    ordered = sorted(data, key=lambda each: (each.recording.kind == "quiet", -motion(rig, each.recording)))
+    seen: set[str] = set()
+    kept = []
+    for each in ordered:
+        label = each.recording.repeat
+        if label is not None and label in seen:
+            continue
+        if label is not None:
+            seen.add(label)
+        kept.append(each)
+    return kept[:most]
+
+
+def spread_over(recordings: Sequence[Recording], most: int) -> list[Recording]:
+    """At most so many recordings, in order, one of each set of repeats and every role and kind first."""
+    groups: dict[tuple[str | None, ...], list[Recording]] = {}
+    for recording in recordings:
+        key = (recording.role, recording.kind, recording.repeat)
+        groups.setdefault(key, []).append(recording)
+    queue: list[Recording] = []
+    while any(groups.values()):
+        queue += [group.pop(0) for group in groups.values() if group]
+    chosen = queue[:most]
+    return [recording for recording in recordings if any(recording is each for each in chosen)]
+
+
+_BINS = 24
+_BOTH = ("before", "after")
+_MOST_DOTS = 1500
+_PALE_BEFORE, _PALE_AFTER = "#f3c793", "#8fa5c4"
+
+
+@styled
+def evidence(cause: Cause, diagnosis: Diagnosis, followed: Sequence[Replayed]) -> Figure:
+    """Residual without and with a cause against what makes it plain; beside it, what was missing against what it adds.
+
+    Args:
+        cause: the one to show.
+        diagnosis: names it, and has the model with it.
+        followed: recordings with replays without this cause alone, and with all causes; the first one is shown.
+    """
+    words = capital(clause(cause.effect, diagnosis.model, cause.parameters))
+    page = sheet(f"{words}: {short(followed[0].recording.file)} without and with it", [Row(2.9, 2)])
+    left, right = page.axes[0]
+    first = followed[0]
+    if first.before is not None and first.after is not None:
+        _draw_left(left, cause.effect, diagnosis.model, followed, (first.before, first.after))
+        _draw_added(right, first, first.before, first.after)
+    _legend(page)
+    return page.figure
+
+
+def _legend(page: Sheet) -> None:
+    page.legend(
+        [
+            Line2D([], [], color=NOMINAL, marker="s", markerfacecolor="white", label="without the cause"),
+            Line2D([], [], color=IDENTIFIED, marker="o", label="with it"),
+            Patch(color=BAND, label="noise"),
+            Line2D([], [], color=MEASURED, linestyle="--", label="all that was missing"),
+        ]
+    )
+
+
+def _draw_left(
+    axes: Axes, effect: Effect, model: Model, followed: Sequence[Replayed], replays: tuple[Replay, Replay]
+) -> None:
+    kind, first = abscissa_of(effect), followed[0]
+    if kind == "joint":
+        found = [_missing_torque(effect, model, [(f.recording, getattr(f, name)) for f in followed]) for name in _BOTH]
+        if found[0] is not None and found[1] is not None:
+            _draw_joint(axes, effect, (found[0], found[1]))
+            return
+    if kind == "frequency" and _draw_spectrum(axes, first, replays):
+        return
+    _draw_cloud(axes, cloud(effect, first.recording, *replays), first.noise)
+
+
+def _draw_cloud(axes: Axes, found: Cloud, noise: float) -> None:
+    level = 1e3 * noise
+    if found.squared:
+        axes.axhspan(0.0, level, color=BAND, linewidth=0)
+    else:
+        axes.axhspan(-2 * level, 2 * level, color=BAND, linewidth=0)
+        axes.axhline(0.0, color="#444444", linewidth=0.6)
+    whole = bool(np.all(found.x == np.round(found.x)))  # numbers of markers
+    edges = _edges(found.x, whole)
+    for values, color, marker, pale in (
+        (found.before, NOMINAL, "s", _PALE_BEFORE),
+        (found.after, IDENTIFIED, "o", _PALE_AFTER),
+    ):
+        if not found.squared:
+            some = _some(values.size)
+            axes.plot(found.x[some], 1e3 * values[some], ".", color=pale, markersize=2, zorder=1)
+        centres, sizes = _binned(found.x, values, edges, found.squared)
+        face = "white" if marker == "s" else color
+        axes.plot(centres, 1e3 * sizes, color=color, marker=marker, markerfacecolor=face, markersize=4.5, linewidth=1.1)
+    axes.set_xlabel(found.label)
+    axes.set_ylabel("residual, RMS [mm]" if found.squared else "residual [mm]")
+    if found.squared:
+        axes.set_ylim(bottom=0.0)
+    else:
+        _, sizes = _binned(found.x, found.before, edges, False)
+        most = 1.5e3 * max(float(np.nanmax(np.abs(sizes), initial=0.0)), 3 * noise)
+        axes.set_ylim(-most, most)
+    if whole:
+        axes.set_xticks(np.unique(found.x))
+    panel_title(axes, "What the model misses")
+
+
+def _edges(x: Array, whole: bool) -> Array:
+    """Of bins that hold about as many points each; of whole numbers, one bin each."""
+    if whole:
+        kinds = np.unique(x)
+        return np.concatenate([kinds - 0.5, kinds[-1:] + 0.5])
+    return np.unique(np.quantile(x, np.linspace(0, 1, _BINS + 1)))
+
+
+def _binned(x: Array, values: Array, edges: Array, squared: bool) -> tuple[Array, Array]:
+    """Mean abscissa and mean value, or root mean square, of the points of each bin."""
+    count = max(edges.size - 1, 1)
+    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, count - 1)
+    sizes = np.bincount(bins, minlength=count)
+    kept = sizes > 0
+    per = np.maximum(sizes, 1)
+    centres = np.bincount(bins, x, count) / per
+    means = np.bincount(bins, values**2 if squared else values, count) / per
+    result = np.sqrt(means) if squared else means
+    return centres[kept], result[kept]
+
+
+def _some(count: int) -> NDArray[np.intp]:
+    """At most so many of them, without the order in which they come."""
+    return np.sort(np.random.default_rng(0).permutation(count)[:_MOST_DOTS])
+
+
+def _draw_added(axes: Axes, followed: Replayed, before: Replay, after: Replay) -> None:
+    x, y = (1e3 * each for each in added(followed.recording, before, after))
+    some = _some(x.size)
+    reach = max(float(np.percentile(np.abs(x), 99.5)), 3e3 * followed.noise) * 1.15
+    ends = np.array([-reach, reach])
+    noise = 2e3 * followed.noise
+    axes.fill_between(ends, ends - noise, ends + noise, color=BAND, linewidth=0)
+    axes.plot(ends, ends, color=MEASURED, linestyle="--", linewidth=1.2, zorder=2)
+    axes.plot(x[some], y[some], ".", color=IDENTIFIED, markersize=2.2, zorder=3)
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(-1.15 * reach, 1.15 * reach)
+    axes.set_xlabel("what the cause adds to the simulated markers [mm]")
+    axes.set_ylabel("what was missing [mm]")
+    share = 1 - float(np.sum((y - x) ** 2)) / max(float(np.sum(y**2)), 1e-300)
+    panel_title(axes, f"Explained: {max(100 * share, 0.0):.1f} % of what was missing, in mean square")
+
+
+def _missing_torque(
+    effect: Effect, model: Model, replayed: Sequence[tuple[Recording, Replay | None]]
+) -> Profile | None:
+    """Torque at the joint that replays lack; None where the recordings do not show it."""
+    noise, name, found = (model.marker_noise, model.encoder_noise), f"{place(effect, model)}.theta", []
+    for k, (recording, replay) in enumerate(replayed):
+        if replay is None or recording.kind != "driven":
+            continue
+        shown = Followed(model.rig, recording, replay.simulation.markers, replay.simulation.theta, noise)
+        own = profiles(k, shown, observe(shown))
+        found += [each for each in own if each.quantity == "torque" and each.motion == name]
+    return joined(found) or next(iter(found), None)
+
+
+def _draw_joint(axes: Axes, effect: Effect, found: Sequence[Profile]) -> None:
+    by_angle = effect.id in ("joint_spring", "torque_offset")
+    axes.axhline(0.0, color="#444444", linewidth=0.6)
+    largest = 0.0
+    for profile, color, marker, pale in zip(
+        found, (NOMINAL, IDENTIFIED), ("s", "o"), (_PALE_BEFORE, _PALE_AFTER), strict=True
+    ):
+        x = np.degrees(profile.points.position if by_angle else profile.points.velocity)
+        values = 1e3 * profile.values
+        axes.plot(x, values, ".", color=pale, markersize=3, zorder=1)
+        centres, means = _binned(x, values, np.unique(np.quantile(x, np.linspace(0, 1, 11))), False)
+        face = "white" if marker == "s" else color
+        axes.plot(centres, means, color=color, marker=marker, markerfacecolor=face, markersize=4.5, linewidth=1.1)
+        largest = max(largest, float(np.abs(means).max(initial=0.0)), float(np.percentile(np.abs(values), 90)))
+    axes.set_ylim(-1.3 * largest, 1.3 * largest)
+    axes.set_xlabel("joint angle [°]" if by_angle else "joint velocity [°/s]")
+    axes.set_ylabel("missing torque [mN m]")
+    panel_title(axes, "Torque that the model misses at the joint")
+
+
+def _draw_spectrum(axes: Axes, followed: Replayed, replays: tuple[Replay, Replay]) -> bool:
+    """Amplitude of the residual against frequency; false where there is too little to show."""
+    found = [spectrum(followed.recording, each, followed.noise) for each in replays]
+    if found[0] is None or found[1] is None:
+        return False
+    for each, color in zip(found, (NOMINAL, IDENTIFIED), strict=True):
+        if each is not None:
+            axes.plot(each.frequency, 1e3 * each.amplitude, color=color, linewidth=1.0)
+    axes.axhline(1e3 * found[0].limit, color=MEASURED, linestyle=":", linewidth=1.0)
+    axes.set_yscale("log")
+    log_ticks(axes.yaxis)
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("amplitude of the residual [mm]")
+    panel_title(axes, "What the model misses; dotted: limit of noise")
+    return True
+
+
+MOST_RECORDINGS = 40
+_ROW = 0.3  # inches a recording
+_LOOKS: dict[str, dict[str, Any]] = {
+    "before": {"linestyle": "", "marker": "s", "color": NOMINAL, "markerfacecolor": "white", "zorder": 2},
+    "runner_up": {"linestyle": "", "marker": "D", "color": TORQUE, "markersize": 6, "zorder": 3},
+    "after": {"linestyle": "", "marker": "o", "color": IDENTIFIED, "zorder": 4},
+}
+_NAMES = {"before": "without the causes", "runner_up": "next best explanation", "after": "with the causes"}
+_NOISE: dict[str, Any] = {"linestyle": "", "marker": "|", "markeredgewidth": 2, "color": MEASURED}
+_MEASURED: dict[str, Any] = {"color": "#bdbdbd", "linewidth": 4.0, "solid_capstyle": "round"}
+
+
+@styled
+def gain_of_recordings(diagnosis: Diagnosis) -> Figure:
+    """RMS marker residual of every recording without and with the causes, beside the noise, logarithmic.
+
+    Args:
+        diagnosis: with at least one recording that the models follow.
+    """
+    # Held-out recordings first: they are what counts.
+    ordered = sorted(diagnosis.recordings, key=lambda each: each.recording.role != "holdout")
+    shown = [each for each in ordered if each.before is not None][:MOST_RECORDINGS]
+    page = sheet(_title(diagnosis), [Row(max(_ROW * len(shown), 0.7))], left=2.75)
+    axes = page.axes[0][0]
+    places = np.arange(len(shown))[::-1]
+    kept = [name for name in _LOOKS if name == "before" or (diagnosis.causes and _any(shown, name))]
+    for row, each in zip(places.tolist(), shown, strict=True):
+        sizes = {name: replay.marker_rms for name in kept if (replay := getattr(each, name)) is not None}
+        if "after" in sizes:
+            ends = [1e3 * sizes["before"], 1e3 * sizes["after"]]
+            axes.plot(ends, [row, row], color="#bbbbbb", linewidth=1.0, zorder=1)
+        for name, size in sizes.items():
+            axes.plot(1e3 * size, row, **_LOOKS[name])
+        axes.plot(1e3 * each.noise, row, **_NOISE, markersize=15, zorder=1)
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    axes.set_xlim(low / 1.15, high * 1.15)
+    log_ticks(axes.xaxis)
+    axes.set_ylim(-0.6, len(shown) - 0.4)
+    axes.set_yticks(places, [_label(each) for each in shown])
+    axes.grid(False, axis="y")
+    axes.set_xlabel("marker residual over the whole recording, open loop, RMS [mm]")
+    axes.set_ylabel("recording", labelpad=6)
+    handles = [Line2D([], [], **_LOOKS[name], label=_NAMES[name] if diagnosis.causes else "model") for name in kept]
+    page.legend([*handles, Line2D([], [], **_NOISE, markersize=11, label="noise")])
+    return page.figure
+
+
+def _any(shown: Sequence[Replayed], name: str) -> bool:
+    return any(getattr(each, name) is not None for each in shown)
+
+
+def _title(diagnosis: Diagnosis) -> str:
+    gain = diagnosis.gain
+    if gain is None or not diagnosis.causes:
+        return "How far each recording is from the model without any effect"
+    text = f"Held-out recordings: {millimetres(gain.before)} without the causes, {millimetres(gain.after)} with them"
+    if gain.runner_up is not None:
+        text += f", {millimetres(gain.runner_up)} with the next best explanation"
+    return f"{text}; noise {millimetres(gain.noise)}"
+
+
+def _label(each: Replayed) -> str:
+    role = "held out" if each.recording.role == "holdout" else "train"
+    return printable(f"{short(each.recording.file, 24)} ({role})")
+
+
+@styled
+def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
+    """Tip of one recording, measured and by the models without and with the causes; residuals underneath.
+
+    Args:
+        followed: a recording that both models follow, with at least one marker.
+        diagnosis: has the models.
+
+    Raises:
+        InsufficientDataError: a recording without replays or marker.
+    """
+    recording, model = followed.recording, diagnosis.model
+    signal = tip_signal(model.rig, recording)
+    if signal is None or followed.before is None or followed.after is None:
+        raise InsufficientDataError(f"tip of {recording.file}", "no marker or no replay", "choose another recording")
+    left = {
+        name: signal.value - simulated(replay, recording, signal)
+        for name in ("before", "runner_up", "after")
+        if (replay := getattr(followed, name)) is not None
+    }
+    role = "held out" if recording.role == "holdout" else "train"
+    sizes = [millimetres(float(np.sqrt(np.mean(left[name] ** 2)))) for name in ("before", "after")]
+    title = (
+        f"Tip of {short(recording.file)} ({role}): off by {sizes[0]} RMS without the causes, by {sizes[1]} with them"
+    )
+    page = sheet(title, [Row(1.8), Row(1.8, gap=0.75)])
+    start, stop = liveliest_window(signal.time, left["before"])
+    _draw_motion(page.axes[0][0], followed, diagnosis, signal, (start, stop))
+    _draw_residuals(page.axes[1][0], followed, signal, left)
+    page.legend(_handles("runner_up" in left))
+    return page.figure
+
+
+def _draw_motion(
+    axes: Axes, followed: Replayed, diagnosis: Diagnosis, signal: Signal, window: tuple[float, float]
+) -> None:
+    rows = (signal.time >= window[0]) & (signal.time <= window[1])
+    axes.plot(signal.time[rows], 1e3 * signal.value[rows], **_MEASURED)
+    shown: list[tuple[Replay | None, Model, dict[str, Any]]] = [
+        (followed.before, diagnosis.base, {"color": NOMINAL, "linestyle": NOMINAL_STYLE, "linewidth": 1.3}),
+        (followed.after, diagnosis.model, {"color": IDENTIFIED, "linewidth": 1.3}),
+    ]
+    for replay, model, look in shown:
+        if replay is not None:
+            time, value = drawn(replay, model, followed.recording, signal, window)
+            axes.plot(time, 1e3 * value, **look)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(label(diagnosis.model.rig, signal))
+    whole = window[1] - window[0] > 0.99 * (signal.time[-1] - signal.time[0])
+    panel_title(axes, "" if whole else "Where the model without the causes is off most")
+
+
+def _draw_residuals(axes: Axes, followed: Replayed, signal: Signal, left: dict[str, Array]) -> None:
+    noise = 1e3 * followed.noise
+    axes.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
+    axes.axhline(0.0, color="#444444", linewidth=0.6)
+    colors = {"before": NOMINAL, "runner_up": TORQUE, "after": IDENTIFIED}
+    largest = 4 * noise
+    for name, values in left.items():
+        axes.plot(signal.time, 1e3 * values, color=colors[name], linewidth=0.9, alpha=0.95)
+        if name != "runner_up":
+            largest = max(largest, 1.08e3 * float(np.abs(values).max()))
+    axes.set_ylim(-largest, largest)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("residual [mm]")
+    panel_title(axes, "Measured less simulated, whole recording")
+
+
+def _handles(runner_up: bool) -> list[Line2D | Patch]:
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], label="measured", **_MEASURED),
+        Line2D([], [], color=NOMINAL, linestyle=NOMINAL_STYLE, label=_NAMES["before"]),
+        Line2D([], [], color=IDENTIFIED, label=_NAMES["after"]),
+    ]
+    if runner_up:
+        handles.append(Line2D([], [], color=TORQUE, label=f"{_NAMES['runner_up']} (residual)"))
+    return [*handles, Patch(color=BAND, label="±2σ noise")]
+
 
 _MOST_CAUSES = 4
 _MOST_HELD_OUT = 3

@@ -7,20 +7,22 @@ from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
-from vjm.experiment.records import Experiment
 from vjm.identification.records import Identification, RecordingFit
-from vjm.model import Model
-from vjm.report.choose import liveliest, spread_over, tips
-from vjm.report.figures.angles import joint_angles
-from vjm.report.figures.correlations import correlation_map
-from vjm.report.figures.fits import MOST_RECORDINGS, fit_of_recordings
-from vjm.report.figures.markers import most_recordings, raw_markers
-from vjm.report.figures.residuals import MOST_ROWS, residual_map, residual_spectra
-from vjm.report.figures.shapes import link_shapes
+from vjm.records import Experiment
+from vjm.report.figures.diagnosis import liveliest, spread_over, tips
+from vjm.report.figures.joints import joint_angles, torque_error_figure
+from vjm.report.figures.motion import (
+    MOST_RECORDINGS,
+    fit_of_recordings,
+    link_shapes,
+    most_recordings,
+    raw_markers,
+    tip_motion,
+)
+from vjm.report.figures.residuals import MOST_ROWS, correlation_map, residual_map, residual_spectra
 from vjm.report.figures.style import png
-from vjm.report.figures.tips import tip_motion
-from vjm.report.figures.torques import torque_error_figure
-from vjm.report.wording import listed, short
+from vjm.report.text import listed, short
+from vjm.simulation.model import Model
 
 MOST_TIPS = 4
 # Every file name that a report may have under `figures/`: what an earlier run left of them is out of date.

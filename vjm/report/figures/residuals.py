@@ -1,21 +1,25 @@
-"""What the identified model leaves of the markers: coordinate by coordinate, and frequency by frequency."""
+"""Which estimated parameters the recordings can tell apart."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
+from scipy import stats
 
 from vjm.identification.records import RecordingFit
-from vjm.model import Model
-from vjm.report.choose import tips
+from vjm.records import Estimate, Recording, Rig
+from vjm.report.figures.diagnosis import marker_name, tips
 from vjm.report.figures.style import (
+    BAND,
     IDENTIFIED,
     MEASURED,
     TORQUE,
@@ -27,10 +31,120 @@ from vjm.report.figures.style import (
     sheet,
     styled,
 )
-from vjm.report.residuals import Spectrum, columns, misfit, spectrum
-from vjm.report.wording import number, short
+from vjm.report.text import number, short
+from vjm.simulation.initial_state import Replay
+from vjm.simulation.model import Model
 
 Array = NDArray[np.float64]
+
+_LEAST_VALUES = 8  # of a coordinate, for a spectrum
+_FALSE_ALARM = 1e-3  # chance that white noise passes the limit anywhere
+
+
+class Column(NamedTuple):
+    """One measured coordinate of one marker, or all those of one.
+
+    Attributes:
+        name: as in the recordings' header.
+        marker: its index among all markers of the rig.
+        axes: the coordinates pooled, 0 for x and 1 for y.
+    """
+
+    name: str
+    marker: int
+    axes: tuple[int, ...]
+
+
+def residual(recording: Recording, replay: Replay) -> Array:
+    """(T, k, 2) measured less simulated marker coordinates [m]; NaN where not measured."""
+    difference: Array = recording.markers - replay.simulation.markers
+    return difference
+
+
+def columns(rig: Rig, fits: list[RecordingFit], most: int) -> list[Column]:
+    """The coordinates measured in any of the recordings, pooled marker by marker where there are too many."""
+    measured = np.any([np.isfinite(fit.recording.markers).any(axis=0) for fit in fits], axis=0)
+    seen = [(marker, tuple(np.flatnonzero(axes).tolist())) for marker, axes in enumerate(measured) if axes.any()]
+    single = [Column(f"{marker_name(rig, m)}.{'xy'[axis]}", m, (axis,)) for m, axes in seen for axis in axes]
+    if len(single) <= most:
+        return single
+    return [Column(marker_name(rig, marker), marker, axes) for marker, axes in seen]
+
+
+def misfit(fits: list[RecordingFit], shown: list[Column]) -> tuple[Array, Array]:
+    """RMS residual in units of the noise, and what white noise would pass anywhere in one report of a thousand.
+
+    Both (recordings, columns); NaN where nothing was measured or simulated.
+    """
+    table = np.full((len(fits), len(shown)), np.nan)
+    limit = table.copy()
+    for row, fit in enumerate(fits):
+        if fit.replay is None:
+            continue
+        left = residual(fit.recording, fit.replay) / fit.marker_noise
+        for k, column in enumerate(shown):
+            values = left[:, column.marker, list(column.axes)]
+            known = np.isfinite(values)
+            if known.any():
+                count = int(known.sum())
+                table[row, k] = np.sqrt(np.mean(values[known] ** 2))
+                limit[row, k] = np.sqrt(stats.chi2.isf(_FALSE_ALARM / table.size, count) / count)
+    return table, limit
+
+
+class Spectrum(NamedTuple):
+    """Amplitude of the residual, root mean square over all marker coordinates.
+
+    A sine of amplitude a in every coordinate is a line of height a.
+
+    Attributes:
+        frequency: (F,) from one period in the recording up to half the camera's rate [Hz].
+        amplitude: (F,) [m].
+        white: what white noise of the camera's size would give [m].
+        limit: what it would pass anywhere in one recording of a thousand [m].
+    """
+
+    frequency: Array
+    amplitude: Array
+    white: float
+    limit: float
+
+
+def spectrum(recording: Recording, replay: Replay, noise: float) -> Spectrum | None:
+    """Amplitude spectrum of what the model leaves of a recording.
+
+    Values lost for a moment count as zeros, and amplitudes are scaled by the number of those there are.
+
+    Args:
+        recording: as measured.
+        replay: of it.
+        noise: 1-sigma of a marker coordinate [m].
+
+    Returns:
+        None where too little was measured.
+    """
+    rows = recording.frames
+    if rows.size < _LEAST_VALUES:
+        return None
+    time = recording.time[rows]
+    step = float(np.median(np.diff(time)))
+    place = np.round((time - time[0]) / step).astype(int)  # frames that the camera dropped leave gaps
+    left = residual(recording, replay)[rows].reshape(rows.size, -1)
+    counts = np.isfinite(left).sum(axis=0)
+    kept = counts >= _LEAST_VALUES
+    if not kept.any():
+        return None
+    even = np.zeros((int(place[-1]) + 1, int(kept.sum())))
+    even[place] = np.nan_to_num(left[:, kept])
+    lines = np.fft.rfft(even, axis=0)[1:-1] * (2 / counts[kept])
+    power: Array = np.mean(np.abs(lines) ** 2, axis=1)
+    white = noise**2 * float(np.mean(4 / counts[kept]))
+    freedom = 2 * int(kept.sum())
+    limit = white * float(stats.chi2.isf(_FALSE_ALARM / power.size, freedom)) / freedom
+    frequency = np.asarray(np.fft.rfftfreq(len(even), step)[1:-1], dtype=np.float64)
+    amplitude: Array = np.sqrt(power)
+    return Spectrum(frequency, amplitude, float(np.sqrt(white)), float(np.sqrt(limit)))
+
 
 MOST_ROWS = 24
 _MOST_COLUMNS = 14
@@ -204,3 +318,99 @@ def _spectrum_title(model: Model, found: Sequence[tuple[RecordingFit, Spectrum]]
         f"Spectrum of the residual: most is missing {_where(model, fit, left)}, in "
         f"{short(fit.recording.file)}: {times:g} times what white noise gives"
     )
+
+
+_ANNOTATED = 16  # parameters whose correlations can be written into the cells
+_MOST = 48
+_STRONG = 0.9
+_WEAK = 0.5
+_LEFT, _CELL, _SQUARE = 2.75, 0.3, 6.25  # inches: room for names, largest height of a row, width of the map
+_WIDEST = 0.85  # inches of a column
+
+
+def correlations(estimates: Sequence[Estimate], covariance: Array) -> tuple[list[str], Array]:
+    """Names (p) and correlation matrix (p, p) of the estimates with a finite, positive standard error.
+
+    Args:
+        estimates: all of them.
+        covariance: of those with a standard error, in their order.
+    """
+    names = [each.name for each in estimates if each.std is not None]
+    if covariance.shape != (len(names), len(names)):
+        return [], np.empty((0, 0))
+    variance = np.diag(covariance)
+    kept = np.flatnonzero(np.isfinite(covariance).all(axis=1) & (variance > 0))
+    part, std = covariance[np.ix_(kept, kept)], np.sqrt(variance[kept])
+    return [names[k] for k in kept], np.clip(part / np.outer(std, std), -1.0, 1.0)
+
+
+def correlation_map(estimates: Sequence[Estimate], covariance: Array) -> Figure | None:
+    """The estimates' correlation matrix as a map; None where fewer than two parameters have an error.
+
+    Args:
+        estimates: all of them.
+        covariance: of those with a standard error, in their order.
+    """
+    names, matrix = correlations(estimates, covariance)
+    return _map(names, matrix) if len(names) > 1 else None
+
+
+@styled
+def _map(names: Sequence[str], matrix: Array) -> Figure:
+    title = _title(names, matrix)
+    count = min(len(names), _MOST)
+    matrix = matrix[:count, :count]
+    page = sheet(title, [Row(min(_CELL, _SQUARE / count) * count)], left=_LEFT)
+    axes = page.axes[0][0]
+    colors = colormaps["PuOr_r"]
+    box = axes.get_position()
+    axes.set_position((box.x0, box.y0, box.width * min(1.0, _WIDEST * count / _SQUARE), box.height))
+    axes.set_facecolor(BAND)  # the diagonal
+    off = np.ma.masked_where(np.eye(count, dtype=bool), matrix)
+    axes.pcolormesh(off, cmap=colors, vmin=-1.0, vmax=1.0, edgecolors="#bbbbbb", linewidth=0.5)
+    if count <= _ANNOTATED:
+        for (row, column), value in np.ndenumerate(matrix):
+            if row != column:
+                color = letters_on(colors(0.5 + 0.5 * float(value)))
+                axes.text(
+                    column + 0.5, row + 0.5, _signed(float(value)), ha="center", va="center", fontsize=8, color=color
+                )
+    axes.invert_yaxis()
+    size = 9.0 if count <= _ANNOTATED else 6.0
+    places = np.arange(count) + 0.5
+    labels = [printable(f"{short(name, 30)}  {k + 1}") for k, name in enumerate(names[:count])]
+    axes.set_yticks(places, labels, fontsize=size)
+    axes.set_xticks(places, [str(k + 1) for k in range(count)], fontsize=size)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.grid(False)
+    axes.set_xlabel("parameter")
+    axes.set_ylabel("parameter")
+    page.legend(
+        [
+            Patch(facecolor=colors(0.5 + 0.5 * value), edgecolor="#bbbbbb", label=label)
+            for value, label in ((1.0, "+1: rise together"), (0.0, "0: independent"), (-1.0, "−1: one for the other"))
+        ]
+    )
+    return page.figure
+
+
+def _title(names: Sequence[str], matrix: Array) -> str:
+    """The strongest correlation, and what it means."""
+    off = np.abs(matrix) - 2 * np.eye(len(names))  # a parameter's correlation with itself is none
+    row, column = divmod(int(np.argmax(off)), len(names))
+    value = float(matrix[row, column])
+    pair = f"{short(names[row], 30)} and {short(names[column], 30)} ({_signed(value)})"
+    strong = int(np.count_nonzero(off > _STRONG)) // 2
+    if strong > 1:
+        return f"{strong} pairs of parameters are correlated beyond {_STRONG}, above all {pair}"
+    if abs(value) > _STRONG:
+        return f"The recordings hardly tell {pair} apart"
+    if abs(value) < _WEAK:
+        return f"The recordings tell all parameters apart; most correlated are {pair}"
+    return f"Correlation of the estimates: strongest between {pair}"
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")
+    return "0.00" if text[1:] == "0.00" else text

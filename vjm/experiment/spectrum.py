@@ -1,0 +1,302 @@
+"""Natural frequencies and damping ratios of the recordings themselves, finer than a bin of the spectrum.
+
+A recording is a sum of damped oscillations, free ones from its start and, where a torque was measured, the responses
+of the same oscillators to it. Peaks of the spectrum start a nonlinear least-squares fit of frequencies and damping
+ratios, everything linear (amplitudes, phases, offsets) being projected out (variable projection).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import stats
+from scipy.optimize import least_squares
+from scipy.signal import get_window, lfilter
+
+Array = NDArray[np.float64]
+
+
+class Oscillators:
+    """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants."""
+
+    def __init__(self, time: Array, torque: tuple[ArrayLike, ArrayLike] | None) -> None:
+        self.time = time - time[0] if time.size else time
+        self.inputs: list[Array] = []
+        if torque is None or time.size == 0:
+            return
+        knots, values = np.asarray(torque[0], dtype=float), np.asarray(torque[1], dtype=float)
+        step = float(np.median(np.diff(knots)))
+        self.step = min(step, float(np.median(np.diff(time))))
+        grid = np.arange(int(np.ceil(self.time[-1] / self.step)) + 2) * self.step
+        for column in values.T:
+            sampled = np.interp(time[0] + grid, knots, column)
+            if np.ptp(sampled) > 0:
+                self.inputs.append(sampled)
+
+    def columns(self, values: Array) -> Array:
+        """(T, 1 + 2 m (1 + inputs)) offset, free and forced motion of m oscillators (Hz, ratio) (m, 2)."""
+        parts = [np.ones_like(self.time)]
+        for frequency, ratio in values:
+            pole = 2 * np.pi * frequency * (-ratio + 1j * np.sqrt(max(1 - ratio**2, 1e-12)))
+            free = np.exp(pole * self.time)
+            parts += [free.real, free.imag]
+            for signal in self.inputs:
+                forced = self._forced(pole, signal)
+                size = max(float(np.abs(forced).max()), 1e-300)
+                parts += [forced.real / size, forced.imag / size]
+        return np.stack(parts, axis=1)
+
+    def _forced(self, pole: complex, signal: Array) -> NDArray[np.complex128]:
+        """Response of z' = pole z + u at the camera's instants, u linear between its samples (exact)."""
+        h = self.step
+        flow = np.exp(pole * h)
+        first = (flow - 1) / pole
+        second = (flow - 1 - pole * h) / (pole**2 * h)
+        response = np.concatenate(
+            [[0.0], lfilter([1.0], [1.0, -flow], (first - second) * signal[:-1] + second * signal[1:])]
+        )
+        # Between grid instants: exact propagation from the one before, with the torque frozen in its linear piece.
+        k = np.minimum((self.time / h + 1e-9).astype(int), signal.size - 2)
+        rest = self.time - k * h
+        part = np.exp(pole * rest)
+        slope = (signal[k + 1] - signal[k]) / h
+        zeroth = (part - 1) / pole
+        moved: NDArray[np.complex128] = part * response[k] + zeroth * signal[k] + (zeroth - rest) / pole * slope
+        return moved
+
+
+_FALSE_ALARM = 1e-6  # probability that noise alone shows a mode
+_SEPARATION = 0.2  # relative; a peak closer to a known mode is its own skirt
+_FIRST_RATIOS = (0.002, 0.01, 0.05)
+_FIRST_SHIFTS = (-0.25, 0.0, 0.25)  # bins of the spectrum
+_LARGEST_RATIO = 0.7
+_MOST_FRAMES = 20_000  # of a longer recording, the part used
+_LARGEST_STD = 0.1  # relative; a frequency less sure than this is no measurement
+
+
+@dataclass(frozen=True)
+class MeasuredModes:
+    """Modes seen in one recording, slowest first.
+
+    Attributes:
+        frequencies: (m,) undamped natural frequencies [Hz].
+        damping_ratios: (m,) fractions of critical damping.
+        frequency_std: (m,) standard errors [Hz].
+        damping_std: (m,) standard errors.
+        residual: root mean square of what the modes leave, in units of the noise.
+    """
+
+    frequencies: Array
+    damping_ratios: Array
+    frequency_std: Array
+    damping_std: Array
+    residual: float
+
+
+def measure_modes(
+    time: ArrayLike,
+    signals: ArrayLike,
+    noise: float,
+    most: int,
+    torque: tuple[ArrayLike, ArrayLike] | None = None,
+) -> MeasuredModes:
+    """Fit up to `most` modes to the deflections of one recording.
+
+    Args:
+        time: (T,) [s].
+        signals: (T, c) lateral deflections in the link frames [m]; frames with NaN are left out.
+        noise: 1-sigma of a signal [m].
+        most: number of modes at most.
+        torque: instants (U,) [s] and joint torques (U, n_a) [N m] that drove the motion; None for free motion.
+    """
+    t, y = _complete(np.asarray(time, dtype=float), np.asarray(signals, dtype=float))
+    oscillators = Oscillators(t, torque)
+    values = np.zeros((0, 2))
+    residual, _ = _project(oscillators.columns(values), y)
+    for _ in range(2 * most):
+        if len(values) == most or len(t) <= 8 * (len(values) + 1):
+            break
+        start = _peak(t, residual / noise, values[:, 0] if len(values) else np.empty(0))
+        if start is None:
+            break
+        values = _pruned(oscillators, y, noise, _fit(oscillators, y, noise, values, start))
+        residual, _ = _project(oscillators.columns(values), y)
+    std = _standard_errors(oscillators, y, values)
+    order = np.argsort(values[:, 0])
+    sure = order[std[order, 0] < _LARGEST_STD * values[order, 0]]
+    return MeasuredModes(
+        values[sure, 0],
+        values[sure, 1],
+        std[sure, 0],
+        std[sure, 1],
+        float(np.sqrt(np.mean(residual**2)) / noise) if residual.size else 0.0,
+    )
+
+
+@dataclass(frozen=True)
+class CombinedMode:
+    """One mode over several recordings: inverse-variance means."""
+
+    frequency: float
+    frequency_std: float
+    damping_ratio: float
+    damping_std: float
+
+
+def match(
+    expected: float, measured: Sequence[MeasuredModes], tolerance: float, floor: float = 5e-4
+) -> CombinedMode | None:
+    """The measured mode nearest to an expected frequency [Hz], averaged over the recordings that show it.
+
+    Args:
+        expected: [Hz].
+        measured: one entry a recording.
+        tolerance: largest relative distance.
+        floor: relative standard error below which recordings are not trusted: amplitudes differ between them.
+    """
+    rows = []
+    for modes in measured:
+        if modes.frequencies.size == 0:
+            continue
+        nearest = int(np.argmin(np.abs(modes.frequencies - expected)))
+        if abs(modes.frequencies[nearest] / expected - 1) < tolerance:
+            rows.append(
+                (
+                    modes.frequencies[nearest],
+                    modes.frequency_std[nearest],
+                    modes.damping_ratios[nearest],
+                    modes.damping_std[nearest],
+                )
+            )
+    if not rows:
+        return None
+    f, f_std, d, d_std = np.array(rows).T
+    f_weight, d_weight = 1 / (f_std**2 + (floor * f) ** 2), 1 / np.maximum(d_std, 1e-6) ** 2
+    return CombinedMode(
+        float(np.average(f, weights=f_weight)),
+        float(f_weight.sum() ** -0.5),
+        float(np.average(d, weights=d_weight)),
+        float(d_weight.sum() ** -0.5),
+    )
+
+
+def mode_shapes(
+    time: ArrayLike, signals: ArrayLike, modes: MeasuredModes, torque: tuple[ArrayLike, ArrayLike] | None = None
+) -> NDArray[np.complex128]:
+    """What each mode of a recording moves, and how much.
+
+    Args:
+        time: (T,) [s].
+        signals: (T, c) lateral deflections [m]; frames with NaN are left out.
+        modes: m modes found in the recording.
+        torque: as in `measure_modes`.
+
+    Returns:
+        (m, c, r) deflections of the modes' free motion and of their response to each of r - 1 torques, as RMS values
+        over the recording [m].
+    """
+    t, y = _complete(np.asarray(time, dtype=float), np.asarray(signals, dtype=float))
+    values = np.column_stack([modes.frequencies, modes.damping_ratios])
+    columns = Oscillators(t, torque).columns(values)
+    _, amplitudes = _project(columns, y)
+    sizes = np.sqrt(np.mean(columns**2, axis=0))
+    pairs = (amplitudes[1:] * sizes[1:, None]).reshape(len(values), -1, 2, y.shape[1])
+    return np.moveaxis(pairs[:, :, 0] - 1j * pairs[:, :, 1], 1, 2)
+
+
+def _complete(t: Array, y: Array) -> tuple[Array, Array]:
+    kept = np.isfinite(y).all(axis=1)
+    t, y = t[kept], y[kept]
+    if len(t) > _MOST_FRAMES:
+        t, y = t[:_MOST_FRAMES], y[:_MOST_FRAMES]
+    return t, y
+
+
+def _project(columns: Array, y: Array) -> tuple[Array, Array]:
+    """What the columns leave of y (T, c), and the amplitudes."""
+    amplitudes, *_ = np.linalg.lstsq(columns, y, rcond=1e-10)
+    return y - columns @ amplitudes, np.asarray(amplitudes)
+
+
+def _peak(time: Array, residual: Array, known: Array) -> float | None:
+    """Frequency [Hz] of the largest peak of the residual's spectrum that is no noise and no known mode's skirt."""
+    step = float(np.median(np.diff(time)))
+    count = round((time[-1] - time[0]) / step) + 1
+    even = np.zeros((count, residual.shape[1]))
+    even[np.clip(np.round((time - time[0]) / step).astype(int), 0, count - 1)] = residual
+    window = get_window("hann", count)[:, None]
+    padded = 4 * count
+    power = 2 * np.sum(np.abs(np.fft.rfft(even * window, padded, axis=0)) ** 2, axis=1) / np.sum(window**2)
+    frequency = np.fft.rfftfreq(padded, step)
+    allowed = frequency > 2 / (count * step)
+    for mode in known:
+        allowed &= np.abs(frequency / mode - 1) > _SEPARATION
+    threshold = stats.chi2.isf(_FALSE_ALARM / count, 2 * residual.shape[1])
+    power = np.where(allowed, power, 0.0)
+    best = int(np.argmax(power))
+    return float(frequency[best]) if power[best] > threshold else None
+
+
+def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: float) -> Array:
+    """Add a mode near `start` [Hz] and refine all of them, from the likeliest of a few first guesses."""
+    top = 0.5 / float(np.median(np.diff(oscillators.time)))
+    bin_width = 1 / max(float(oscillators.time[-1]), 1e-300)
+
+    def residual(x: Array) -> Array:
+        return _project(oscillators.columns(x.reshape(-1, 2)), y)[0].ravel() / noise
+
+    guesses = [
+        np.vstack([known, [start + shift * bin_width, ratio]]) for ratio in _FIRST_RATIOS for shift in _FIRST_SHIFTS
+    ]
+    first = min(guesses, key=lambda each: float(np.sum(residual(each) ** 2)))
+    lower = np.column_stack([0.5 * first[:, 0], np.zeros(len(first))]).ravel()
+    upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), _LARGEST_RATIO)]).ravel()
+    scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
+    found = least_squares(
+        residual,
+        np.clip(first.ravel(), lower + 1e-9, upper - 1e-9),
+        bounds=(lower, upper),
+        x_scale=1e-2 * scale,
+        max_nfev=30,
+    )
+    refined: Array = np.asarray(found.x).reshape(-1, 2)
+    return refined
+
+
+def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> Array:
+    """Without the modes that later ones have made superfluous: what they explain is no more than noise would be."""
+    kept = values
+    for row in values:
+        without = kept[~(kept == row).all(axis=1)]
+        with_it, alone = (
+            float(np.sum(_project(oscillators.columns(v), y)[0] ** 2)) / noise**2 for v in (kept, without)
+        )
+        freedom = 2 * (1 + len(oscillators.inputs)) * y.shape[1] + 2
+        # A model error in the residual counts as noise here: a mode has to stand out of what is left anyway.
+        scale = max(with_it / y.size, 1.0)
+        if (alone - with_it) / scale < stats.chi2.isf(_FALSE_ALARM, freedom):
+            kept = without
+    return kept
+
+
+def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array:
+    """(m, 2) standard errors of frequencies [Hz] and damping ratios, with the residual's own size as noise."""
+    if len(values) == 0:
+        return np.empty((0, 2))
+    base = values.ravel()
+    columns = oscillators.columns(values)
+    residual, amplitudes = _project(columns, y)
+    jacobian = []
+    for p, value in enumerate(base):
+        step = 1e-6 * max(abs(value), 1e-3)
+        moved = base.copy()
+        moved[p] += step
+        change = (oscillators.columns(moved.reshape(-1, 2)) - columns) @ amplitudes / step
+        jacobian.append(_project(columns, change)[0].ravel())
+    matrix = np.stack(jacobian, axis=1)
+    freedom = max(residual.size - columns.shape[1] * y.shape[1] - base.size, 1)
+    covariance = np.linalg.pinv(matrix.T @ matrix) * float(np.sum(residual**2)) / freedom
+    return np.sqrt(np.maximum(np.diag(covariance), 0)).reshape(-1, 2)

@@ -1,0 +1,75 @@
+"""A given model against the recordings of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.errors import ShapeError
+from vjm.identification.assess import fit_recordings
+from vjm.identification.parameters import layouts_of
+from vjm.identification.records import RecordingFit
+from vjm.identification.virtual_joints import nominal_chain
+from vjm.identification.warn import result_warnings
+from vjm.records import Experiment, Progress
+from vjm.simulation.model import Model
+
+Array = NDArray[np.float64]
+
+_SAME_LENGTH = 1e-3  # relative
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How well a model follows recordings that it may never have seen.
+
+    Attributes:
+        experiment: the recordings.
+        model: the given model.
+        nominal: what the experiment file's nominal values give, cut at the same places.
+        covariance: (p, p) of the model's estimated parameters; empty where unknown.
+        extra: what else the model's file holds.
+        recordings: fit of every recording, in the experiment's order.
+        warnings: what a user should know.
+    """
+
+    experiment: Experiment
+    model: Model
+    nominal: Model
+    covariance: Array
+    extra: Mapping[str, Any]
+    recordings: tuple[RecordingFit, ...]
+    warnings: tuple[str, ...]
+
+
+def compare(
+    experiment: Experiment,
+    model: Model,
+    covariance: Array | None = None,
+    extra: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Replay every recording with a model, and with the nominal one.
+
+    Args:
+        experiment: the recordings.
+        model: of the same rig.
+        covariance: (p, p) of the model's estimated parameters; None where unknown.
+        extra: what else the model's file holds, kept as it is.
+        progress: told (text, done, total) while it runs.
+
+    Raises:
+        ShapeError: a model whose links are longer or shorter than the rig's.
+    """
+    for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
+        if abs(link.length - own.length) > _SAME_LENGTH * own.length:
+            raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
+    nominal = replace(model, chain=nominal_chain(experiment.rig, layouts_of(model.chain)), estimates=(), effects=())
+    fits = fit_recordings(experiment, model, (nominal, None), progress)
+    known = np.empty((0, 0)) if covariance is None else covariance
+    warnings = (*experiment.warnings, *result_warnings(fits, ()))
+    return Comparison(experiment, model, nominal, known, dict(extra or {}), fits, warnings)

@@ -1,0 +1,1 @@
+"""The arm: its rigid-body dynamics, natural modes, torque errors and URDF."""

@@ -1,0 +1,118 @@
+"""Natural frequencies, damping ratios and shapes of a chain, linearised about its rest position (M, D, K)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
+
+from vjm.chain.virtual_links import Chain
+from vjm.errors import InsufficientDataError, ShapeError
+from vjm.model import dynamics
+
+Array = NDArray[np.float64]
+
+_RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
+_NEWTON_STEPS = 50
+_LARGEST_TURN = 0.5  # rad a Newton step
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Vibration modes, slowest first; rigid-body motion is left out.
+
+    Attributes:
+        frequencies: (m,) undamped natural frequencies [Hz].
+        damping_ratios: (m,) fractions of critical damping.
+        shapes: (nv, m) joint angles of each mode, with modal mass one.
+        equilibrium: (nv,) joint angles about which the chain was linearised [rad].
+    """
+
+    frequencies: Array
+    damping_ratios: Array
+    shapes: Array
+    equilibrium: Array
+
+
+def linearise(
+    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
+) -> tuple[Array, Array, Array, Array]:
+    """M, D, K (nv, nv) about the position of rest, and that position (nv,).
+
+    Args:
+        chain: the arm.
+        payload: extra point mass on the tip [kg].
+        gravity: in the plane [m/s^2]; the chain's when None.
+        theta: active joint angles held while the passive joints come to rest [rad].
+    """
+    mechanism = dynamics.build(chain, payload, gravity)
+    q = equilibrium(chain, payload, gravity, theta)
+    M = dynamics.mass_matrix(mechanism, q[None])[0]
+    K = np.diag(chain.stiffness) + dynamics.gravity_stiffness(mechanism, q)
+    return M, np.diag(chain.damping), (K + K.T) / 2, q
+
+
+def equilibrium(
+    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
+) -> Array:
+    """Joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`.
+
+    Raises:
+        InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
+    """
+    mechanism = dynamics.build(chain, payload, gravity)
+    q = np.zeros(chain.size)
+    q[chain.active] = theta
+    if not any(chain.gravity if gravity is None else gravity):
+        return q
+    p = chain.passive
+    K = np.diag(chain.stiffness)
+    for _ in range(_NEWTON_STEPS):
+        residual = dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q
+        tangent = (K + dynamics.gravity_stiffness(mechanism, q))[np.ix_(p, p)]
+        try:
+            step = np.linalg.solve(tangent, -residual[p])
+        except np.linalg.LinAlgError:
+            break
+        q[p] += step * min(1.0, _LARGEST_TURN / max(float(np.abs(step).max()), 1e-300))
+        if np.abs(step).max() < 1e-12:
+            if np.linalg.eigvalsh(tangent)[0] <= 0:
+                break  # balanced, and about to fall over
+            return q
+    raise InsufficientDataError(
+        "position of rest", "Newton's method found none", "check gravity, masses and bending stiffness"
+    )
+
+
+def modes(
+    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
+) -> Modes:
+    """Vibration modes of the chain with its active joints free to turn.
+
+    Args:
+        chain: the arm.
+        payload: extra point mass on the tip [kg].
+        gravity: in the plane [m/s^2]; the chain's when None.
+        theta: active joint angles about which to linearise [rad].
+    """
+    M, D, K, q = linearise(chain, payload, gravity, theta)
+    return modes_of(M, D, K, q)
+
+
+def modes_of(M: Array, D: Array, K: Array, equilibrium: Array) -> Modes:
+    """Modes of M x'' + D x' + K x = 0; the damping of a mode is its share of D (exact for light damping).
+
+    Raises:
+        ShapeError: a mass matrix that is not positive definite.
+    """
+    try:
+        squares, shapes = linalg.eigh(K, M)
+    except linalg.LinAlgError as error:
+        raise ShapeError("M", "a matrix that is not positive definite", "positive masses and inertias") from error
+    kept = squares > _RIGID**2 * max(float(np.abs(squares).max()), 1e-300)
+    omega = np.sqrt(squares[kept])
+    shapes = shapes[:, kept]
+    ratios = np.einsum("im,ij,jm->m", shapes, D, shapes) / (2 * omega)
+    return Modes(omega / (2 * np.pi), ratios, shapes, equilibrium)

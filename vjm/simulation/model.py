@@ -1,0 +1,149 @@
+"""An identified arm: its chain, with everything one does with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.chain.virtual_links import Chain
+from vjm.effects.effect import Effect
+from vjm.effects.joint import CoulombFriction
+from vjm.errors import ShapeError
+from vjm.files import write_text_atomic
+from vjm.model import dynamics
+from vjm.model.modes import Modes, modes
+from vjm.model.urdf import chain_to_urdf
+from vjm.records import REFERENCE, Estimate, Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.initial_state import Replay, replays
+from vjm.simulation.integrate import Simulation
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+Array = NDArray[np.float64]
+
+
+class PinocchioModel(NamedTuple):
+    """A `pin.Model` with the springs and dampers that it has no place for.
+
+    Attributes:
+        model: the `pin.Model`, joints in the chain's order.
+        stiffness: (nv,) K, zero at active joints [N m/rad].
+        damping: (nv,) D, zero at active joints [N m s/rad].
+    """
+
+    model: pin.Model
+    stiffness: Array
+    damping: Array
+
+
+@dataclass(frozen=True)
+class Model:
+    """A virtual-joint model of a rig.
+
+    Attributes:
+        chain: virtual links and joints.
+        rig: the arm it models; says where the markers are.
+        marker_noise: 1-sigma noise of a marker coordinate [m].
+        encoder_noise: 1-sigma noise of an encoder [rad].
+        estimates: the parameters it was identified with; empty for a nominal model.
+        effects: what acts on the chain and its sensors beyond it.
+        everywhere: number of them, the first ones, that act in recordings of condition `reference` too.
+
+    Raises:
+        ShapeError: a chain whose links are not the rig's.
+    """
+
+    chain: Chain
+    rig: Rig
+    marker_noise: float
+    encoder_noise: float
+    estimates: tuple[Estimate, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    everywhere: int = 0
+
+    def __post_init__(self) -> None:
+        chain_links = [(link.name, link.joint) for link in self.chain.links]
+        rig_links = [(link.name, link.joint) for link in self.rig.links]
+        if chain_links != rig_links:
+            raise ShapeError("model", f"links {chain_links}", f"the experiment's links {rig_links}")
+
+    @cached_property
+    def arm(self) -> Arm:
+        """The chain with its effects."""
+        return Arm.of(self.chain, self.effects)
+
+    @cached_property
+    def _reference(self) -> Arm:
+        return Arm.of(self.chain, self.effects[: self.everywhere])
+
+    def arm_in(self, recording: Recording) -> Arm:
+        """What moves in a recording: where its condition is `reference`, with what acts everywhere only."""
+        return self._reference if recording.condition == REFERENCE else self.arm
+
+    def simulate(self, recording: Recording) -> Simulation:
+        """Simulate a recording open loop, from the initial state most likely given the whole of it.
+
+        Raises:
+            InsufficientDataError: no torque measured at an active joint.
+            SimulationDivergedError: the simulation left the finite numbers.
+        """
+        return self.replay(recording).simulation
+
+    def replay(self, recording: Recording) -> Replay:
+        """The same as `simulate`, with the residuals' statistics."""
+        return self.replays([recording])[0]
+
+    def replays(
+        self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, coarse: float = 1.0
+    ) -> list[Replay]:
+        """Replays of several recordings, advanced together; each is of the arm that moved in it.
+
+        Args:
+            recordings: T instants each.
+            states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
+            coarse: multiple of the integrator's default step.
+        """
+        arms = [self.arm_in(each) for each in recordings]
+        return replays(arms, self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse)
+
+    def modes(self, payload: float = 0.0) -> Modes:
+        """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
+        return modes(self.arm.chain, payload)
+
+    def pinocchio(self) -> PinocchioModel:
+        """The chain as a `pin.Model`, with its stiffness and damping beside it."""
+        chain = self.arm.chain
+        return PinocchioModel(dynamics.build(chain).model, chain.stiffness, chain.damping)
+
+    def to_urdf(self, path: Path | str) -> Path:
+        """Write the chain with its effects, as far as URDF can carry them, whole or not at all; returns the path."""
+        file = Path(path)
+        write_text_atomic(file, extended_urdf(self.chain, self.effects))
+        return file
+
+
+def extended_urdf(chain: Chain, effects: Sequence[Effect]) -> str:
+    """URDF of a chain with effects: all that they change of the chain, and dry friction at its active joints.
+
+    Args:
+        chain: without the effects.
+        effects: of which `in_urdf` says whether the URDF carries them.
+
+    Raises:
+        ShapeError: as of `vjm.urdf.chain_to_urdf`.
+    """
+    arm = Arm.of(chain, effects)
+    friction: dict[str, float] = {}
+    for effect in arm.effects:
+        if isinstance(effect, CoulombFriction):
+            name = chain.links[effect.index].name
+            friction[name] = friction.get(name, 0.0) + effect.torque
+    return chain_to_urdf(arm.chain, friction)
