@@ -16,7 +16,8 @@ from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.records import Experiment, Link, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import rollouts, sample
+from vjm.simulation.integrate import rollouts
+from vjm.simulation.integrators import sample
 from vjm.simulation.measurement import Arcs
 
 SAMPLES = (10_000, 100_000, 1_000_000)

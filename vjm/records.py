@@ -15,6 +15,9 @@ Kind = Literal["driven", "decay", "static", "quiet"]
 Role = Literal["train", "holdout"]
 MarkersFrame = Literal["base", "link"]
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+Complex = NDArray[np.complex128]
 
 Progress = Callable[[str, int, int], None]  # told (text, done, total) now and then
 

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.virtual_links import Array, Chain
-from vjm.effects import Effect, Motion, Way, inner, size
+from vjm.effects import Effect, Motion, RateIndependentUpdate, magnitude, shape_parameter
 from vjm.effects.effect import JointEffect, active_coordinate, changed_link
 from vjm.records import Recording, Rig
 
@@ -18,10 +18,10 @@ from vjm.records import Recording, Rig
 class CubicFriction(JointEffect):
     """A torque at the active joint that grows with the cube of its rate: nothing is wrong with it."""
 
-    coefficient: float = size("N m s^3/rad^3", 0.004, lower=0.0)
+    coefficient: float = magnitude("N m s^3/rad^3", 0.004, lower=0.0)
 
     id = "cubic_friction"
-    says = "friction that grows with the cube of the rate"
+    description = "friction that grows with the cube of the rate"
     reference = "A. Author, A Book, 2001"
     dissipative = True
 
@@ -44,7 +44,7 @@ class CubicFriction(JointEffect):
 
 
 class Undecorated(CubicFriction):
-    extra: float = size("N m", 1.0)
+    extra: float = magnitude("N m", 1.0)
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,17 @@ class Undeclared(CubicFriction):
 
 @dataclass(frozen=True)
 class PresentByDefault(CubicFriction):
-    coefficient: float = field(default=0.004, metadata=size("N m s^3/rad^3", 0.004).metadata)
+    coefficient: float = field(default=0.004, metadata=magnitude("N m s^3/rad^3", 0.004).metadata)
 
 
 @dataclass(frozen=True)
 class WithoutSize(Effect):
     """Never anything but absent."""
 
-    frequency: float = inner("Hz", 5.0)
+    frequency: float = shape_parameter("Hz", 5.0)
 
     id = "without_size"
-    says = "a torque without a size"
+    description = "a torque without a size"
     reference = "A. Author, A Book, 2001"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -85,10 +85,10 @@ class WithoutSize(Effect):
 class Camera(Effect):
     """A camera that is shifted along x: nothing is wrong with it."""
 
-    shift: float = size("m", 0.005)
+    shift: float = magnitude("m", 0.005)
 
     id = "camera_shift"
-    says = "a camera that is shifted along the arm"
+    description = "a camera that is shifted along the arm"
     reference = "A. Author, A Book, 2001"
     sensor = True
 
@@ -146,7 +146,7 @@ class NotANumber(CubicFriction):
 
 @dataclass(frozen=True)
 class OnlySmall(CubicFriction):
-    coefficient: float = size("N m s^3/rad^3", 0.004, lower=0.0, upper=0.02)
+    coefficient: float = magnitude("N m s^3/rad^3", 0.004, lower=0.0, upper=0.02)
 
     def torque(self, rate: Array, angle: Array) -> Array:
         if self.coefficient > 0.015:
@@ -164,7 +164,7 @@ class StateWithoutRates(CubicFriction):
 class WayWithoutSlope(StateWithoutRates):
     """Does not say what stands for what slips where derivatives are taken."""
 
-    def way(self, chain: Chain) -> Way | None:
+    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         return None if self.is_null else (lambda q, z, to: np.clip(z + to[..., :1] - q[..., :1], -0.1, 0.1))
 
 
@@ -172,7 +172,7 @@ class WayWithoutSlope(StateWithoutRates):
 class Restless(StateWithoutRates):
     """Its internal state changes while nothing moves."""
 
-    def way(self, chain: Chain) -> Way | None:
+    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         return None if self.is_null else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
 
     def smooth(self) -> Effect:
@@ -252,10 +252,10 @@ class Spring(CubicFriction):
 class TakesDampingAway(JointEffect):
     """Called dissipative, by way of the chain."""
 
-    share: float = size("", 0.1, lower=0.0, upper=1.0)
+    share: float = magnitude("", 0.1, lower=0.0, upper=1.0)
 
     id = "less_damping"
-    says = "less damping than there is"
+    description = "less damping than there is"
     reference = "A. Author, A Book, 2001"
     dissipative = True
 
@@ -300,10 +300,10 @@ class Folded(CubicFriction):
 class Stiffer(JointEffect):
     """Another name for the bending stiffness."""
 
-    share: float = size("", 0.05, lower=-0.5)
+    share: float = magnitude("", 0.05, lower=-0.5)
 
     id = "stiffer"
-    says = "a stiffer link"
+    description = "a stiffer link"
     reference = "A. Author, A Book, 2001"
 
     def chain(self, chain: Chain) -> Chain:

@@ -10,11 +10,19 @@ import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
 from tests.simulate.test_abrupt_start import seen_at
-from vjm.diagnosis.alternatives import alternatives
-from vjm.diagnosis.candidate_fit import Explanation, refit
-from vjm.diagnosis.encoder_feedback import can_be_held, freed, held, held_at_nominal, released, replayed
-from vjm.diagnosis.fit_cache import Patience
-from vjm.diagnosis.selection import Beginning, Found, Rules, Search, whole_search
+from vjm.diagnosis.alternatives import find_alternatives
+from vjm.diagnosis.baseline import SearchStart
+from vjm.diagnosis.candidate_fit import CandidateFit, refit
+from vjm.diagnosis.encoder_feedback import (
+    feedback_possible,
+    fit_open_loop,
+    held,
+    nominal_with_feedback,
+    replayed,
+    without_feedback,
+)
+from vjm.diagnosis.fit_cache import StoppingRule
+from vjm.diagnosis.selection import Rules, Search, SearchResult, search_stick_slip
 from vjm.effects import (
     Backlash,
     CameraRotation,
@@ -38,10 +46,10 @@ def made(effects: Sequence[Effect], seed: int, duration: float = 2.0) -> list[Re
     return recorded(Arm.of(chain_of(), effects), seed, duration=duration)
 
 
-def fitted(recordings: Sequence[Recording]) -> Explanation:
+def fitted(recordings: Sequence[Recording]) -> CandidateFit:
     """The model without effects, open loop."""
     point = point_of(chain_of(), (), recordings)
-    return Explanation(fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs]))
+    return CandidateFit(fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs]))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -49,17 +57,17 @@ def test_a_right_model_leaves_noise_held_and_free(seed: int) -> None:
     free = fitted(made((), seed))
     found = held(free)
     assert found is not None
-    assert found.is_held
-    assert not free.is_held
+    assert found.uses_feedback
+    assert not free.uses_feedback
     assert found.point.misfit == pytest.approx(free.point.misfit, abs=0.02)
     spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
     assert (np.abs(found.point.x - free.point.x) < 4 * spread).all()
-    again = freed(found, free)
-    assert not again.is_held
+    again = without_feedback(found, free)
+    assert not again.uses_feedback
     assert again.point.x == pytest.approx(found.point.x)
     # Held, the hub's inertia is known less well, and open loop a joint that is free drifts with its error.
     assert again.point.misfit < 3.0
-    assert freed(again, free) is again
+    assert without_feedback(again, free) is again
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -84,9 +92,9 @@ def test_play_has_its_size_beside_a_hub_that_rests_on_a_flank() -> None:
     hub_turned = np.zeros(arm.chain.size)
     hub_turned[arm.chain.roots] = 0.003
     recordings = [*made((truth,), 3, 1.2), seen_at(arm, hub_turned, 3).recording]
-    start = held_at_nominal(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
+    start = nominal_with_feedback(CandidateFit(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
     assert start is not None
-    found = refit(start, (Backlash(link=0, gap=0.005),), Patience(np.inf, abrupt=True, enough=0.998))
+    found = refit(start, (Backlash(link=0, gap=0.005),), StoppingRule(np.inf, nonsmooth=True, enough=0.998))
     assert found is not None
     spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
     off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, truth.coordinates])
@@ -103,9 +111,9 @@ def test_what_was_found_held_is_fitted_open_loop() -> None:
     assert start is not None
     found = refit(start, (ViscousFriction(link=0, coefficient=0.01),))
     assert found is not None
-    again = released(found, free)
+    again = fit_open_loop(found, free)
     assert again is not None
-    assert not again.is_held
+    assert not again.uses_feedback
     assert again.effects[0].values["coefficient"] == pytest.approx(0.02, rel=0.005)
     assert again.point.misfit == pytest.approx(1.0, abs=0.03)
 
@@ -119,8 +127,8 @@ def test_a_further_recording_is_replayed_open_loop() -> None:
     other = made((truth,), 6)[1]
     ((run, known),) = replayed(found, [Observed.of(RIG, other, NOISE)])
     assert known
-    assert run.arm.guide is None
-    assert run.observed.guide is None
+    assert run.arm.feedback is None
+    assert run.observed.feedback is None
     markers, _ = run.observed.spread(run.observed.values - run.observed.predicted(run.arm, run.steps))
     assert np.sqrt(np.nanmean(markers**2)) < 2 * NOISE[0]
 
@@ -129,8 +137,8 @@ def test_nothing_can_be_held_without_an_encoder() -> None:
     recordings = made((), 7)
     seen = fitted(recordings)
     blind = point_of(chain_of(), (), [replace(each, theta=np.full(each.theta.shape, np.nan)) for each in recordings])
-    assert can_be_held(seen)
-    assert not can_be_held(Explanation(TrajectoryFit(blind, False, 0)))
+    assert feedback_possible(seen)
+    assert not feedback_possible(CandidateFit(TrajectoryFit(blind, False, 0)))
 
 
 def test_what_holds_a_joint_is_no_evidence_and_quiet_recordings_are_not_held() -> None:
@@ -139,7 +147,7 @@ def test_what_holds_a_joint_is_no_evidence_and_quiet_recordings_are_not_held() -
     found = held(free)
     assert found is not None
     first, quiet = (run.observed for run in found.point.runs)
-    assert first.guide is not None
+    assert first.feedback is not None
     assert first.angles.size == 0
     assert first.count == first.markers.size == free.point.runs[0].observed.markers.size
     assert quiet is free.point.runs[1].observed
@@ -152,12 +160,13 @@ def test_what_cannot_be_told_apart_is_found_beside_what_was_only_ever_fitted_hel
     best = refit(start, (truth[0], CameraRotation(angle=0.005)))
     assert best is not None
     effects = [TorqueGain(), EncoderOffset(), CameraRotation()]
-    search = Search(RIG, Beginning(start, start), effects, Rules(), lambda text: None)
+    search = Search(RIG, SearchStart(start, start), effects, Rules(), lambda text: None)
     search.trials.tried[best.names] = best
-    found = Found(best, search.judged(start), search.judged(best))
-    assert [rival.effect.id for rival in alternatives(found, search, best.effects[1:2], 1.0)[best.effects[1].key]] == [
-        "encoder_offset"
-    ]
+    found = SearchResult(best, search.judged(start), search.judged(best))
+    assert [
+        alternative.effect.id
+        for alternative in find_alternatives(found, search, best.effects[1:2], 1.0)[best.effects[1].key]
+    ] == ["encoder_offset"]
 
 
 @dataclass(frozen=True)
@@ -174,11 +183,14 @@ def test_all_that_cannot_be_told_apart_is_found() -> None:
     best = refit(start, (truth,))
     assert best is not None
     search = Search(
-        RIG, Beginning(start, start), [truth, EncoderOffset(), AnotherRotation()], Rules(), lambda text: None
+        RIG, SearchStart(start, start), [truth, EncoderOffset(), AnotherRotation()], Rules(), lambda text: None
     )
     search.trials.tried[best.names] = best
-    found = Found(best, search.judged(start), search.judged(best))
-    alike = {rival.effect.id for rival in alternatives(found, search, best.effects[:1], 1.0)[best.effects[0].key]}
+    found = SearchResult(best, search.judged(start), search.judged(best))
+    alike = {
+        alternative.effect.id
+        for alternative in find_alternatives(found, search, best.effects[:1], 1.0)[best.effects[0].key]
+    }
     assert alike == {"encoder_offset", "another_rotation"}
 
 
@@ -188,8 +200,8 @@ def test_the_search_holds_what_sticks_and_only_that() -> None:
     sticking = CoulombFriction(link=0, torque=0.01), TorqueOffset(link=0, offset=0.01)
     for truth in (sticking, (ViscousFriction(link=0, coefficient=0.02),)):
         start = fitted(made(truth, 1))
-        search = Search(RIG, Beginning(start, start), effects, Rules(), lambda text: None)
-        after, found = whole_search(search, Found.nothing(start, search.judged(start)))
+        search = Search(RIG, SearchStart(start, start), effects, Rules(), lambda text: None)
+        after, found = search_stick_slip(search, SearchResult.nothing(start, search.judged(start)))
         assert found.best.names == {effect.key for effect in truth}
-        assert found.best.is_held == (truth is sticking)
+        assert found.best.uses_feedback == (truth is sticking)
         assert (after is search) == (truth is not sticking)

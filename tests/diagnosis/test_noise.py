@@ -70,9 +70,9 @@ def test_whitened_noise_is_white_and_of_unit_size(seed: int, coefficients: list[
 
 
 def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:
-    whole = whitened(coloured(4, 500, [0.8], 0.1), Noise(1e-3, np.array([0.8]), ""))
-    part = whole.until(2.0)
-    values = whole.whitened(whole.values).reshape(-1, 4)[: part.values.size // 4]
+    integer = whitened(coloured(4, 500, [0.8], 0.1), Noise(1e-3, np.array([0.8]), ""))
+    part = integer.until(2.0)
+    values = integer.whitened(integer.values).reshape(-1, 4)[: part.values.size // 4]
     np.testing.assert_allclose(part.whitened(part.values).reshape(-1, 4), values, rtol=1e-12)
 
 

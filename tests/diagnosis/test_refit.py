@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.candidate_fit import Explanation, Extension, refit
-from vjm.diagnosis.encoder_feedback import held_at_nominal
+from vjm.diagnosis.candidate_fit import CandidateFit, Extension, refit
+from vjm.diagnosis.encoder_feedback import nominal_with_feedback
 from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 def test_a_time_constant_does_not_run_away(seed: int, time_constant: float) -> None:
     truth = ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.12)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
-    start = Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0))
+    start = CandidateFit(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0))
     near, far = (refit(start, [each]) for each in (truth, replace(truth, time_constant=time_constant)))
     assert near is not None
     assert far is not None
@@ -39,7 +39,7 @@ def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -
     """Over whole recordings, a wrong stiffness soon swings in any phase, and a fit ends wherever it stands."""
     truth = GearElasticity(link=0, stiffness=56.0)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=8.0)
-    start = held_at_nominal(Explanation(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
+    start = nominal_with_feedback(CandidateFit(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0)))
     assert start is not None
     found = refit(start, [replace(truth, stiffness=10.0)])
     assert found is not None

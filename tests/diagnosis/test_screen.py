@@ -12,7 +12,7 @@ from scipy import stats
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.directions import screen
-from vjm.diagnosis.screen import Family, looked_for
+from vjm.diagnosis.screen import Family, build_candidates
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -89,16 +89,16 @@ def nuisances(point: Point) -> np.ndarray:
     """What the chain's parameters and the initial states do, by whole simulations."""
     parametrisation, count = point.problem.parametrisation, 2 * point.chain.size
     still = [np.zeros(count)] * len(point.runs)
-    usual = residuals(Arm(point.chain), point, still)
+    typical_magnitude = residuals(Arm(point.chain), point, still)
     columns = []
     for k, value in enumerate(point.x):
         by = 1e-4 * max(abs(value), 1e-2)
         moved = np.where(np.arange(point.x.size) == k, value + by, point.x)
-        columns.append((residuals(Arm(parametrisation.chain(moved)), point, still) - usual) / by)
+        columns.append((residuals(Arm(parametrisation.chain(moved)), point, still) - typical_magnitude) / by)
     for k in range(len(point.runs)):
         for state in range(count):
             changes = [1e-5 * (np.arange(count) == state) * (k == run) for run in range(len(point.runs))]
-            columns.append((residuals(Arm(point.chain), point, changes) - usual) / 1e-5)
+            columns.append((residuals(Arm(point.chain), point, changes) - typical_magnitude) / 1e-5)
     return np.column_stack(columns)
 
 
@@ -114,7 +114,7 @@ def test_what_an_effect_explains_is_what_whole_simulations_say(effect: Effect) -
     only_first = sized(variant, 0.0).coordinates
     only_first[0] = 0.02
     change = (residual - residuals(Arm.of(chain, (variant.at(only_first),)), point, still)) / 0.02
-    assert np.sqrt(seen.whole[0]) == pytest.approx(np.linalg.norm(change), rel=0.03)
+    assert np.sqrt(seen.integer[0]) == pytest.approx(np.linalg.norm(change), rel=0.03)
     basis = np.linalg.qr(nuisances(point))[0]
     left, rest = (each - basis @ (basis.T @ each) for each in (change, residual))
     assert abs(left @ rest) > 0.3 * np.linalg.norm(left) * np.linalg.norm(rest)  # there is something to explain
@@ -170,10 +170,10 @@ class Wild(CubicStiffness):
     id = "wild"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        usual = super().force(chain, payload)
-        if usual is None:
+        typical_magnitude = super().force(chain, payload)
+        if typical_magnitude is None:
             return None
-        return lambda time, q, v, z: usual(time, q, v, z) * np.exp(400 * time)[:, None]
+        return lambda time, q, v, z: typical_magnitude(time, q, v, z) * np.exp(400 * time)[:, None]
 
 
 def test_an_effect_whose_slope_has_no_end_says_nothing() -> None:
@@ -212,7 +212,7 @@ def test_what_other_parameters_do_as_well_is_absorbed() -> None:
 def test_reference_recordings_say_nothing_of_an_effect() -> None:
     chain = chain_of()
     point = point_of(chain, (), recorded(Arm(chain), 5, condition="reference"))
-    assert screen(point, (), [bound(TipPayload())]).whole[0] == 0
+    assert screen(point, (), [bound(TipPayload())]).integer[0] == 0
 
 
 @pytest.mark.parametrize("noise", [(3e-6, 1e-2), (1e-1, 1e-6)], ids=["markers", "encoder"])
@@ -220,11 +220,11 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     chain = chain_of()
     tone = replace(sized(bound(ExternalTone()), 1.0), frequency=9.3)
     point = point_of(chain, (), recorded(Arm.of(chain, (tone,)), 7, noise=noise), noise)
-    looked = looked_for([ExternalTone()], RIG, point)
-    frequencies = [effect.values["frequency"] for effect in looked.variants]
+    candidate_set = build_candidates([ExternalTone()], RIG, point)
+    frequencies = [effect.values["frequency"] for effect in candidate_set.variants]
     assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25
     # A force that takes longer than the recordings is another cause, and no search may end there.
-    assert all(effect.bounds[0][2] == pytest.approx(np.log(0.5 / 5.0), rel=1e-3) for effect in looked.variants)
+    assert all(effect.bounds[0][2] == pytest.approx(np.log(0.5 / 5.0), rel=1e-3) for effect in candidate_set.variants)
 
 
 def test_beside_a_fit_without_a_hub_a_gear_is_no_candidate() -> None:

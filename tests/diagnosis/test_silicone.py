@@ -35,4 +35,4 @@ def test_the_mass_on_the_tip_is_named_and_weighed(effects: list[str] | None) -> 
     assert "what was missing before the change" in diagnosis.causes[0].evidence
     assert "by a model without effects" in diagnosis.remaining.description
     assert any("table of candidates" in note for note in diagnosis.notes)
-    assert diagnosis.runner_up
+    assert diagnosis.next_best

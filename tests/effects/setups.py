@@ -43,7 +43,7 @@ def recording_of(rig: Rig, count: int = 12, measured: bool = True) -> Recording:
     return Recording("drive.csv", "driven", "train", 0.1 + 0.01 * np.arange(count), theta, tau, shown, (0.3, -0.1))
 
 
-def usual(effect: Effect, rig: Rig = RIG, factor: float = 1.0) -> Effect:
+def typical_magnitude(effect: Effect, rig: Rig = RIG, factor: float = 1.0) -> Effect:
     """The effect at its last place on the rig, with everyday sizes."""
     absent = effect.variants(rig, [])[-1]
     coordinates = absent.coordinates

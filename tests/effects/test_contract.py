@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from tests.effects.setups import PRESENT, RIG, chain_of, draw_from, recording_of, usual
+from tests.effects.setups import PRESENT, RIG, chain_of, draw_from, recording_of, typical_magnitude
 from tests.urdf.chains import contents
 from vjm.effects import BUILTIN, Effect, by_id
 from vjm.errors import ChoiceError
@@ -37,7 +37,7 @@ def test_absent_it_changes_nothing_at_all(effect: Effect) -> None:
         assert absent.inputs(recording) is recording
         assert absent.force(CHAIN, 0.1) is None
         assert absent.rates(CHAIN) is None
-        assert absent.way(CHAIN) is None
+        assert absent.rate_independent_update(CHAIN) is None
         assert absent.states(CHAIN) == 0
         assert absent.rest(CHAIN, q).shape == (3, 0)
         assert absent.longest_step == np.inf
@@ -48,7 +48,7 @@ def test_absent_it_changes_nothing_at_all(effect: Effect) -> None:
 
 @every_present
 def test_present_it_changes_something_and_leaves_what_it_is_given_alone(effect: Effect) -> None:
-    present, recording, draw = usual(effect), recording_of(RIG), draw_from(2)
+    present, recording, draw = typical_magnitude(effect), recording_of(RIG), draw_from(2)
     assert not present.is_null
     given = [draw((5,)), draw((5, 6, 2)), draw((5, 6)), draw((5, 2))]
     time, positions, headings, theta = given
@@ -74,7 +74,7 @@ def test_present_it_changes_something_and_leaves_what_it_is_given_alone(effect: 
 @every_present
 @pytest.mark.parametrize("leading", [(), (6,), (3, 6)])
 def test_forces_and_rates_take_any_leading_axes(effect: Effect, leading: tuple[int, ...]) -> None:
-    present = usual(effect)
+    present = typical_magnitude(effect)
     chain, draw = present.chain(CHAIN), draw_from(3, 0.1)
     time, q, v = draw(leading), draw((*leading, chain.size)), draw((*leading, chain.size))
     z = present.rest(chain, q)
@@ -91,7 +91,7 @@ def test_forces_and_rates_take_any_leading_axes(effect: Effect, leading: tuple[i
         for index in np.ndindex(leading):
             alone = motion(time[index], q[index], v[index], z[index])
             assert alone == pytest.approx(found[index], rel=1e-12, abs=1e-14)
-    told = [each is not None for each in (present.rates(chain), present.way(chain))]
+    told = [each is not None for each in (present.rates(chain), present.rate_independent_update(chain))]
     assert sum(told) == (present.states(chain) > 0)
 
 
@@ -116,21 +116,21 @@ def test_coordinates_and_values_belong_together(effect: Effect) -> None:
 
 @every_present
 def test_coordinate_one_is_an_everyday_size(effect: Effect) -> None:
-    present = usual(effect)
+    present = typical_magnitude(effect)
     for parameter in present.parameters():
-        if parameter.inner:
+        if parameter.shape_parameter:
             assert present.values[parameter.name] == pytest.approx(parameter.grid[-1]) or not parameter.grid[1:]
         elif effect.id != "external_tone":  # whose amplitude has two coordinates
             off = 0.0 if parameter.reciprocal else parameter.null
-            assert present.values[parameter.name] - off == pytest.approx(parameter.usual)
+            assert present.values[parameter.name] - off == pytest.approx(parameter.typical_magnitude)
 
 
 @every
 def test_it_says_what_it_is(effect: Effect) -> None:
-    for text in (effect.says, effect.reference, effect.apart_by):
+    for text in (effect.description, effect.reference, effect.distinguishing_experiment):
         assert len(text) > 20
         assert not text.endswith(".")
-    assert effect.says[0].islower()
+    assert effect.description[0].islower()
     with pytest.raises(FrozenInstanceError):
         effect.link = 3  # type: ignore[misc]
 
@@ -163,8 +163,8 @@ def described(effect: Effect) -> dict[str, tuple[str, str]]:
     nulls = {0.0: "0", 1.0: "1", np.inf: "infinite"}
     found = {}
     for parameter in effect.parameters():
-        unit = "index" if parameter.whole else parameter.unit or "-"
-        found[parameter.name] = (unit, "" if parameter.inner else nulls[parameter.null])
+        unit = "index" if parameter.integer else parameter.unit or "-"
+        found[parameter.name] = (unit, "" if parameter.shape_parameter else nulls[parameter.null])
     return found
 
 

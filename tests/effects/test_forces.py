@@ -33,7 +33,8 @@ from vjm.effects import (
 from vjm.model.modes import linearise, modes, modes_of
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import rollouts, sample
+from vjm.simulation.integrate import rollouts
+from vjm.simulation.integrators import sample
 from vjm.simulation.sensitivity import Path, followed
 
 HUB = chain_of(LINK)
@@ -103,17 +104,17 @@ def driven(push: np.ndarray, time: np.ndarray) -> Recording:
 @given(st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=8), st.floats(-1e-5, 1e-5), st.integers(1, 5))
 def test_a_bristle_follows_the_joint_until_it_slips(turns: list[float], bend: float, parts: int) -> None:
     """Prandtl's stop: the distance to the last turning points tells it, whatever the steps between these."""
-    way = CoulombFriction(torque=0.008).way(HUB)
-    angle, inside, whole, by_parts = 0.0, bend, np.array([bend]), np.array([bend])
+    rate_independent_update = CoulombFriction(torque=0.008).rate_independent_update(HUB)
+    angle, inside, integer, by_parts = 0.0, bend, np.array([bend]), np.array([bend])
     for turn in turns:
         inside = min(max(inside + turn, -1e-5), 1e-5)
         ways = np.zeros((parts + 1, HUB.size))
         ways[:, HUB.active[0]] = angle + np.linspace(0.0, turn, parts + 1)
-        whole = way(ways[0], whole, ways[-1])
+        integer = rate_independent_update(ways[0], integer, ways[-1])
         for start, end in pairwise(ways):
-            by_parts = way(start, by_parts, end)
+            by_parts = rate_independent_update(start, by_parts, end)
         angle += turn
-    assert whole == pytest.approx(inside, abs=1e-15)
+    assert integer == pytest.approx(inside, abs=1e-15)
     assert by_parts == pytest.approx(inside, abs=1e-15)
 
 

@@ -202,5 +202,5 @@ def _write(folder: Path, rig: Rig, shown: Shown, camera: Camera, seed: int) -> t
     kept = np.isin(shown.frames, frames.time)
     right = film(shown.frames, shown.markers, replace(camera, outliers=0.0), seed).markers
     errors = frames.markers - shown.markers[kept], right - shown.markers[kept]
-    every, usual = (float(np.sqrt(np.mean(error**2))) for error in errors)
-    return every, usual
+    every, typical_magnitude = (float(np.sqrt(np.mean(error**2))) for error in errors)
+    return every, typical_magnitude

@@ -32,7 +32,7 @@ class Size:
         reciprocal: whether a smaller value is a larger effect.
     """
 
-    usual: float
+    typical_magnitude: float
     signed: bool = False
     null: float = 0.0
     reciprocal: bool = False
@@ -107,8 +107,8 @@ def twins(rig: Rig, effect: str) -> frozenset[str]:
 def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Planted:
     """An effect near its everyday size on a rig, on a side drawn from the seed; `multiple` times as large."""
     random = np.random.default_rng([seed, 2, EFFECTS.index(effect)])
-    usual = CLAMPED_FACTORS.get(effect, 1.0) if rig == "clamped" else 1.0
-    factor = multiple * usual * 0.7 * 2.0 ** random.uniform()
+    typical_magnitude = CLAMPED_FACTORS.get(effect, 1.0) if rig == "clamped" else 1.0
+    factor = multiple * typical_magnitude * 0.7 * 2.0 ** random.uniform()
     if effect == "in_plane_gravity":
         angle = random.uniform(0.0, 2.0 * np.pi)
         size = factor * TILT
@@ -139,9 +139,9 @@ def of_size(effect: str, seed: int, smallest: Mapping[str, float], multiple: flo
 def _value(size: Size, factor: float, random: np.random.Generator) -> float:
     """A parameter's value, `factor` times its everyday size from the null."""
     if size.reciprocal:
-        return size.usual / factor
+        return size.typical_magnitude / factor
     side = random.choice([-1.0, 1.0]) if size.signed else 1.0
-    return float(size.null + side * factor * size.usual)
+    return float(size.null + side * factor * size.typical_magnitude)
 
 
 def _size(size: Size, value: float) -> float:

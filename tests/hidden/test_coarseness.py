@@ -9,7 +9,7 @@ import vjm
 from tests.hidden.conftest import Plant
 from vjm.diagnosis.baseline import base_fit
 from vjm.diagnosis.directions import screen
-from vjm.diagnosis.discretization import beside
+from vjm.diagnosis.discretization import with_offset
 from vjm.effects import CubicStiffness
 from vjm.identification.trajectory_fit import Point
 
@@ -24,8 +24,8 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     file, truth = plant("hub", seed=3)
     experiment = vjm.load_experiment(file)
     base = base_fit(experiment)
-    assert base.coarseness is not None
-    plain = beside(base.point, [None] * len(base.point.runs))
+    assert base.discretization_bias is not None
+    plain = with_offset(base.point, [None] * len(base.point.runs))
     assert plain.misfit > 1.05
     assert cubic(plain) > 50
     assert base.point.misfit < 1.005

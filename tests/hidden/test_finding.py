@@ -42,7 +42,9 @@ def with_few(file: Path) -> vjm.Experiment:
 
 def classes(diagnosis: vjm.Diagnosis) -> list[set[str]]:
     """What each cause may be."""
-    return [{cause.effect.id, *(rival.effect.id for rival in cause.rivals)} for cause in diagnosis.causes]
+    return [
+        {cause.effect.id, *(alternative.effect.id for alternative in cause.alternatives)} for cause in diagnosis.causes
+    ]
 
 
 def assert_found(diagnosis: vjm.Diagnosis, truth: Truth) -> None:
@@ -74,8 +76,8 @@ def test_two_causes_are_found(plant: Plant) -> None:
     first, second = diagnosis.causes  # each with what is lost without it alone
     assert first.gain > 1.2 * second.gain
     assert diagnosis.gain is not None
-    assert diagnosis.gain.runner_up is not None  # what the next best would have gained
-    assert diagnosis.gain.runner_up > 1.03 * diagnosis.gain.after
+    assert diagnosis.gain.next_best is not None  # what the next best would have gained
+    assert diagnosis.gain.next_best > 1.03 * diagnosis.gain.after
 
 
 def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
@@ -127,7 +129,7 @@ def test_nothing_is_found_where_nothing_is(plant: Plant) -> None:
 def test_a_cause_that_is_not_in_the_list_is_not_named(plant: Plant) -> None:
     file, _ = plant("hub", "time_offset", seed=15)
     clocks = {"time_offset", "clock_scale", "rolling_shutter"}
-    others = [effect.id for effect in BUILTIN if effect.id not in clocks and not effect.abrupt]
+    others = [effect.id for effect in BUILTIN if effect.id not in clocks and not effect.nonsmooth]
     diagnosis = vjm.diagnose(with_few(file), effects=others, max_effects=1)
     assert diagnosis.verdict == "unknown"
     assert diagnosis.remaining.description

@@ -122,7 +122,9 @@ def test_every_effect_has_an_everyday_size() -> None:
         assert len({tuple(each.parameters.values()) for each in drawn}) == 20
         for name, size in SIZES.get(effect, {}).items():
             values = np.array([each.parameters[name] for each in drawn])
-            shares = size.usual / values if size.reciprocal else (values - size.null) / size.usual
+            shares = (
+                size.typical_magnitude / values if size.reciprocal else (values - size.null) / size.typical_magnitude
+            )
             assert np.all((np.abs(shares) >= 0.699) & (np.abs(shares) <= 1.401))
             assert bool(shares.min() < 0.0) is size.signed
     tilts = [np.hypot.reduce(list(draw("in_plane_gravity", seed).parameters.values())) for seed in range(20)]

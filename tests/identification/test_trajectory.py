@@ -419,9 +419,11 @@ def test_steps_are_as_long_as_no_estimate_minds(noise: float) -> None:
     point = truth_point("revolute", 3, "uniform")
     states = [run.state for run in point.runs]
     observed = [replace(run.observed, noise=(noise, noise)) for run in point.runs]
-    coarse = _coarsest(point.chain, observed, states, 1.0)
+    step_multiple = _coarsest(point.chain, observed, states, 1.0)
     starts = [run.start for run in point.runs]
-    exact, found = (run_all([Arm(point.chain)] * len(observed), observed, starts, states, c) for c in (0.25, coarse))
+    exact, found = (
+        run_all([Arm(point.chain)] * len(observed), observed, starts, states, c) for c in (0.25, step_multiple)
+    )
     error = sum(float(np.sum((a.residual - b.residual) ** 2)) for a, b in zip(exact, found, strict=True))
-    assert (coarse > 1.0) == (noise > 1e-5)
-    assert coarse == 1.0 or error < 0.02
+    assert (step_multiple > 1.0) == (noise > 1e-5)
+    assert step_multiple == 1.0 or error < 0.02

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.report.fits import DEMO, _chain
-from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Rival, Size
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Size
 from vjm.effects import (
     BUILTIN,
     ClampCompliance,
@@ -23,7 +23,7 @@ from vjm.effects import (
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
 from vjm.records import Estimate
 from vjm.report.figures.diagnosis import diagnosis_pictures
-from vjm.report.figures.pictures import Picture
+from vjm.report.figures.style import Picture
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate
 from vjm.simulation.model import Model
@@ -95,11 +95,11 @@ def _estimates(rig: Rig) -> tuple[Estimate, ...]:
     return tuple(Estimate(*each) for each in known)
 
 
-def followed_by(experiment: Experiment, base: Model, model: Model, runner_up: Model | None) -> tuple[Replayed, ...]:
+def followed_by(experiment: Experiment, base: Model, model: Model, next_best: Model | None) -> tuple[Replayed, ...]:
     """Every recording, replayed by all models."""
-    models = [each for each in (base, model, runner_up) if each is not None]
+    models = [each for each in (base, model, next_best) if each is not None]
     replays = [each.replays(experiment.recordings) for each in models]
-    if runner_up is None:
+    if next_best is None:
         replays.append([None] * len(experiment.recordings))  # type: ignore[list-item]
     return tuple(
         Replayed(recording, *three, NOISE[0]) for recording, *three in zip(experiment.recordings, *replays, strict=True)
@@ -126,14 +126,14 @@ def candidates(experiment: Experiment, found: tuple[Effect, ...]) -> tuple[Candi
     return tuple(sorted(listed, key=lambda each: not each.testable))
 
 
-def cause(effect: Effect, rivals: tuple[Rival, ...] = ()) -> Cause:
+def cause(effect: Effect, alternatives: tuple[Alternative, ...] = ()) -> Cause:
     """An effect with a standard error of a hundredth."""
     sizes = {}
     for each in effect.parameters():
         value = float(effect.values[each.name])
         sizes[each.name] = Size(value, None if each.whole else 0.01 * abs(value), each.unit)
     words = "without it the model misses the training recordings by 7.3 times the noise, with it by 1.0"
-    return Cause(effect, sizes, 1e-300, 4.1e4, rivals, words)
+    return Cause(effect, sizes, 1e-300, 4.1e4, alternatives, words)
 
 
 def make_diagnosis(
@@ -141,8 +141,8 @@ def make_diagnosis(
 ) -> Diagnosis:
     """A diagnosis that found these effects, the next best explanation being others."""
     model = replace(base, effects=effects)
-    runner_up = replace(base, effects=other) if other else None
-    followed = followed_by(experiment, base, model, runner_up)
+    next_best = replace(base, effects=other) if other else None
+    followed = followed_by(experiment, base, model, next_best)
     shown = [
         Followed(base.rig, each.recording, each.before.simulation.markers, each.before.simulation.theta, NOISE)
         for each in followed
@@ -168,7 +168,7 @@ def make_diagnosis(
         symptoms=symptoms(shown, base.modes().frequencies[:2].tolist()),
         next_experiment=None,
         noise="from the experiment file, and what the quiet recording shows agrees",
-        runner_up=other,
+        next_best=other,
         notes=("the chain has 4 virtual joints",),
     )
     return replace(made, **changes)  # type: ignore[arg-type]
@@ -206,7 +206,7 @@ def undecided() -> Diagnosis:
         (PAYLOAD,),
         (CLAMP,),
         verdict="set",
-        causes=(cause(PAYLOAD, (Rival(CLAMP, 0.7),)),),
+        causes=(cause(PAYLOAD, (Alternative(CLAMP, 0.7),)),),
         next_experiment="to tell tip_payload from clamp_compliance: record a decay with a known mass on the tip",
     )
 

@@ -137,7 +137,7 @@ class Size(Entry):
     unit: str
 
 
-class Rival(EffectResult):
+class Alternative(EffectResult):
     chi2_worse: float | None
 
 
@@ -148,7 +148,7 @@ class CauseResult(Entry):
     p_value: float | None
     chi2_gain: float | None
     indistinguishable_from: list[str]
-    rivals: list[Rival]
+    alternatives: list[Alternative]
     evidence: str
 
 

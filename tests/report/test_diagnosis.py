@@ -68,7 +68,7 @@ def test_result_has_the_keys_of_the_interface(diagnosis: Diagnosis) -> None:
 def test_rivals_are_named() -> None:
     (cause,) = DiagnoseResult.model_validate_json(json_text(diagnosis_result(undecided()))).causes
     assert cause.indistinguishable_from == ["clamp_compliance"]
-    assert cause.rivals[0].parameters == {"compliance": CLAMP.compliance}
+    assert cause.alternatives[0].parameters == {"compliance": CLAMP.compliance}
     assert cause.parameters["mass"].value == 0.0133
 
 
@@ -117,12 +117,12 @@ def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(aft
 def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     found = pair()
     assert found.gain is not None
-    gain = replace(found.gain, before=2.1e-3, after=3.1e-4, reduction=0.85, interval=(0.83, 0.87), runner_up=1.2e-3)
+    gain = replace(found.gain, before=2.1e-3, after=3.1e-4, reduction=0.85, interval=(0.83, 0.87), next_best=1.2e-3)
     verdict = diagnosis_verdict(replace(found, gain=gain))
     assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(verdict.headline)
     told = "Held-out error: 85 % less (95 % interval of the reduction: 83 … 87 %)"
     assert f"{told}; the next best explanation leaves 1.2 mm." in [plain(point) for point in verdict.points]
-    called = diagnosis_verdict(replace(found, gain=gain, runner_up=(TimeOffset(), LinearDrag(link=0))))
+    called = diagnosis_verdict(replace(found, gain=gain, next_best=(TimeOffset(), LinearDrag(link=0))))
     said = "the next best explanation, time offset and linear drag, leaves 1.2 mm."
     assert f"{told}; {said}" in [plain(point) for point in called.points]
     assert "not tested" in " ".join(diagnosis_verdict(replace(found, gain=None)).points)

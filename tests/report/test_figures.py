@@ -16,12 +16,12 @@ from matplotlib.transforms import Bbox
 from tests.report.fits import demo_fit, elbow_fit, hub_fit, not_simulated, pictures_of, torque_fit
 from vjm.errors import InsufficientDataError
 from vjm.identification.records import Identification
-from vjm.report.figures.diagnosis import liveliest, spread_over, tips, windows
 from vjm.report.figures.joints import joint_angles, torque_error_figure
 from vjm.report.figures.motion import fit_of_recordings, link_shapes, most_recordings, raw_markers, tip_motion
 from vjm.report.figures.pictures import NAMES, identification_pictures, replay_pictures
 from vjm.report.figures.residuals import correlation_map, residual_map, residual_spectra
 from vjm.report.figures.style import png
+from vjm.report.figures.windows import liveliest, spread_over, tips, windows
 from vjm.simulation.initial_state import Replay
 
 _COUNTS = (

@@ -15,8 +15,8 @@ from vjm.identification.records import Identification, RecordingFit
 from vjm.identification.uncertainty import Whiteness
 from vjm.records import Estimate
 from vjm.report.page import comparison_page, identification_page
-from vjm.report.tables import mode_table, nominal_value, parameter_table, recording_table, remedy_table, whiteness_table
-from vjm.report.text import comparison_verdict, identification_verdict, millimetres
+from vjm.report.tables import mode_table, parameter_table, recording_table, remedy_table, whiteness_table
+from vjm.report.text import comparison_verdict, identification_verdict, millimetres, nominal_value
 
 HOSTILE = "<script>alert('1')</script><img src=http://evil.example/x onerror=alert(2)>&amp; \"quoted\" {{ 7 * 7 }}"
 

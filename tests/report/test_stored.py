@@ -13,7 +13,7 @@ import pytest
 
 from tests.report.diagnoses import FRICTION, PAYLOAD, hub_experiment
 from tests.report.fits import _chain, two_link_experiment
-from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, size
+from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, magnitude
 from vjm.errors import ModelFileError
 from vjm.experiment import Experiment
 from vjm.model.urdf_reader import chain_from_urdf, friction_from_urdf
@@ -104,10 +104,10 @@ def test_a_marker_that_is_not_there_is_refused(tmp_path: Path, marker: float, fa
 class Own(Effect):
     """A user's own effect."""
 
-    twist: float = size("rad", 0.1)
+    twist: float = magnitude("rad", 0.1)
 
     id = "own"
-    says = "a twist"
+    description = "a twist"
 
 
 def test_a_users_own_effect_comes_back_where_it_is_given(tmp_path: Path) -> None:

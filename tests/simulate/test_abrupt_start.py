@@ -12,9 +12,9 @@ from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
 from vjm.records import Kind, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import Guide
-from vjm.simulation.initial_state import most_likely, run_nearer, run_or_stand, standing
-from vjm.simulation.integrate import still
+from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.initial_state import backtrack, most_likely, run_or_rest, state_at_rest
+from vjm.simulation.integrators import still
 from vjm.simulation.measurement import Arcs, Observed, view
 from vjm.simulation.run import Run, Start, run_all
 
@@ -42,14 +42,14 @@ def stands(arm: Arm, twist: float = 0.0) -> Array:
 
 
 def runs_of(arm: Arm, observed: Observed, state: Array, known: Array) -> Run:
-    return run_or_stand([arm], [observed], [Start.of(arm, observed.recording)], [state], [known], 1.0)[0]
+    return run_or_rest([arm], [observed], [Start.of(arm, observed.recording)], [state], [known], 1.0)[0]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("twist", [-0.002, 0.0, 0.0013])
 def test_a_loose_hub_stands_where_it_is_seen(seed: int, twist: float) -> None:
     observed = seen_at(PLAY, stands(PLAY, twist), seed)
-    found = standing(PLAY, observed, Start.of(PLAY, observed.recording))
+    found = state_at_rest(PLAY, observed, Start.of(PLAY, observed.recording))
     q, v = np.split(found, 2)
     assert not v.any()
     assert q[PLAY.chain.roots] == pytest.approx(twist, abs=4e-5)  # 0.3 mm over 400 frames of five markers
@@ -60,7 +60,7 @@ def test_a_loose_hub_stands_where_it_is_seen(seed: int, twist: float) -> None:
 
 def test_it_stands_on_a_flank_where_it_is_seen_beyond() -> None:
     observed = seen_at(PLAY, stands(PLAY, 1.2 * GAP / 2), 1)
-    found = standing(PLAY, observed, Start.of(PLAY, observed.recording))
+    found = state_at_rest(PLAY, observed, Start.of(PLAY, observed.recording))
     assert found[PLAY.chain.roots] == pytest.approx(GAP / 2, abs=1e-12)
 
 
@@ -101,7 +101,7 @@ def test_effects_say_where_an_arm_stays() -> None:
     effects: list[Effect] = [CoulombFriction(link=0, torque=0.008), Backlash(link=0, gap=GAP)]
     arm = Arm.of(chain_of(), effects)
     q = np.random.default_rng(7).normal(size=(5, arm.chain.size))
-    found = arm.settled(q)
+    found = arm.rest_state(q)
     others = np.delete(np.arange(arm.chain.size), arm.chain.roots)
     assert np.array_equal(found[:, others], q[:, others])
     assert found[:, arm.chain.roots] == pytest.approx(np.clip(q[:, arm.chain.roots], -GAP / 2, GAP / 2))
@@ -120,7 +120,7 @@ def test_a_recording_begins_with_as_much_of_a_change_as_follows_it_best(share: f
     theta = true.path[0][:, STUCK.chain.active]
     observed = Observed.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
     whole = run_all([STUCK], [observed], [start], [state + change], 1.0)[0]
-    found = run_nearer([whole], [change], 1.0)[0]
+    found = backtrack([whole], [change], 1.0)[0]
     assert found.state == pytest.approx(state + share * change, abs=1e-12)
     assert (found is whole) == (share == 1.0)
 
@@ -133,10 +133,12 @@ def test_only_what_sticks_and_is_held_is_left_after_a_few_steps_in_vain(
     arm = Arm.of(chain_of(), [effect])
     observed = seen_at(arm, stands(arm), 7, "driven")
     if held:
-        observed = observed.held(Guide.of(observed.recording, arm.chain, NOISE[1], 1.0, 0.3))
+        observed = observed.held(EncoderFeedback.of(observed.recording, arm.chain, NOISE[1], 1.0, 0.3))
     moving = np.concatenate([stands(arm), np.full(arm.chain.size, 0.05)])
     tried = []
-    monkeypatch.setattr("vjm.simulation.initial_state._attempts", lambda pending, coarse: tried.append(0) or [None])
+    monkeypatch.setattr(
+        "vjm.simulation.initial_state._attempts", lambda pending, step_multiple: tried.append(0) or [None]
+    )
     ((run, _),) = most_likely([arm], [observed], [moving])
     assert run.state is moving
-    assert (len(tried) == 4) == (held and effect.abrupt)
+    assert (len(tried) == 4) == (held and effect.nonsmooth)

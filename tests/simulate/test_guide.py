@@ -13,7 +13,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects import EncoderOffset
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import Guide, shown
+from vjm.simulation.encoder_feedback import EncoderFeedback, shown
 from vjm.simulation.integrate import rollouts
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Run, Start, run_all
@@ -40,10 +40,10 @@ def test_a_rigid_arm_swings_as_it_is_told(frequency: float, ratio: float, integr
     """theta = theta_0 exp(-zeta w t) (cos w_d t + zeta w / w_d sin w_d t), about the angle that was measured."""
     chain, angle = rigid(), 0.3
     recording = resting(chain, angle)
-    guide = Guide.of(recording, chain, 1e-4, frequency, ratio)
+    feedback = EncoderFeedback.of(recording, chain, 1e-4, frequency, ratio)
     rest = np.zeros(chain.size)
     step = 2e-4 if integrator == "rk4" else None
-    steps = rollouts([Arm(chain).guided(guide)], [recording], [rest], [rest], integrator, step)[0]
+    steps = rollouts([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest], integrator, step)[0]
     w, t = 2 * np.pi * frequency, steps.time
     swing = w * np.sqrt(1 - ratio**2)
     expected = angle * (1 - np.exp(-ratio * w * t) * (np.cos(swing * t) + ratio * w / swing * np.sin(swing * t)))
@@ -52,11 +52,11 @@ def test_a_rigid_arm_swings_as_it_is_told(frequency: float, ratio: float, integr
 
 def test_its_stiffness_is_of_the_whole_arm_s_inertia() -> None:
     chain = rigid()
-    guide = Guide.of(resting(chain, 0.0), chain, 1e-4, 1.0, 0.5)
-    assert guide is not None
+    feedback = EncoderFeedback.of(resting(chain, 0.0), chain, 1e-4, 1.0, 0.5)
+    assert feedback is not None
     inertia = 0.02 + 0.44 / 3
-    assert guide.stiffness[0] == pytest.approx((2 * np.pi) ** 2 * inertia, rel=0.01)
-    assert guide.damping[0] == pytest.approx(2 * np.pi * inertia, rel=0.01)
+    assert feedback.stiffness[0] == pytest.approx((2 * np.pi) ** 2 * inertia, rel=0.01)
+    assert feedback.damping[0] == pytest.approx(2 * np.pi * inertia, rel=0.01)
 
 
 def driven(chain: Chain, seed: int = 3) -> tuple[Recording, Array]:
@@ -72,9 +72,9 @@ def driven(chain: Chain, seed: int = 3) -> tuple[Recording, Array]:
 def test_a_right_model_moves_as_it_would_alone(arm: str) -> None:
     chain = arm_of(steel_link(3, "revolute")) if arm == "hub" else two_link_arm()
     recording, theta = driven(chain)
-    guide = Guide.of(recording, chain, 1e-5, 1.5, 0.7)
+    feedback = EncoderFeedback.of(recording, chain, 1e-5, 1.5, 0.7)
     rest = np.zeros(chain.size)
-    found = rollouts([Arm(chain).guided(guide)], [recording], [rest], [rest])[0]
+    found = rollouts([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest])[0]
     away = np.stack([np.interp(recording.time, found.time, each) for each in found.q[:, 0, chain.active].T], axis=-1)
     assert np.abs(away - theta).max() < 2e-3 * np.abs(theta).max()
 
@@ -84,9 +84,9 @@ def test_a_wrong_model_stays_near() -> None:
     chain = arm_of(steel_link(3, "revolute", hub_inertia=0.2))
     recording, theta = driven(chain)
     wrong = arm_of(steel_link(3, "revolute", hub_inertia=0.1))
-    guide = Guide.of(recording, wrong, 1e-5, 1.5, 0.7)
+    feedback = EncoderFeedback.of(recording, wrong, 1e-5, 1.5, 0.7)
     rest = np.zeros(chain.size)
-    arms = [Arm(wrong), Arm(wrong).guided(guide)]
+    arms = [Arm(wrong), Arm(wrong).with_feedback(feedback)]
     free, held = rollouts(arms, [recording] * 2, [rest] * 2, [rest] * 2)
     off = [np.abs(np.interp(recording.time, each.time, each.q[:, 0, 0]) - theta[:, 0]).max() for each in (free, held)]
     assert off[1] < 0.2 * off[0]
@@ -96,8 +96,12 @@ def test_copies_are_held_each_by_its_own() -> None:
     """Together or one by one; one of them is held by nothing; their recordings differ in length."""
     chain = rigid(2.0)
     recordings = [resting(chain, 0.2), resting(chain, -0.1, 2.5), resting(chain, 0.3)]
-    guides = [Guide.of(recordings[0], chain, 1e-4, 1.0, 0.7), Guide.of(recordings[1], chain, 1e-4, 0.5, 0.2), None]
-    arms = [Arm(chain).guided(guide) for guide in guides]
+    feedbacks = [
+        EncoderFeedback.of(recordings[0], chain, 1e-4, 1.0, 0.7),
+        EncoderFeedback.of(recordings[1], chain, 1e-4, 0.5, 0.2),
+        None,
+    ]
+    arms = [Arm(chain).with_feedback(feedback) for feedback in feedbacks]
     rest = np.zeros(chain.size)
     together = rollouts(arms, recordings, [rest] * 3, [rest] * 3)
     for arm, recording, found in zip(arms, recordings, together, strict=True):
@@ -110,8 +114,8 @@ def test_copies_are_held_each_by_its_own() -> None:
 def test_it_draws_to_where_the_encoder_would_show_the_angle() -> None:
     chain, offset = rigid(20.0), 0.05
     recording = resting(chain, 0.3, 4.0)
-    guide = Guide.of(recording, chain, 1e-4, 1.0, 0.7)
-    arm = Arm.of(chain, (EncoderOffset(link=0, offset=offset),)).guided(guide)
+    feedback = EncoderFeedback.of(recording, chain, 1e-4, 1.0, 0.7)
+    arm = Arm.of(chain, (EncoderOffset(link=0, offset=offset),)).with_feedback(feedback)
     rest = np.zeros(chain.size)
     steps = rollouts([arm], [recording], [rest], [rest])[0]
     assert steps.q[-1, 0, 0] == pytest.approx(0.3 - offset, abs=1e-4)
@@ -126,7 +130,7 @@ def test_angles_that_were_not_measured_are_drawn_between() -> None:
     holes = recording.theta.copy()
     holes[100:106] = np.nan
     whole, broken = (
-        Guide.of(replace(recording, theta=each), chain, 1e-5, 1.0, 0.7) for each in (recording.theta, holes)
+        EncoderFeedback.of(replace(recording, theta=each), chain, 1e-5, 1.0, 0.7) for each in (recording.theta, holes)
     )
     assert whole is not None
     assert broken is not None
@@ -135,9 +139,9 @@ def test_angles_that_were_not_measured_are_drawn_between() -> None:
 
 def test_nothing_is_held_without_angles() -> None:
     clamped, hub = arm_of(steel_link(3)), rigid()
-    assert Guide.of(resting(clamped, 0.0), clamped, 1e-4, 1.0, 0.7) is None
+    assert EncoderFeedback.of(resting(clamped, 0.0), clamped, 1e-4, 1.0, 0.7) is None
     unseen = recording_of(hub, np.arange(401) / 200)
-    assert Guide.of(unseen, hub, 1e-4, 1.0, 0.7) is None
+    assert EncoderFeedback.of(unseen, hub, 1e-4, 1.0, 0.7) is None
 
 
 def run_of(chain: Chain, observed: Observed, state: Array) -> Run:
@@ -150,7 +154,7 @@ def test_derivatives_know_of_it() -> None:
     recording, _ = driven(arm_of(steel_link(3, "revolute", hub_inertia=0.03)))
     recording = replace(recording, markers=np.zeros(recording.markers.shape))
     observed = Observed.of(rig_of(chain), recording, NOISE)
-    observed = replace(observed, guide=Guide.of(recording, chain, 1e-5, 1.5, 0.7))
+    observed = replace(observed, feedback=EncoderFeedback.of(recording, chain, 1e-5, 1.5, 0.7))
     state, by = np.zeros(2 * chain.size), 1e-5
 
     def heavier(share: float) -> Chain:

@@ -31,7 +31,8 @@ from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import INTEGRATORS, Steps, default_step, rollout, rollouts, sample, simulate
+from vjm.simulation.integrate import INTEGRATORS, default_step, rollout, rollouts, simulate
+from vjm.simulation.integrators import Steps, sample
 
 Array = NDArray[np.float64]
 TEN_SECONDS = np.arange(5001) / 500.0
@@ -46,7 +47,7 @@ class Case(NamedTuple):
     start: Array
 
 
-def released(n: int, payload: float = 0.0, gravity: tuple[float, float] = (0.0, 0.0)) -> Case:
+def fit_open_loop(n: int, payload: float = 0.0, gravity: tuple[float, float] = (0.0, 0.0)) -> Case:
     chain = arm_of(steel_link(n))
     recording = recording_of(chain, TEN_SECONDS, payload=payload, gravity=gravity)
     return Case(chain, recording, end_load_shape(chain, 0.1))
@@ -72,9 +73,9 @@ def noisy(n: int, seed: int) -> Case:
 
 
 CASES = {
-    "released, 4 joints": released(4),
-    "released, 6 joints": released(6),
-    "released with payload and gravity": released(6, 0.05, (1.0, -3.0)),
+    "released, 4 joints": fit_open_loop(4),
+    "released, 6 joints": fit_open_loop(6),
+    "released with payload and gravity": fit_open_loop(6, 0.05, (1.0, -3.0)),
     "driven, 4 joints": driven(4, 1),
     "driven, 6 joints": driven(6, 2),
     "driven with payload and gravity": driven(6, 3, 0.05, DOWN),
@@ -121,12 +122,12 @@ def replace_time(recording: Recording, time: Array) -> Recording:
     )
 
 
-@pytest.mark.parametrize(("integrator", "coarse", "least"), [("rk4", 4e-3, 3.7), ("exponential", 8e-3, 3.7)])
-def test_both_are_of_fourth_order(integrator: str, coarse: float, least: float) -> None:
+@pytest.mark.parametrize(("integrator", "step_multiple", "least"), [("rk4", 4e-3, 3.7), ("exponential", 8e-3, 3.7)])
+def test_both_are_of_fourth_order(integrator: str, step_multiple: float, least: float) -> None:
     chain = arm_of(steel_link(3))
     case = Case(chain, recording_of(chain, np.linspace(0.0, 0.96, 25)), end_load_shape(chain, 0.2))
     exact = markers_of(case, "rk4", 1e-4)
-    errors = [np.abs(markers_of(case, integrator, coarse / k) - exact).max() for k in (1, 2)]
+    errors = [np.abs(markers_of(case, integrator, step_multiple / k) - exact).max() for k in (1, 2)]
     assert np.log2(errors[0] / errors[1]) > least
 
 

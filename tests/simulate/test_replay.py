@@ -40,7 +40,7 @@ def seen(chain: Chain, recording: Recording, q: Array, v: Array, noise: float = 
     )
 
 
-def released(n: int = 4, rate: float = 30.0, seconds: float = 4.0) -> tuple[Chain, Recording, Array, Array]:
+def fit_open_loop(n: int = 4, rate: float = 30.0, seconds: float = 4.0) -> tuple[Chain, Recording, Array, Array]:
     chain = arm_of(steel_link(n))
     recording = recording_of(chain, np.arange(round(rate * seconds) + 1) / rate)
     rng = np.random.default_rng(n)
@@ -59,7 +59,7 @@ def found_state(chain: Chain, recording: Recording) -> tuple[Array, Array, Repla
 @pytest.mark.parametrize("n", [1, 3, 4])
 def test_a_released_link_s_state_is_recovered(n: int) -> None:
     """From rest and far away, first-mode swings of 0.1 m included."""
-    chain, recording, q, v = released(n)
+    chain, recording, q, v = fit_open_loop(n)
     q_found, _, result = found_state(chain, seen(chain, recording, q, v))
     np.testing.assert_allclose(q_found, q, atol=2e-3)
     assert result.marker_rms < 0.02 * NOISE
@@ -87,7 +87,7 @@ def test_a_driven_link_s_state_is_recovered(gravity: tuple[float, float]) -> Non
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_residuals_are_the_noise_and_no_more(seed: int) -> None:
     """chi^2 falls short of the number of values by about the number of states."""
-    chain, recording, q, v = released()
+    chain, recording, q, v = fit_open_loop()
     _, _, result = found_state(chain, seen(chain, recording, q, v, NOISE, seed))
     spread = np.sqrt(2 * result.count)
     assert result.chi2 == pytest.approx(result.count - 2 * chain.size, abs=4 * spread)
@@ -98,7 +98,7 @@ def test_residuals_are_the_noise_and_no_more(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", [4, 5])
 def test_no_neighbouring_state_fits_better(seed: int) -> None:
-    chain, recording, q, v = released()
+    chain, recording, q, v = fit_open_loop()
     noisy = seen(chain, recording, q, v, NOISE, seed)
     q_found, v_found, result = found_state(chain, noisy)
 
@@ -117,7 +117,7 @@ def test_no_neighbouring_state_fits_better(seed: int) -> None:
 
 
 def test_lost_frames_and_hidden_markers_do_not_matter() -> None:
-    chain, recording, q, v = released(seconds=6.0)
+    chain, recording, q, v = fit_open_loop(seconds=6.0)
     whole = seen(chain, recording, q, v, NOISE, 6)
     rng = np.random.default_rng(7)
     markers = np.where(rng.random(whole.markers.shape[:2])[..., None] < 0.2, np.nan, whole.markers)

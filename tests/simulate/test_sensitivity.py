@@ -27,7 +27,7 @@ from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.exponential import phi_functions
 from vjm.simulation.integrate import rollouts
-from vjm.simulation.least_squares import Triangle
+from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Run, Start, run_all, transferred
 from vjm.simulation.sensitivity import Moved
@@ -143,11 +143,11 @@ def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -
     chain, recording, state = hub()
     run = run_of(chain, recording, state)
     moved = [Moved(Arm(each), STEP) for each in changed(chain, STEP).values()]
-    whole = run.triangle(moved)
+    whole = run.linearized(moved)
     monkeypatch.setattr("vjm.simulation.sensitivity._NUMBERS_A_CHUNK", 2000)
     again = run_of(chain, recording, state)
     assert len(list(again.rows(moved))) > 3
-    np.testing.assert_allclose(again.triangle(moved).R.T @ again.triangle(moved).R, whole.R.T @ whole.R, rtol=1e-8)
+    np.testing.assert_allclose(again.linearized(moved).R.T @ again.linearized(moved).R, whole.R.T @ whole.R, rtol=1e-8)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 40.0])
@@ -174,21 +174,21 @@ def test_triangle_is_the_least_squares_problem(seed: int) -> None:
     rng = np.random.default_rng(seed)
     J, r = rng.normal(size=(30, 5)), rng.normal(size=30)
     parts = [(J[:3], r[:3]), (J[3:4], r[3:4]), (J[4:], r[4:])]
-    triangle = Triangle.of(parts, 5)
+    linearized = SquareRootInformation.of(parts, 5)
     best = np.linalg.lstsq(J, r, rcond=None)[0]
-    np.testing.assert_allclose(triangle.best(), best, atol=1e-9)
-    assert triangle.decrease(best) == pytest.approx(r @ r - np.sum((r - J @ best) ** 2))
+    np.testing.assert_allclose(linearized.best(), best, atol=1e-9)
+    assert linearized.decrease(best) == pytest.approx(r @ r - np.sum((r - J @ best) ** 2))
     others = rng.normal(size=2)
     inner = np.linalg.lstsq(J[:, :3], r - J[:, 3:] @ others, rcond=None)[0]
-    np.testing.assert_allclose(triangle.solve(3, others), inner, atol=1e-9)
-    np.testing.assert_allclose(triangle.eliminated(3).best(), best[3:], atol=1e-9)
-    follow = triangle.followed(3)
+    np.testing.assert_allclose(linearized.solve(3, others), inner, atol=1e-9)
+    np.testing.assert_allclose(linearized.eliminated(3).best(), best[3:], atol=1e-9)
+    follow = linearized.followed(3)
     np.testing.assert_allclose(J[:, :3].T @ (J[:, 3:] - J[:, :3] @ follow), 0.0, atol=1e-9)
 
 
 def test_triangle_of_fewer_rows_than_unknowns() -> None:
-    triangle = Triangle.of([(np.array([[2.0, 0.0, 0.0]]), np.array([4.0]))], 3)
-    np.testing.assert_allclose(triangle.best(), [2.0, 0.0, 0.0])
+    linearized = SquareRootInformation.of([(np.array([[2.0, 0.0, 0.0]]), np.array([4.0]))], 3)
+    np.testing.assert_allclose(linearized.best(), [2.0, 0.0, 0.0])
 
 
 # From one chain to another

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_interp_spline
 
 from vjm.chain.layout import Layout
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 _NODES = 6  # Gauss-Legendre nodes a panel
 _PANELS = 4  # least number of panels a link

@@ -12,13 +12,12 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Distal, LinkChain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.records import Link
+from vjm.records import Array, Link
 
-Array = NDArray[np.float64]
 LayoutName = Literal["fourth-order", "end-corrected", "half-ends", "equal"]
 LAYOUTS: tuple[str, ...] = get_args(LayoutName)
 DEFAULT_LAYOUT = "fourth-order"

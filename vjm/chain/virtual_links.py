@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vjm.errors import ShapeError
+from vjm.records import Array
 
-Array = NDArray[np.float64]
 Distal = Literal["free", "joined"]
 
 

@@ -2,16 +2,16 @@
 
 from vjm.diagnosis.check_effect import check_effect
 from vjm.diagnosis.diagnose import diagnose
-from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Rival, Size
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Size
 
 __all__ = [
+    "Alternative",
     "Candidate",
     "Cause",
     "Diagnosis",
     "Gain",
     "Remaining",
     "Replayed",
-    "Rival",
     "Size",
     "check_effect",
     "diagnose",

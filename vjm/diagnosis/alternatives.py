@@ -5,25 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.diagnosis.candidate_fit import Explanation
+from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.directions import directions
 from vjm.diagnosis.fit_cache import ALIKE
-from vjm.diagnosis.records import Rival
+from vjm.diagnosis.records import Alternative
 from vjm.diagnosis.screen import Screen, one_each
-from vjm.diagnosis.selection import Found, Search
+from vjm.diagnosis.selection import Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 _MOST = 6  # alternatives refitted for each cause
 _ALIKE = 0.5  # cosine from which what is slow to try is tried
 _NEAR = 5.0  # times the tolerance that a linear guess may be off
 
 
-def alternatives(found: Found, search: Search, causes: Sequence[Effect], scale: float) -> dict[Key, tuple[Rival, ...]]:
+def find_alternatives(
+    found: SearchResult, search: Search, causes: Sequence[Effect], scale: float
+) -> dict[Key, tuple[Alternative, ...]]:
     """For each cause, effects that explain the recordings as well when they take its place.
 
     Args:
@@ -35,17 +35,19 @@ def alternatives(found: Found, search: Search, causes: Sequence[Effect], scale: 
     if not causes:
         return {}
     best = found.best
-    variants = [v for v in search.looked.variants if v.key not in best.names]
+    variants = [v for v in search.candidate_set.variants if v.key not in best.names]
     # What sticks or rattles is slow to try: only where it may look like the cause.
     wanted = {
         cause.key: [
-            k for k, v in enumerate(variants) if not v.abrupt or cause.abrupt or _alike(found.first.seen, cause, v)
+            k
+            for k, v in enumerate(variants)
+            if not v.nonsmooth or cause.nonsmooth or _alike(found.first.seen, cause, v)
         ]
         for cause in causes
     }
     shown = sorted({k for several in wanted.values() for k in several})
     beside = directions(best.point, best.effects, [variants[k] for k in shown], search.workers)
-    rivals = {}
+    alternatives = {}
     for cause in causes:
         part = next(p for effect, p in zip(best.effects, best.extension.parts, strict=True) if effect is cause)
         chosen = [shown.index(k) for k in wanted[cause.key]]
@@ -53,21 +55,23 @@ def alternatives(found: Found, search: Search, causes: Sequence[Effect], scale: 
         others = [effect for effect in best.effects if effect is not cause]
         guesses = _near(seen, cause, ALIKE * scale)
         search.replacements(best, others, [seen.effects[k] for k in guesses], [*guesses.values()])
-        rivals[cause.key] = _as_good(search, best, cause, ALIKE * scale)
-    return rivals
+        alternatives[cause.key] = _as_good(search, best, cause, ALIKE * scale)
+    return alternatives
 
 
-def _as_good(search: Search, best: Explanation, cause: Effect, tolerance: float) -> tuple[Rival, ...]:
+def _as_good(search: Search, best: CandidateFit, cause: Effect, tolerance: float) -> tuple[Alternative, ...]:
     """What was fitted in a cause's place and leaves about as little, the least first."""
-    rest, rivals = best.names - {cause.key}, []
+    rest, alternatives = best.names - {cause.key}, []
     for names, tried in search.trials.tried.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
-        same = len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.trials.stale
+        same = (
+            len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.trials.uncorrected
+        )
         if same and new[0].key != cause.key:
             worse = tried.chi2 - best.chi2
             if worse < tolerance:
-                rivals.append(Rival(new[0], float(worse)))
-    return tuple(sorted(rivals, key=lambda each: each.worse))
+                alternatives.append(Alternative(new[0], float(worse)))
+    return tuple(sorted(alternatives, key=lambda each: each.worse))
 
 
 def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
@@ -83,15 +87,15 @@ def _near(seen: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
     own = seen.R[:, seen.parts[0]] @ size  # what the cause does to the residuals
     power = float(own @ own)
     guesses: dict[int, Array]
-    lost, guesses = np.full(len(seen.effects), np.inf), {}
+    diverges_from_data, guesses = np.full(len(seen.effects), np.inf), {}
     for k in range(1, len(seen.effects)):
         columns = seen.R[:, seen.parts[k]]
         if seen.absorbed[k] or not np.isfinite(columns).all():
             continue
         guess = np.asarray(np.linalg.lstsq(columns, own, rcond=1e-10)[0])
         guesses[k] = guess
-        lost[k] = power - float(np.sum((columns @ guess) ** 2))
+        diverges_from_data[k] = power - float(np.sum((columns @ guess) ** 2))
     # A linear guess is the worse the larger the effect.
-    close = [k for k in range(1, len(seen.effects)) if lost[k] < _NEAR * tolerance + 0.02 * power]
-    chosen = one_each(seen.effects, sorted(close, key=lambda k: float(lost[k])))[:_MOST]
+    close = [k for k in range(1, len(seen.effects)) if diverges_from_data[k] < _NEAR * tolerance + 0.02 * power]
+    chosen = one_each(seen.effects, sorted(close, key=lambda k: float(diverges_from_data[k])))[:_MOST]
     return {k: guesses[k] for k in chosen}

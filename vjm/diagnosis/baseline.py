@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.layout import DEFAULT_LAYOUT
-from vjm.diagnosis.candidate_fit import Explanation
-from vjm.diagnosis.discretization import CLOSE, Coarseness, coarseness, corrected
+from vjm.diagnosis.candidate_fit import CandidateFit, refit
+from vjm.diagnosis.discretization import CLOSE, DiscretizationBias, corrected, discretization_bias
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
@@ -22,8 +21,6 @@ from vjm.records import REFERENCE, Experiment, Progress, Recording
 from vjm.simulation.initial_state import most_likely
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 LEAST_JOINTS = 8
 _ROUGH = 1.5  # misfit from which the model lacks so much that its parameters need not be found exactly
@@ -40,14 +37,14 @@ class Base:
         noise: the camera's.
         others: training recordings that are not in `fit`: those in which something may have changed.
         problems: why recordings are not used, a sentence each.
-        coarseness: of the chain; None where the model lacks so much that it does not matter.
+        discretization_bias: of the chain; None where the model lacks so much that it does not matter.
     """
 
     fit: TrajectoryFit
     noise: Noise
     others: tuple[Observed, ...]
     problems: tuple[str, ...]
-    coarseness: Coarseness | None = None
+    discretization_bias: DiscretizationBias | None = None
 
     @property
     def point(self) -> Point:
@@ -55,9 +52,9 @@ class Base:
         return self.fit.point
 
     @property
-    def plain(self) -> Explanation:
+    def plain(self) -> CandidateFit:
         """The model without effects, as an explanation."""
-        return Explanation(self.fit, None if self.coarseness is None else self.coarseness.shift)
+        return CandidateFit(self.fit, None if self.discretization_bias is None else self.discretization_bias.shift)
 
 
 def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
@@ -84,7 +81,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     search = replace(search, observed=observed, rough=fit.point.misfit > _ROUGH)
     fit = search.near(joints, fit)
-    found = coarseness(fit.point, experiment.rig) if fit.point.misfit < CLOSE else None
+    found = discretization_bias(fit.point, experiment.rig) if fit.point.misfit < CLOSE else None
     others = tuple(_prepared(_trimmed(fit.point, each), size, noise) for each in changed)
     return Base(corrected(fit, found), noise, others, (*problems, *more), found)
 
@@ -117,7 +114,7 @@ def _followed(point: Point, observed: Sequence[Observed]) -> list[Run]:
     for each in observed:
         arm = point.problem.varied.arms(point.x, [each.recording])[0]
         try:
-            found += [run for run, _ in most_likely([arm], [each], coarse=point.problem.coarse)]
+            found += [run for run, _ in most_likely([arm], [each], step_multiple=point.problem.step_multiple)]
         except SimulationDivergedError:
             continue
     return found
@@ -137,3 +134,71 @@ def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Ob
             shown = np.where(inside[:, None, None], recording.markers, np.nan)
             recording = replace(recording, markers=shown)
     return whitened(observed.again(recording, size), noise)
+
+
+LACKING = 1.5  # misfit of the reference recordings from which something was missing before the change
+
+
+_LOST = 0.3  # share of the motion; a larger residual does not follow it
+
+
+@dataclass(frozen=True)
+class SearchStart:
+    """Where the search begins.
+
+    Attributes:
+        before: the model as it was before any change, beside all training recordings.
+        start: the best model without effects, from which effects are looked for.
+        diverges_from_data: whether it does not follow what has changed: then no slope is a guide.
+        reference_misfit: misfit of the reference recordings that is taken as noise, in units of it; one: it is noise.
+    """
+
+    before: CandidateFit
+    start: CandidateFit
+    diverges_from_data: bool = False
+    reference_misfit: float = 1.0
+
+
+def begin_search(base: Base, plain: CandidateFit) -> SearchStart:
+    """From the model of the reference recordings, or of all where there are none.
+
+    Args:
+        base: the base fit, and the recordings that it has not.
+        plain: the same fit, with what was there before any change.
+    """
+    if not base.others:
+        return SearchStart(plain, plain)
+    point = plain.point
+    reference_misfit = point.misfit if point.misfit > LACKING else 1.0
+    problem = point.problem
+    known = [_scaled(run, reference_misfit) for run in point.runs]
+    others = [
+        replace(each, noise=(reference_misfit * each.noise[0], reference_misfit * each.noise[1]))
+        for each in base.others
+    ]
+    arms = problem.varied.arms(point.x, [each.recording for each in others])
+    new = [run for run, _ in most_likely(arms, others, step_multiple=problem.step_multiple)]
+    runs = (*known, *new)
+    problem = replace(problem, observed=tuple(run.observed for run in runs))
+    before = CandidateFit(TrajectoryFit(Point(problem, point.x, runs), False, 0))
+    if any(_lost(run) for run in new):
+        return SearchStart(before, before, True, reference_misfit)
+    start = refit(before, before.effects)
+    return SearchStart(before, start or before, False, reference_misfit)
+
+
+def _scaled(run: Run, factor: float) -> Run:
+    """The same run with its noise so many times as large."""
+    if factor == 1.0:
+        return run
+    noise = run.observed.noise
+    return replace(run, observed=replace(run.observed, noise=(factor * noise[0], factor * noise[1])))
+
+
+def _lost(run: Run) -> bool:
+    """Whether a run does not follow its recording."""
+    seen = run.observed
+    markers, _ = seen.spread(seen.values - seen.predicted(run.arm, run.steps))
+    measured, _ = seen.spread(seen.values)
+    motion = np.nanstd(measured, axis=0)
+    return bool(np.sqrt(np.nanmean(markers**2)) > _LOST * np.sqrt(np.mean(motion**2)))

@@ -8,19 +8,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Key, is_abrupt
+from vjm.effects.effect import Effect, Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
-from vjm.records import REFERENCE, Recording
+from vjm.records import REFERENCE, Array, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import most_likely
 from vjm.simulation.run import transferred
-
-Array = NDArray[np.float64]
 
 _INNER_STEP = 1.0  # of a logarithm
 _LEAST_JOINT = 1e-3  # of an everyday size: an effect that is a joint of its own must not lose it on the way
@@ -33,12 +30,12 @@ class Extension:
     Attributes:
         base: the chain's own.
         effects: what is added, at any size.
-        everywhere: number of them, the first ones, that act in the reference recordings too.
+        reference_effects: number of them, the first ones, that act in the reference recordings too.
     """
 
     base: Parametrisation
     effects: tuple[Effect, ...]
-    everywhere: int = 0
+    reference_effects: int = 0
 
     def chain(self, x: Array) -> Chain:
         """The chain, without effects."""
@@ -51,7 +48,7 @@ class Extension:
     def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
         """What moves in each of the recordings; in those called reference, only what acts everywhere."""
         chain, present = self.chain(x), self.present(x)
-        plain, extended = Arm.of(chain, present[: self.everywhere]), Arm.of(chain, present)
+        plain, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
         return tuple(plain if each.condition == REFERENCE else extended for each in recordings)
 
     @property
@@ -91,13 +88,15 @@ class Extension:
 
 def adds_joint(effect: Effect, chain: Chain) -> bool:
     """Whether an effect is a joint of its own, which its null value has not."""
-    usual = effect.at(np.ones_like(effect.coordinates) * (np.arange(effect.coordinates.size) < effect.sizes))
-    return usual.chain(chain).size != chain.size
+    typical_magnitude = effect.at(
+        np.ones_like(effect.coordinates) * (np.arange(effect.coordinates.size) < effect.sizes)
+    )
+    return typical_magnitude.chain(chain).size != chain.size
 
 
 Names = frozenset[Key]
 
-ADRIFT = 4.0  # misfit of a start that does not follow the recordings for long
+DIVERGED_MISFIT = 4.0  # misfit of a start that does not follow the recordings for long
 _ASTRAY = 1.5  # the same of one that was held
 _LARGEST_START = 5.0  # everyday sizes; a linear guess beyond that is no guide
 _ABRUPT_START = 0.5  # of what sticks or rattles: much smaller than the motion, it does nothing that slopes show
@@ -106,7 +105,7 @@ _LEAST_START = 0.1  # of a joint: one that is nearly rigid says little of which 
 
 
 @dataclass(frozen=True)
-class Explanation:
+class CandidateFit:
     """A model with effects, fitted.
 
     Attributes:
@@ -146,19 +145,19 @@ class Explanation:
         return self.extension.present(self.point.x)
 
     @property
-    def is_held(self) -> bool:
+    def uses_feedback(self) -> bool:
         """Whether its simulations are held near the angles that encoders measured."""
-        return self.point.problem.guided
+        return self.point.problem.with_feedback
 
     @property
     def follows(self) -> bool:
         """Whether its simulations keep step with the recordings to their ends, as held ones do whatever they lack."""
-        return self.is_held or self.point.misfit <= ADRIFT
+        return self.uses_feedback or self.point.misfit <= DIVERGED_MISFIT
 
     @property
-    def everywhere(self) -> int:
+    def reference_effects(self) -> int:
         """Number of its effects that act in the reference recordings too."""
-        return self.extension.everywhere
+        return self.extension.reference_effects
 
     @cached_property
     def names(self) -> Names:
@@ -172,11 +171,11 @@ def named(effects: Sequence[Effect]) -> Names:
 
 
 def refit(
-    start: Explanation,
+    start: CandidateFit,
     effects: Sequence[Effect],
     hopeless: Callable[[Point, float], bool] | None = None,
     whole: TrajectoryProblem | None = None,
-) -> Explanation | None:
+) -> CandidateFit | None:
     """Fit a model with other effects, from a fit with some of them or with none.
 
     Args:
@@ -189,7 +188,7 @@ def refit(
         The fit; None where it cannot be simulated.
     """
     base = start.point.problem.parametrisation
-    extension = Extension(base, tuple(effects), start.everywhere)
+    extension = Extension(base, tuple(effects), start.reference_effects)
     chain = start.point.x[: len(base.coordinates)]
     x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *extension.bounds)
     problem = replace(whole or start.point.problem, extension=extension)
@@ -199,32 +198,32 @@ def refit(
     try:
         fit = fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless)
     except (SimulationDivergedError, InsufficientDataError):
-        if problem.coarse == 1.0:
+        if problem.step_multiple == 1.0:
             return None
-        finer = replace(start.point, problem=replace(start.point.problem, coarse=1.0))
-        whole = None if whole is None else replace(whole, coarse=1.0)
+        finer = replace(start.point, problem=replace(start.point.problem, step_multiple=1.0))
+        whole = None if whole is None else replace(whole, step_multiple=1.0)
         return refit(replace(start, fit=replace(start.fit, point=finer)), effects, hopeless, whole)
-    return Explanation(fit)
+    return CandidateFit(fit)
 
 
-def _followed(start: Explanation, effects: Sequence[Effect]) -> float:
+def _followed(start: CandidateFit, effects: Sequence[Effect]) -> float:
     """How long an explanation is known to follow the recordings [s], with other effects."""
     new = [each for each in effects if each.key not in start.names]
     gone = [each for each in start.effects if each.key not in named(effects)]
     # A joint more swings many times in a recording: with a wrong frequency, soon in any phase.
-    if any(adds_joint(each, start.point.chain) and not each.abrupt for each in (*new, *gone)):
+    if any(adds_joint(each, start.point.chain) and not each.nonsmooth for each in (*new, *gone)):
         return 0.0
     # Nor open loop can what sticks and slips be found but from there.
-    sticking = any(each.abrupt for each in new) and not start.is_held
+    sticking = any(each.nonsmooth for each in new) and not start.uses_feedback
     return np.inf if start.follows and not sticking else 0.0
 
 
-def shortened(explanation: Explanation) -> Explanation:
+def truncated_fit(candidate_fit: CandidateFit) -> CandidateFit:
     """The same explanation of the recordings' first periods only, which it follows better.
 
     A fit of recordings that it cannot follow may have ended anywhere: the search begins there and at the nominal chain.
     """
-    point = explanation.point
+    point = candidate_fit.point
     nominal = point.problem.parametrisation.start
     plain = np.concatenate([nominal, point.x[nominal.size :]])
     part = point.problem.until(min(first_horizon(point.problem, x) for x in (point.x, plain)))
@@ -233,48 +232,50 @@ def shortened(explanation: Explanation) -> Explanation:
         with contextlib.suppress(SimulationDivergedError, InsufficientDataError):
             fits.append(fit_trajectory(part, x, None, states, rough=True))
     if not fits:
-        return explanation
-    return Explanation(min(fits, key=lambda each: each.point.chi2))
+        return candidate_fit
+    return CandidateFit(min(fits, key=lambda each: each.point.chi2))
 
 
-def is_astray(explanation: Explanation) -> bool:
+def parameters_unreliable(candidate_fit: CandidateFit) -> bool:
     """Whether a fit that was held lacks so much that its chain may be any, and others had better begin at the nominal.
 
     Held, no joint drifts, but a chain of wrong frequencies is soon in any phase too.
     """
-    return explanation.is_held and explanation.point.misfit > _ASTRAY and not is_abrupt(explanation.effects)
+    return (
+        candidate_fit.uses_feedback and candidate_fit.point.misfit > _ASTRAY and not is_nonsmooth(candidate_fit.effects)
+    )
 
 
-def of_beginnings(explanation: Explanation) -> Explanation:
+def truncated_at_parameters(candidate_fit: CandidateFit) -> CandidateFit:
     """The same parameters beside the recordings' beginnings, from their most likely initial states there."""
-    point = explanation.point
+    point = candidate_fit.point
     duration = _BEGINNINGS * first_horizon(point.problem, point.x)
-    return _beside_first(explanation, point.x, duration, [run.state for run in point.runs])
+    return _beside_first(candidate_fit, point.x, duration, [run.state for run in point.runs])
 
 
-def anew(explanation: Explanation) -> Explanation:
+def restart_from_nominal(candidate_fit: CandidateFit) -> CandidateFit:
     """Its effects beside the nominal chain and the recordings' first periods; itself where that cannot be simulated."""
-    nominal = explanation.point.problem.parametrisation.start
-    x = np.concatenate([nominal, explanation.point.x[nominal.size :]])
+    nominal = candidate_fit.point.problem.parametrisation.start
+    x = np.concatenate([nominal, candidate_fit.point.x[nominal.size :]])
     try:
-        return _beside_first(explanation, x, first_horizon(explanation.point.problem, x))
+        return _beside_first(candidate_fit, x, first_horizon(candidate_fit.point.problem, x))
     except (SimulationDivergedError, InsufficientDataError):
-        return explanation
+        return candidate_fit
 
 
 def _beside_first(
-    explanation: Explanation, x: Array, duration: float, states: Sequence[Array] | None = None
-) -> Explanation:
+    candidate_fit: CandidateFit, x: Array, duration: float, states: Sequence[Array] | None = None
+) -> CandidateFit:
     """Coordinates x (p,) beside the recordings' first seconds, not fitted."""
-    part = explanation.point.problem.until(duration)
-    found = most_likely(part.arms(x), part.observed, states, part.coarse)
-    return Explanation(TrajectoryFit(Point(part, x, tuple(run for run, _ in found)), False, 0))
+    part = candidate_fit.point.problem.until(duration)
+    found = most_likely(part.arms(x), part.observed, states, part.step_multiple)
+    return CandidateFit(TrajectoryFit(Point(part, x, tuple(run for run, _ in found)), False, 0))
 
 
 def sized(effect: Effect, guess: Array, chain: Chain) -> Effect:
     """An effect of a guessed size (s,), in everyday sizes, to be fitted beside a chain."""
     found = effect.coordinates
     rigid = _LEAST_START if adds_joint(effect, chain) else -_LARGEST_START
-    least = _ABRUPT_START if effect.abrupt else rigid
+    least = _ABRUPT_START if effect.nonsmooth else rigid
     found[: effect.sizes] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(found, *effect.bounds))

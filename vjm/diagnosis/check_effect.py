@@ -13,22 +13,22 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain, Distal
 from vjm.diagnosis.candidate_fit import Extension, adds_joint
 from vjm.diagnosis.directions import screen
-from vjm.diagnosis.screen import looked_for
+from vjm.diagnosis.screen import build_candidates
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
 from vjm.model import dynamics
-from vjm.records import Kind, Link, Recording, Rig
+from vjm.records import Array, Kind, Link, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import Simulation, Steps, default_step, rollouts, simulation
+from vjm.simulation.integrate import Simulation, default_step, rollouts, simulation
+from vjm.simulation.integrators import Steps
 from vjm.simulation.measurement import Arcs, Observed
 from vjm.simulation.run import Start, run_all, transferred
 from vjm.simulation.sensitivity import Path, followed
@@ -83,8 +83,6 @@ class Clause:
             found = f"{what} raises {type(error).__name__}: {error}"
             raise EffectError(self.effect, self.name, found, "no error") from error
 
-
-Array = NDArray[np.float64]
 
 _JOINTS = 3
 _KELVIN_VOIGT = 5e-4  # s
@@ -262,7 +260,9 @@ def check_form(effect: Effect) -> None:
     kind = type(effect)
     named = isinstance(kind.id, str) and re.fullmatch(r"[A-Za-z0-9_]+", kind.id)
     clause.holds(named, f"the id {kind.id!r}", "letters, digits and _")
-    clause.holds(kind.says, "nothing in `says`", "its meaning in a few words, as in 'friction at the joint'")
+    clause.holds(
+        kind.description, "nothing in `description`", "its meaning in a few words, as in 'friction at the joint'"
+    )
     clause.holds(kind.reference, "no `reference`", "where the model is described")
     for field in fields(effect):
         declared = any(each.name == field.name for each in effect.parameters())
@@ -301,22 +301,26 @@ def _parameter(clause: Clause, parameter: Parameter, field: Field[object]) -> No
     """One that is absent by default, and whose everyday value lies inside its bounds."""
     name, default = parameter.name, field.default
     clause.holds(default is not MISSING, f"`{name}` has no default", "its null value")
-    if parameter.inner:
-        inside = all(parameter.lower <= each <= parameter.upper for each in (parameter.usual, *parameter.grid))
+    if parameter.shape_parameter:
+        inside = all(
+            parameter.lower <= each <= parameter.upper for each in (parameter.typical_magnitude, *parameter.grid)
+        )
         clause.holds(inside, f"everyday value or grid of `{name}` beyond its bounds", "values inside")
         return
     clause.holds(default == parameter.null, f"`{name}` is {default} by default", f"its null, {parameter.null}")
-    wanted = np.isfinite(parameter.usual) and parameter.usual != 0
-    clause.holds(wanted, f"an everyday size of {parameter.usual} for `{name}`", "a finite number other than zero")
-    usual = parameter.value(1.0)
-    inside = parameter.lower <= usual <= parameter.upper
-    clause.holds(inside, f"the everyday value {usual:g} of `{name}` beyond its bounds", "one inside")
+    wanted = np.isfinite(parameter.typical_magnitude) and parameter.typical_magnitude != 0
+    clause.holds(
+        wanted, f"an everyday size of {parameter.typical_magnitude} for `{name}`", "a finite number other than zero"
+    )
+    typical_magnitude = parameter.value(1.0)
+    inside = parameter.lower <= typical_magnitude <= parameter.upper
+    clause.holds(inside, f"the everyday value {typical_magnitude:g} of `{name}` beyond its bounds", "one inside")
 
 
 def _hooks(clause: Clause, effect: Effect) -> None:
     """Hooks that can ever be used."""
     own = overridden(effect)
-    sizes = [each for each in effect.parameters() if not each.inner]
+    sizes = [each for each in effect.parameters() if not each.shape_parameter]
     clause.holds(
         sizes or not own,
         f"{_listed(own)} but no size, so that it is always absent",
@@ -367,11 +371,11 @@ def trial_coordinates(effect: Effect) -> list[Array]:
     # Without a bound, as far as a search may stray.
     low = np.where(np.isfinite(lower), lower, np.minimum(-_WIDEST, upper - _WIDEST))
     high = np.where(np.isfinite(upper), upper, np.maximum(_WIDEST, lower + _WIDEST))
-    usual = np.where(np.arange(low.size) < effect.sizes, 1.0, effect.coordinates)
-    usual = np.clip(usual, low + _INSIDE * (high - low), high - _INSIDE * (high - low))
-    found = [usual]
+    typical_magnitude = np.where(np.arange(low.size) < effect.sizes, 1.0, effect.coordinates)
+    typical_magnitude = np.clip(typical_magnitude, low + _INSIDE * (high - low), high - _INSIDE * (high - low))
+    found = [typical_magnitude]
     for k, share in product(range(low.size), (_INSIDE, 1 - _INSIDE)):
-        moved = usual.copy()
+        moved = typical_magnitude.copy()
         moved[k] = low[k] + share * (high[k] - low[k])
         found.append(moved)
     return found
@@ -493,9 +497,11 @@ def _nothing(clause: Clause, absent: Effect, given: Given, seed: int) -> None:
             random = np.random.default_rng(seed)
             q, v, z = (random.normal(size=(_FRAMES, n)) for n in (given.chain.size, given.chain.size, count))
             clause.holds(not np.any(force(given.stamps, q, v, z)), "a force at the null", "none")
-    with clause.running("`settled` at the null"):
+    with clause.running("`rest_state` at the null"):
         q = still(np.random.default_rng(seed).normal(size=(_FRAMES, given.chain.size)))
-        clause.holds(same(absent.settled(given.chain, q), q), "`settled` changes angles at the null", "the very same")
+        clause.holds(
+            same(absent.rest_state(given.chain, q), q), "`rest_state` changes angles at the null", "the very same"
+        )
     step = absent.longest_step
     clause.holds(step == np.inf, f"at the null no time step longer than {step:g} s", "no limit, np.inf")
 
@@ -550,20 +556,22 @@ def _sensors(clause: Clause, present: Effect, given: Given) -> None:
 def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
     """Force, rates or way, and rest, for states with several leading axes."""
     chain = present.chain(given.chain)
-    with clause.running(f"`force`, `rates`, `way` or `states` of {present!r}"):
+    with clause.running(f"`force`, `rates`, `rate_independent_update` or `states` of {present!r}"):
         force, rates, count = present.force(chain, _PAYLOAD), present.rates(chain), present.states(chain)
-        way = present.way(chain)
+        rate_independent_update = present.rate_independent_update(chain)
     clause.holds(isinstance(count, int) and count >= 0, f"{count!r} states", "a number of them")
-    told = sum(each is not None for each in (rates, way))
-    expected = "one of `rates` and `way` where there are states"
-    clause.holds(told == (count > 0), f"{count} states, rates {rates} and way {way}", expected)
+    told = sum(each is not None for each in (rates, rate_independent_update))
+    expected = "one of `rates` and `rate_independent_update` where there are states"
+    clause.holds(told == (count > 0), f"{count} states, rates {rates} and way {rate_independent_update}", expected)
     with clause.running(f"`smooth` of {present!r}"):
         smooth = present.smooth()
         alike = same(smooth.chain(given.chain), chain) and smooth.values == present.values
         kept = smooth.states(chain)
     clause.holds(alike, f"`smooth` gives {smooth!r}", "the same parameters and the same chain")
-    allowed = {0} if way is not None else {0, count}
-    expected = f"{count}, or none" if way is None else "none, where `way` carries them"
+    allowed = {0} if rate_independent_update is not None else {0, count}
+    expected = (
+        f"{count}, or none" if rate_independent_update is None else "none, where `rate_independent_update` carries them"
+    )
     clause.holds(kept in allowed, f"`smooth` gives an effect with {kept} states", expected)
     random = np.random.default_rng(seed)
     for leading in ((), (_FRAMES,), (_COPIES, _FRAMES)):
@@ -572,19 +580,23 @@ def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
         with clause.running(f"`rest` of {present!r}"):
             rest = present.rest(chain, q)
         _array(clause, f"`rest` at angles {q.shape}", rest, (*leading, count))
-        with clause.running(f"`settled` of {present!r}"):
-            settled = present.settled(chain, q)
-        _array(clause, f"`settled` at angles {q.shape}", settled, q.shape)
+        with clause.running(f"`rest_state` of {present!r}"):
+            rest_state = present.rest_state(chain, q)
+        _array(clause, f"`rest_state` at angles {q.shape}", rest_state, q.shape)
         z = still(rest + 0.1 * _ANGLES * random.normal(size=rest.shape))
         for name, motion, shape in (("force", force, q.shape), ("rates", rates, z.shape)):
             if motion is not None:
                 _motion(clause, f"`{name}` of {present!r}", motion, (time, q, v, z), shape)
-        if way is not None:
+        if rate_independent_update is not None:
             to = still(q + _ANGLES * random.normal(size=q.shape))
-            _motion(clause, f"`way` of {present!r}", way, (q, z, to), z.shape)
-            with clause.running(f"`way` of {present!r}"):
-                stays = np.allclose(way(q, rest, q), rest, rtol=0.0, atol=_ROUNDING)
-            clause.holds(stays, "`way` changes states at rest where the joints stay", "states that follow the joints")
+            _motion(clause, f"`rate_independent_update` of {present!r}", rate_independent_update, (q, z, to), z.shape)
+            with clause.running(f"`rate_independent_update` of {present!r}"):
+                stays = np.allclose(rate_independent_update(q, rest, q), rest, rtol=0.0, atol=_ROUNDING)
+            clause.holds(
+                stays,
+                "`rate_independent_update` changes states at rest where the joints stay",
+                "states that follow the joints",
+            )
 
 
 def _motion(
@@ -805,13 +817,13 @@ def check_recovery(bench: Bench, true: Effect, seed: int) -> None:
     """
     clause = Clause(true.id, "recovery")
     with clause.running(f"a fit of recordings with {true!r}"):
-        if true.abrupt:
+        if true.nonsmooth:
             bench = bench.beginning(_ABRUPT)
         case = _Case(clause, bench, true, _problem(bench, true, seed))
         errors = _standard_errors(case)
         found = _fitted(case)
     off = np.abs(found.coordinates - true.coordinates)[: true.sizes]
-    close = _CLOSE_IF_ABRUPT if true.abrupt else _CLOSE
+    close = _CLOSE_IF_ABRUPT if true.nonsmooth else _CLOSE
     allowed = np.maximum(close, _STANDARD_ERRORS * errors)
     worst = int(np.argmax(off / allowed))
     clause.holds(
@@ -848,7 +860,7 @@ def _standard_errors(case: _Case) -> Array:
     arms = problem.arms(x)
     starts = [Start.of(arm, seen.recording) for arm, seen in zip(arms, problem.observed, strict=True)]
     states = case.bench.states(arms[0])
-    point = Point(problem, x, tuple(run_all(arms, problem.observed, starts, states, problem.coarse)))
+    point = Point(problem, x, tuple(run_all(arms, problem.observed, starts, states, problem.step_multiple)))
     return _known(case, point.gathered()[0].R[:, :-1])
 
 
@@ -877,7 +889,7 @@ def _named(effect: Effect, coordinates: Sequence[int]) -> str:
     """Parameters by their coordinates' numbers, which stand for themselves where the effect has its own coordinates."""
     if type(effect).coordinates is not Effect.coordinates:
         return ", ".join(f"coordinate {k}" for k in coordinates)
-    varied = sorted((each for each in effect.parameters() if not each.whole), key=lambda each: each.inner)
+    varied = sorted((each for each in effect.parameters() if not each.integer), key=lambda each: each.shape_parameter)
     return ", ".join(f"`{varied[k].name}`" for k in coordinates)
 
 
@@ -894,7 +906,7 @@ def _fitted(case: _Case) -> Effect:
         arms = zip(base.point.runs, problem.arms(x), strict=True)
         states = [transferred(run.chain, arm.chain, run.state) for run, arm in arms]
         try:
-            point = fit_trajectory(problem, x, None, states, hopeless=_Patience(abrupt=case.true.abrupt)).point
+            point = fit_trajectory(problem, x, None, states, hopeless=_Patience(nonsmooth=case.true.nonsmooth)).point
         except SimulationDivergedError:
             continue
         if best is None or point.chi2 < best.chi2:
@@ -908,11 +920,11 @@ def _fitted(case: _Case) -> Effect:
 
 def _starts(case: _Case, point: Point) -> Iterator[tuple[Effect, Array]]:
     """Variants at the true place, the most promising first, with sizes to start from."""
-    true, whole = case.true, [each.name for each in case.true.parameters() if each.whole]
+    true, integer = case.true, [each.name for each in case.true.parameters() if each.integer]
     variants = [
         each
-        for each in looked_for([true], case.bench.rig, point).variants
-        if each.link == true.link and all(each.values[name] == true.values[name] for name in whole)
+        for each in build_candidates([true], case.bench.rig, point).variants
+        if each.link == true.link and all(each.values[name] == true.values[name] for name in integer)
     ]
     case.clause.holds(variants, f"no variant like {true!r}", "one at each of its `places`")
     seen = screen(point, (), variants)
@@ -931,13 +943,13 @@ def _is_noise(point: Point) -> bool:
 class _Patience:
     """Ends a fit after some steps, when it has found what there is, or when it is stuck far from there."""
 
-    def __init__(self, steps: float = np.inf, abrupt: bool = False) -> None:
+    def __init__(self, steps: float = np.inf, nonsmooth: bool = False) -> None:
         self.left = steps
-        self.abrupt = abrupt
+        self.nonsmooth = nonsmooth
 
     def __call__(self, point: Point, predicted: float) -> bool:
         self.left -= 1
-        done = predicted < _ENOUGH or (self.abrupt and _is_noise(point))
+        done = predicted < _ENOUGH or (self.nonsmooth and _is_noise(point))
         stuck = point.misfit > _WRONG and predicted < _LITTLE * point.chi2
         return self.left < 0 or done or stuck
 

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from vjm.diagnosis.baseline import base_fit
+from vjm.diagnosis.baseline import base_fit, begin_search
 from vjm.diagnosis.records import Diagnosis
 from vjm.diagnosis.screen import candidates, chosen_effects
-from vjm.diagnosis.selection import Found, Rules, Search, already_there, beginning, told, whole_search
+from vjm.diagnosis.selection import (
+    Rules,
+    Search,
+    SearchResult,
+    preexisting_effects,
+    reference_warning,
+    search_stick_slip,
+)
 from vjm.diagnosis.verdict import conclude, insufficient, why_insufficient
 from vjm.diagnosis.workers import workers
 from vjm.effects import Effect
@@ -53,17 +60,19 @@ def diagnose(
     tell("fitting the model without effects")
     base = base_fit(experiment, tell.inside)
     with workers(jobs) as shared:
-        known = already_there(base, chosen, experiment.rig, tell, shared)
-        begun = beginning(base, known)
+        known = preexisting_effects(base, chosen, experiment.rig, tell, shared)
+        search_start = begin_search(base, known)
         # What a model lacks before a change is no noise: only what explains much of the rest is a change.
-        rules = Rules(matters=_CHANGE if begun.lacking > 1 else Rules.matters, most=max_effects, seed=seed)
-        search = Search(experiment.rig, begun, chosen, rules, tell, shared)
-        first = search.judged(begun.start)
-        table = candidates(search.looked, first, rules.alpha, search.matters(begun.start))
+        rules = Rules(
+            matters=_CHANGE if search_start.reference_misfit > 1 else Rules.matters, most=max_effects, seed=seed
+        )
+        search = Search(experiment.rig, search_start, chosen, rules, tell, shared)
+        first = search.judged(search_start.start)
+        table = candidates(search.candidate_set, first, rules.alpha, search.matters(search_start.start))
         if reasons:
             return insufficient(experiment, base, table, reasons)
-        said = told(base, known, begun.lacking)
-        search, found = whole_search(search, Found.nothing(begun.start, first))
+        said = reference_warning(base, known, search_start.reference_misfit)
+        search, found = search_stick_slip(search, SearchResult.nothing(search_start.start, first))
         return conclude(experiment, base, search, found, table, said)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.diagnosis.candidate_fit import adds_joint
 from vjm.diagnosis.screen import Screen
@@ -15,13 +14,12 @@ from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects.effect import Effect
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
-from vjm.records import REFERENCE
+from vjm.records import REFERENCE, Array
 from vjm.simulation.arm import Arm
-from vjm.simulation.least_squares import Triangle
+from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.run import Run, Start, run_all, transferred
 from vjm.simulation.sensitivity import Moved
 
-Array = NDArray[np.float64]
 Told = tuple[Array, Array]  # a recording's triangle, initial state eliminated, and (c,) squares of its directions
 
 _STEP = 0.1  # everyday sizes, over which the slope is taken
@@ -64,7 +62,7 @@ class Directions:
             effects, counts, whole = [effect, *effects], [len(told), *counts], np.r_[np.zeros(len(told)), whole]
         others = [k for k in range(coordinates) if k not in told]
         rows = self.rows[:, [*others, *told, *(coordinates + k for k in sizes), -1]]
-        together = Triangle.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
+        together = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
         return Screen(tuple(effects), _parts(counts), together.eliminated(len(others)).R, whole)
 
 
@@ -86,7 +84,7 @@ def directions(
     """
     # What sticks or rattles takes longest, and is begun first.
     jumping = [k for k, variant in enumerate(variants) if _jumps(point, variant)]
-    jumping.sort(key=lambda k: not variants[k].abrupt)
+    jumping.sort(key=lambda k: not variants[k].nonsmooth)
     found = workers.map(partial(_secants, point, present), [variants[k] for k in jumping])
     secants = dict(zip(jumping, found, strict=True))
     jobs = [(_only(point, run), {k: each[n] for k, each in secants.items()}) for n, run in enumerate(point.runs)]
@@ -114,8 +112,8 @@ def _told(present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Poin
     parts = _parts([variant.sizes for variant in variants])
     rows = _Rows(run, (*coordinates, *own), [secants.get(k) for k in range(len(variants))], parts)
     columns = 2 * run.basis.slow + len(coordinates) + len(own)
-    triangle = Triangle.of(rows.counted(), columns).with_rows(*run.preferred(columns))
-    return triangle.eliminated(2 * run.basis.slow).R, rows.squares
+    linearized = SquareRootInformation.of(rows.counted(), columns).with_rows(*run.preferred(columns))
+    return linearized.eliminated(2 * run.basis.slow).R, rows.squares
 
 
 def _jumps(point: Point, variant: Effect) -> bool:
@@ -165,7 +163,7 @@ def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect])
             starts.append(Start.of(arms[-1], run.observed.recording))
     count = len(point.runs)
     observed = [run.observed for run in point.runs] * len(added)
-    found = [run.residual for run in run_all(arms, observed, starts, states, point.problem.coarse)]
+    found = [run.residual for run in run_all(arms, observed, starts, states, point.problem.step_multiple)]
     return [found[first : first + count] for first in range(0, len(found), count)]
 
 

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.candidate_fit import Extension
@@ -25,11 +24,9 @@ from vjm.identification.torque_method import START_DAMPING
 from vjm.identification.trajectory_fit import Coordinates, Point, TrajectoryFit, fit_trajectory
 from vjm.identification.virtual_joints import cuts_of, nominal_chain
 from vjm.model import dynamics
-from vjm.records import Rig
+from vjm.records import Array, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.run import Run, Start, run_all, transferred
-
-Array = NDArray[np.float64]
 
 CLOSE = 2.0  # misfit from which coarseness is the smallest worry
 _FINER = 3  # times as many joints
@@ -39,19 +36,19 @@ _SETTLED = 1e-4  # relative fall of chi^2 from one pass to the next
 
 
 @dataclass(frozen=True)
-class Coarseness:
+class DiscretizationBias:
     """How a chain with endless joints would differ, each fitted as well as it can be.
 
     Attributes:
-        surplus: (N,) for each recording, what it would show beyond the chain [m, rad].
+        discretization_offset: (N,) for each recording, what it would show beyond the chain [m, rad].
         shift: (p,) of the coordinates, from the chain's to its own.
     """
 
-    surplus: tuple[Array, ...]
+    discretization_offset: tuple[Array, ...]
     shift: Array
 
 
-def coarseness(point: Point, rig: Rig, rough: bool = False) -> Coarseness | None:
+def discretization_bias(point: Point, rig: Rig, rough: bool = False) -> DiscretizationBias | None:
     """Compare a fitted chain with a finer one.
 
     Args:
@@ -62,7 +59,7 @@ def coarseness(point: Point, rig: Rig, rough: bool = False) -> Coarseness | None
     Returns:
         The difference; None where the finer chain cannot be simulated.
     """
-    bare = beside(point, [None] * len(point.runs))
+    bare = with_offset(point, [None] * len(point.runs))
     finer = _finer(bare, rig)
     best, found, here = np.inf, None, bare
     try:
@@ -73,30 +70,30 @@ def coarseness(point: Point, rig: Rig, rough: bool = False) -> Coarseness | None
                 break
             best, found = chi2, (shown, here.x)
             if left:
-                surplus = [one - two for one, two in zip(shown, own, strict=True)]
-                fit = _fitted(beside(here, surplus), rough=True)
-                here = beside(fit.point, [None] * len(shown))
+                discretization_offset = [one - two for one, two in zip(shown, own, strict=True)]
+                fit = _fitted(with_offset(here, discretization_offset), rough=True)
+                here = with_offset(fit.point, [None] * len(shown))
     except (SimulationDivergedError, InsufficientDataError):
         return None
     if found is None:
         return None
     shown, x = found
-    surplus = [_ENDLESS * (each - _predicted(bare, k)) for k, each in enumerate(shown)]
-    return Coarseness(tuple(surplus), _ENDLESS * (x - point.x))
+    discretization_offset = [_ENDLESS * (each - _predicted(bare, k)) for k, each in enumerate(shown)]
+    return DiscretizationBias(tuple(discretization_offset), _ENDLESS * (x - point.x))
 
 
-def corrected(fit: TrajectoryFit, found: Coarseness | None, rough: bool = False) -> TrajectoryFit:
+def corrected(fit: TrajectoryFit, found: DiscretizationBias | None, rough: bool = False) -> TrajectoryFit:
     """The fit once its chain's coarseness is known; a rough one is only a start for others."""
     if found is None:
         return fit
-    return _fitted(beside(fit.point, found.surplus), rough)
+    return _fitted(with_offset(fit.point, found.discretization_offset), rough)
 
 
-def beside(point: Point, surplus: Sequence[Array | None]) -> Point:
+def with_offset(point: Point, discretization_offset: Sequence[Array | None]) -> Point:
     """The same simulations, beside what is known to be shown beyond them."""
     runs = tuple(
-        replace(run, observed=replace(run.observed, surplus=each))
-        for run, each in zip(point.runs, surplus, strict=True)
+        replace(run, observed=replace(run.observed, discretization_offset=each))
+        for run, each in zip(point.runs, discretization_offset, strict=True)
     )
     return replace(point, problem=replace(point.problem, observed=tuple(run.observed for run in runs)), runs=runs)
 
@@ -107,10 +104,10 @@ def _fitted(point: Point, rough: bool = False) -> TrajectoryFit:
 
 def _finer(point: Point, rig: Rig) -> Coordinates:
     """The same coordinates of a chain with more joints."""
-    coarse = point.problem.parametrisation
-    joints = [_FINER * link.virtual_joints for link in coarse.template.links]
+    step_multiple = point.problem.parametrisation
+    joints = [_FINER * link.virtual_joints for link in step_multiple.template.links]
     template = nominal_chain(rig, cuts_of(rig, joints, DEFAULT_LAYOUT), START_DAMPING)
-    fine = Parametrisation(template, coarse.kind, coarse.hubs)
+    fine = Parametrisation(template, step_multiple.kind, step_multiple.hubs)
     extension = point.problem.extension
     return replace(extension, base=fine) if isinstance(extension, Extension) else fine
 
@@ -121,7 +118,7 @@ def _shown(finer: Coordinates, point: Point) -> list[Array]:
     arms = finer.arms(point.x, [each.recording for each in observed])
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     states = [_carried_over(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
-    runs = run_all(arms, observed, starts, states, point.problem.coarse)
+    runs = run_all(arms, observed, starts, states, point.problem.step_multiple)
     return [run.observed.predicted(run.arm, run.steps) for run in runs]
 
 
@@ -137,9 +134,9 @@ def _carried_over(run: Run, arm: Arm) -> Array:
         return state
     recording = run.observed.recording
     (q, v), (fine_q, fine_v) = np.split(run.state, 2), np.split(state, 2)
-    coarse = dynamics.mass_matrix(dynamics.build(run.chain, run.arm.inputs(recording).payload), q[None])[0]
+    step_multiple = dynamics.mass_matrix(dynamics.build(run.chain, run.arm.inputs(recording).payload), q[None])[0]
     fine = dynamics.mass_matrix(dynamics.build(arm.chain, arm.inputs(recording).payload), fine_q[None])[0]
-    missing = (coarse @ v)[run.chain.active] - (fine @ fine_v)[active]
+    missing = (step_multiple @ v)[run.chain.active] - (fine @ fine_v)[active]
     fine_v[active] += np.linalg.solve(fine[np.ix_(active, active)], missing)
     return np.concatenate([fine_q, fine_v])
 

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from vjm.diagnosis.candidate_fit import Explanation
+from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.records import Cause, Verdict
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.uncertainty import of_trajectory
-from vjm.records import REFERENCE, Experiment, Recording
+from vjm.records import REFERENCE, Array, Experiment, Recording
 from vjm.simulation.run import Run, Start, run_all
-
-Array = NDArray[np.float64]
 
 _SHARE = 0.1  # of the arm's mass, for a mass on the tip
 _TURN = np.pi / 2
@@ -44,7 +42,7 @@ class _Item:
     state: Callable[[Array, NDArray[np.intp]], Array]
 
 
-def proposals(best: Explanation, others: Sequence[Explanation]) -> list[Proposal]:
+def proposals(best: CandidateFit, others: Sequence[CandidateFit]) -> list[Proposal]:
     """What would tell an explanation from all of some others, the most telling first.
 
     Args:
@@ -60,7 +58,7 @@ def proposals(best: Explanation, others: Sequence[Explanation]) -> list[Proposal
     return sorted(found, key=lambda each: -each.evidence)
 
 
-def _menu(best: Explanation) -> Iterator[_Item]:
+def _menu(best: CandidateFit) -> Iterator[_Item]:
     chain = best.point.chain
     mass = float(f"{_SHARE * sum(link.masses.sum() for link in chain.links):.1g}")
     yield _Item(
@@ -101,7 +99,7 @@ def _turned_state(state: Array, active: NDArray[np.intp]) -> Array:
     return found
 
 
-def _liveliest(best: Explanation) -> list[int]:
+def _liveliest(best: CandidateFit) -> list[int]:
     """Of each kind of moving recording that may have changed, the one that moves most."""
     most: dict[str, tuple[float, int]] = {}
     for k, run in enumerate(best.point.runs):
@@ -112,7 +110,7 @@ def _liveliest(best: Explanation) -> list[int]:
     return [k for _, k in most.values()]
 
 
-def _evidence(true: Explanation, other: Explanation, k: int, item: _Item) -> float:
+def _evidence(true: CandidateFit, other: CandidateFit, k: int, item: _Item) -> float:
     """What another explanation would leave of a changed recording of an arm of which the first is true.
 
     Zero where one of them cannot be simulated.
@@ -136,9 +134,9 @@ def _evidence(true: Explanation, other: Explanation, k: int, item: _Item) -> flo
     return float(np.sum((wanted - (rows / scale) @ change) ** 2))
 
 
-def _imagined(explanation: Explanation, k: int, item: _Item) -> Run:
+def _imagined(candidate_fit: CandidateFit, k: int, item: _Item) -> Run:
     """What an explanation would show in a changed recording."""
-    point = explanation.point
+    point = candidate_fit.point
     run = point.runs[k]
     observed = run.observed.again(item.recording(run.observed.recording))
     (arm,) = point.problem.varied.arms(point.x, [observed.recording])
@@ -163,10 +161,10 @@ def next_experiment(
         causes: what was found.
         ask: told a cause, gives recordings by what they would be worth in telling it from its rivals.
     """
-    split = [cause for cause in causes if cause.rivals]
+    split = [cause for cause in causes if cause.alternatives]
     if split:
         cause = split[0]
-        names = [cause.effect.id, *(rival.effect.id for rival in cause.rivals)]
+        names = [cause.effect.id, *(alternative.effect.id for alternative in cause.alternatives)]
         worth = [each for each in ask(cause) if each.evidence > _TELLING]
         if worth:
             best = worth[0]
@@ -174,8 +172,8 @@ def next_experiment(
                 f"to tell {' from '.join(names)}: {best.text}; chi^2 of the two will then differ by about "
                 f"{best.evidence:.2g}"
             )
-        effects = (cause.effect, *(rival.effect for rival in cause.rivals))
-        means = dict.fromkeys(part for effect in effects for part in effect.apart_by.split("; "))
+        effects = (cause.effect, *(alternative.effect for alternative in cause.alternatives))
+        means = dict.fromkeys(part for effect in effects for part in effect.distinguishing_experiment.split("; "))
         told = "; or ".join(each for each in means if each)
         return f"to tell {' from '.join(names)}: record {told}"
     if verdict == "unknown":

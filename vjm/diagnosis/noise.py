@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import solve_toeplitz
 
+from vjm.records import Array
 from vjm.simulation.measurement import Observed, sampled
 from vjm.simulation.run import Run
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int_]
 
 _LAGS = 8  # frames

@@ -6,16 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vjm.effects.effect import Effect
 from vjm.records import Estimate, Experiment, Recording
 from vjm.simulation.initial_state import Replay
 from vjm.simulation.model import Model
 from vjm.symptoms.find import Symptoms
 
-Array = NDArray[np.float64]
 Verdict = Literal["none", "named", "set", "unknown", "insufficient"]
 
 
@@ -35,7 +31,7 @@ class Size:
 
 
 @dataclass(frozen=True)
-class Rival:
+class Alternative:
     """Another effect that explains the recordings as well as the one named, or nearly.
 
     Attributes:
@@ -56,7 +52,7 @@ class Cause:
         parameters: those of a beam, whose joints have no end, with standard errors, by name.
         p_value: probability that noise alone makes any of the candidates look as needed as this.
         gain: by how much chi^2 of the training recordings falls with it.
-        rivals: effects that cannot be told from it.
+        alternatives: effects that cannot be told from it.
         evidence: in words.
     """
 
@@ -64,7 +60,7 @@ class Cause:
     parameters: Mapping[str, Size]
     p_value: float
     gain: float
-    rivals: tuple[Rival, ...]
+    alternatives: tuple[Alternative, ...]
     evidence: str
 
 
@@ -101,14 +97,14 @@ class Replayed:
     Attributes:
         recording: without coordinates that cannot be right.
         before, after: replays; None where it cannot be simulated.
-        runner_up: by the runner-up cause; None where there is none.
+        next_best: by the runner-up cause; None where there is none.
         noise: of a marker coordinate [m].
     """
 
     recording: Recording
     before: Replay | None
     after: Replay | None
-    runner_up: Replay | None
+    next_best: Replay | None
     noise: float
 
 
@@ -129,7 +125,7 @@ class Gain:
     noise: float
     reduction: float
     interval: tuple[float, float]
-    runner_up: float | None = None
+    next_best: float | None = None
 
 
 @dataclass(frozen=True)
@@ -163,7 +159,7 @@ class Diagnosis:
         symptoms: what the model without effects gets wrong, before any cause is named.
         next_experiment: the recording that would tell what these cannot; None where there is nothing to tell.
         noise: in words, how the sensors' noise was judged.
-        runner_up: effects of the next best explanation; empty where nothing else was fitted.
+        next_best: effects of the next best explanation; empty where nothing else was fitted.
         warnings: what a user should know before trusting the result.
         notes: what was decided on the way, and why.
     """
@@ -181,6 +177,6 @@ class Diagnosis:
     symptoms: Symptoms | None
     next_experiment: str | None
     noise: str = ""
-    runner_up: tuple[Effect, ...] = ()
+    next_best: tuple[Effect, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())

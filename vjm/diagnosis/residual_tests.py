@@ -7,18 +7,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 from scipy.fft import dct
 
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.directions import screen
-from vjm.effects.effect import Effect, Motion, inner, size
+from vjm.effects.effect import Effect, Motion, magnitude, shape_parameter
 from vjm.identification.trajectory_fit import Point
-from vjm.records import Rig
+from vjm.records import Array, Rig
 from vjm.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 _EDGES = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # Hz
 _NOISE_FROM = 0.5  # of the highest frequency: beyond, a camera or encoder shows nothing but noise
@@ -46,7 +43,7 @@ class Band:
 
 
 @dataclass(frozen=True)
-class Leftover:
+class ResidualTest:
     """What is left of all recordings.
 
     Attributes:
@@ -60,7 +57,7 @@ class Leftover:
     excess: float
 
 
-def leftover(runs: Sequence[Run], expected: float = 1.0) -> Leftover:
+def residual_test(runs: Sequence[Run], expected: float = 1.0) -> ResidualTest:
     """Judge the residuals of recordings.
 
     Args:
@@ -75,11 +72,11 @@ def leftover(runs: Sequence[Run], expected: float = 1.0) -> Leftover:
         found.append(Band(run.observed.recording.file, sensor, band, squares / power - count, p))
         total, freedom = total + squares / power, freedom + count
     if not found:
-        return Leftover((), 1.0, 0.0)
+        return ResidualTest((), 1.0, 0.0)
     together = float(stats.chi2.sf(total, freedom))
     smallest = min(min(each.p_value for each in found) * len(found), together)
     ordered = tuple(sorted(found, key=lambda each: (each.p_value, -each.excess)))
-    return Leftover(ordered, min(1.0, 2 * smallest), total - freedom)
+    return ResidualTest(ordered, min(1.0, 2 * smallest), total - freedom)
 
 
 def _cells(run: Run) -> Iterator[tuple[Run, str, tuple[float, float], float, int, float]]:
@@ -213,8 +210,8 @@ _SHAPES: tuple[tuple[str, _Shape], ...] = (
 class JointProbe(Effect):
     """A torque of a given shape at the active joint."""
 
-    torque: float = size("N m", 0.01)
-    shape: int = inner("", 0, whole=True, grid=tuple(range(len(_SHAPES))))
+    torque: float = magnitude("N m", 0.01)
+    shape: int = shape_parameter("", 0, integer=True, grid=tuple(range(len(_SHAPES))))
 
     id = "joint_probe"
 
@@ -240,8 +237,8 @@ class JointProbe(Effect):
 class BendingProbe(Effect):
     """A bending moment of a given shape in all of a link."""
 
-    moment: float = size("N m", 0.01)
-    shape: int = inner("", 0, whole=True, grid=tuple(range(len(_SHAPES))))
+    moment: float = magnitude("N m", 0.01)
+    shape: int = shape_parameter("", 0, integer=True, grid=tuple(range(len(_SHAPES))))
 
     id = "bending_probe"
 

@@ -15,10 +15,8 @@ from vjm.effects import BUILTIN, Effect, ExternalTone
 from vjm.effects.effect import Key
 from vjm.errors import ChoiceError, ShapeError
 from vjm.identification.trajectory_fit import Point
-from vjm.records import Recording, Rig
+from vjm.records import Array, Recording, Rig
 from vjm.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 _ABSORBED = 1e-7  # share of a direction's square left once all else has been projected out, below which it is none
 
@@ -184,7 +182,7 @@ def chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]
 
 
 @dataclass(frozen=True)
-class Looked:
+class CandidateSet:
     """What is looked for.
 
     Attributes:
@@ -198,7 +196,7 @@ class Looked:
     untestable: tuple[tuple[Effect, str], ...]
 
 
-def looked_for(effects: Sequence[Effect], rig: Rig, point: Point) -> Looked:
+def build_candidates(effects: Sequence[Effect], rig: Rig, point: Point) -> CandidateSet:
     """The variants of effects that a fit's recordings can show."""
     recordings: list[Recording] = [run.observed.recording for run in point.runs]
     variants: list[Effect] = []
@@ -221,7 +219,7 @@ def looked_for(effects: Sequence[Effect], rig: Rig, point: Point) -> Looked:
         own = effect.variants(rig, recordings)
         variants += own
         times += [1.0] * len(own)
-    return Looked(tuple(variants), np.array(times), tuple(untestable))
+    return CandidateSet(tuple(variants), np.array(times), tuple(untestable))
 
 
 def _tones(effect: ExternalTone, rig: Rig, runs: Sequence[Run]) -> tuple[list[Effect], float]:
@@ -311,11 +309,11 @@ def _several(p: Array, looks: Array) -> Array:
     return result
 
 
-def candidates(looked: Looked, family: Family, alpha: float, floor: float) -> tuple[Candidate, ...]:
+def candidates(candidate_set: CandidateSet, family: Family, alpha: float, floor: float) -> tuple[Candidate, ...]:
     """Every effect that was looked for, the most needed first, those that cannot be tested last.
 
     Args:
-        looked: the variants.
+        candidate_set: the variants.
         family: p-values.
         alpha: of the whole search.
         floor: fall of chi^2 below which an effect does not matter, whatever its p-value.
@@ -330,15 +328,15 @@ def candidates(looked: Looked, family: Family, alpha: float, floor: float) -> tu
             found.append(Candidate(effect, None, None, {}, {}, reason))
             continue
         guess = effect.at(np.r_[seen.guess([k]), effect.coordinates[effect.sizes :]])
-        sizes = {each.name: float(guess.values[each.name]) for each in effect.parameters() if not each.inner}
+        sizes = {each.name: float(guess.values[each.name]) for each in effect.parameters() if not each.shape_parameter}
         least = _least(effect, wanted[k] * seen.std(k))
         found.append(Candidate(effect, float(np.sqrt(seen.statistics[k])), float(p[k]), sizes, least))
-    return (*found, *(Candidate(effect, None, None, {}, {}, reason) for effect, reason in looked.untestable))
+    return (*found, *(Candidate(effect, None, None, {}, {}, reason) for effect, reason in candidate_set.untestable))
 
 
 def _least(effect: Effect, coordinates: Array) -> dict[str, float]:
     """Sizes at coordinates (s,), as differences from the null (reciprocal ones as values)."""
-    named = [each for each in effect.parameters() if not each.inner]
+    named = [each for each in effect.parameters() if not each.shape_parameter]
     found = {}
     for each, coordinate in zip(named, coordinates.tolist(), strict=False):
         value = each.value(coordinate)

@@ -5,88 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from vjm.diagnosis.baseline import Base
-from vjm.diagnosis.candidate_fit import ADRIFT, Explanation, Extension, Names, named, refit, sized
+from vjm.diagnosis.baseline import LACKING, Base, SearchStart
+from vjm.diagnosis.candidate_fit import DIVERGED_MISFIT, CandidateFit, Extension, Names, named, sized
 from vjm.diagnosis.directions import screen
-from vjm.diagnosis.encoder_feedback import can_be_held, held, held_at_nominal, released
-from vjm.diagnosis.fit_cache import COARSE, NOISE, Job, Tell, Trials, proposal
-from vjm.diagnosis.screen import Family, Looked, looked_for
+from vjm.diagnosis.encoder_feedback import feedback_possible, fit_open_loop, held, nominal_with_feedback
+from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell, proposal
+from vjm.diagnosis.screen import CandidateSet, Family, build_candidates
 from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
-from vjm.effects.effect import Key, is_abrupt
-from vjm.identification.trajectory_fit import Point, TrajectoryFit
-from vjm.records import REFERENCE, Rig
-from vjm.simulation.initial_state import most_likely
-from vjm.simulation.run import Run
+from vjm.effects.effect import Key, is_nonsmooth
+from vjm.identification.trajectory_fit import Point
+from vjm.records import REFERENCE, Array, Rig
 
-LACKING = 1.5  # misfit of the reference recordings from which something was missing before the change
-_LOST = 0.3  # share of the motion; a larger residual does not follow it
-
-
-@dataclass(frozen=True)
-class Beginning:
-    """Where the search begins.
-
-    Attributes:
-        before: the model as it was before any change, beside all training recordings.
-        start: the best model without effects, from which effects are looked for.
-        lost: whether it does not follow what has changed: then no slope is a guide.
-        lacking: misfit of the reference recordings, in units of the noise, that is taken as noise; one: it is noise.
-    """
-
-    before: Explanation
-    start: Explanation
-    lost: bool = False
-    lacking: float = 1.0
-
-
-def beginning(base: Base, plain: Explanation) -> Beginning:
-    """From the model of the reference recordings, or of all where there are none.
-
-    Args:
-        base: the base fit, and the recordings that it has not.
-        plain: the same fit, with what was there before any change.
-    """
-    if not base.others:
-        return Beginning(plain, plain)
-    point = plain.point
-    lacking = point.misfit if point.misfit > LACKING else 1.0
-    problem = point.problem
-    known = [_scaled(run, lacking) for run in point.runs]
-    others = [replace(each, noise=(lacking * each.noise[0], lacking * each.noise[1])) for each in base.others]
-    arms = problem.varied.arms(point.x, [each.recording for each in others])
-    new = [run for run, _ in most_likely(arms, others, coarse=problem.coarse)]
-    runs = (*known, *new)
-    problem = replace(problem, observed=tuple(run.observed for run in runs))
-    before = Explanation(TrajectoryFit(Point(problem, point.x, runs), False, 0))
-    if any(_lost(run) for run in new):
-        return Beginning(before, before, True, lacking)
-    start = refit(before, before.effects)
-    return Beginning(before, start or before, False, lacking)
-
-
-def _scaled(run: Run, factor: float) -> Run:
-    """The same run with its noise so many times as large."""
-    if factor == 1.0:
-        return run
-    noise = run.observed.noise
-    return replace(run, observed=replace(run.observed, noise=(factor * noise[0], factor * noise[1])))
-
-
-def _lost(run: Run) -> bool:
-    """Whether a run does not follow its recording."""
-    seen = run.observed
-    markers, _ = seen.spread(seen.values - seen.predicted(run.arm, run.steps))
-    measured, _ = seen.spread(seen.values)
-    motion = np.nanstd(measured, axis=0)
-    return bool(np.sqrt(np.nanmean(markers**2)) > _LOST * np.sqrt(np.mean(motion**2)))
-
-
-Array = NDArray[np.float64]
-Step = tuple[Explanation, Sequence[int]]
+Step = tuple[CandidateFit, Sequence[int]]
 
 # Of what something that sticks or rattles explains, the share that a good fit may leave: impacts are not exact.
 _ABRUPT_LEAVES = 0.001
@@ -117,7 +48,7 @@ class Rules:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Where a search ended.
 
     Attributes:
@@ -125,17 +56,17 @@ class Found:
         first: the screen beside the model without effects, and its p-values.
         last: the same beside the best explanation.
         p_values: of each effect of the best explanation, when it was added.
-        runner_up: the next best of as many effects, where another search found both; None: this one knows.
+        next_best: the next best of as many effects, where another search found both; None: this one knows.
     """
 
-    best: Explanation
+    best: CandidateFit
     first: Family
     last: Family
     p_values: dict[Key, float] = field(default_factory=dict)
-    runner_up: Explanation | None = None
+    next_best: CandidateFit | None = None
 
     @classmethod
-    def nothing(cls, start: Explanation, first: Family) -> Found:
+    def nothing(cls, start: CandidateFit, first: Family) -> SearchResult:
         """Before anything was looked for."""
         return cls(start, first, first)
 
@@ -146,7 +77,7 @@ class Search:
     def __init__(
         self,
         rig: Rig,
-        begun: Beginning,
+        search_start: SearchStart,
         effects: Sequence[Effect],
         rules: Rules,
         tell: Tell,
@@ -156,107 +87,118 @@ class Search:
         self.effects = effects
         self.rules = rules
         self.tell = tell
-        self.begun = begun
-        self.start = begun.start
+        self.search_start = search_start
+        self.start = search_start.start
         self.workers = workers
-        self.trials = Trials(rig, begun, tell, workers)
-        self.looked = self._looked(self.start)
+        self.trials = FitCache(rig, search_start, tell, workers)
+        self.candidate_set = self._looked(self.start)
 
-    def again(self, start: Explanation) -> Search:
+    def again(self, start: CandidateFit) -> Search:
         """The same search from another start, which follows the recordings."""
-        begun = replace(self.begun, start=start, lost=False)
-        return Search(self.rig, begun, self.effects, self.rules, self.tell, self.workers)
+        search_start = replace(self.search_start, start=start, diverges_from_data=False)
+        return Search(self.rig, search_start, self.effects, self.rules, self.tell, self.workers)
 
-    def run(self, begun: Found, ended: Callable[[Found], bool] = lambda found: False) -> Found:
+    def run(
+        self, search_start: SearchResult, ended: Callable[[SearchResult], bool] = lambda found: False
+    ) -> SearchResult:
         """Add effects while they are needed.
 
         Args:
-            begun: where to go on.
+            search_start: where to go on.
             ended: whether the search should go no further.
         """
-        best, family, p_values = begun.best, begun.last, dict(begun.p_values)
-        found = begun
+        best, family, p_values = search_start.best, search_start.last, dict(search_start.p_values)
+        found = search_start
         while len(best.effects) < self.rules.most + len(self.start.effects) and not ended(found):
             needed = self.needed(best, family)
             if not needed:
                 break
-            trial = self._tried(best, begun.first, family, needed)
+            trial = self._tried(best, search_start.first, family, needed)
             if trial is None or not self._worth(best, trial):
                 break
-            best = self.trials.sharpen(self.trials.polish(self._without_idle(trial)))
+            best = self.trials.correct_discretization(self.trials.converge(self._without_idle(trial)))
             p_values |= {
-                key: min(_p_value(each, key) for each in (family, begun.first)) for key in best.names - p_values.keys()
+                key: min(_p_value(each, key) for each in (family, search_start.first))
+                for key in best.names - p_values.keys()
             }
             family = self.judged(best)
-            found = Found(best, begun.first, family, p_values)
+            found = SearchResult(best, search_start.first, family, p_values)
         return found
 
-    def _tried(self, best: Explanation, first: Family, family: Family, needed: Sequence[int]) -> Explanation | None:
+    def _tried(self, best: CandidateFit, first: Family, family: Family, needed: Sequence[int]) -> CandidateFit | None:
         """The best explanation with one effect more."""
-        steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.from_afar(best) else _BEST]]
-        if best.is_held and not is_abrupt(best.effects):
+        steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.screen_unreliable(best) else _BEST]]
+        if best.uses_feedback and not is_nonsmooth(best.effects):
             # Slopes show little of what sticks or rattles; held, it can be tried.
             chosen = {k for _, (k,) in steps}
-            variants = family.seen.one_each(k for k, each in enumerate(family.seen.effects) if each.abrupt)
+            variants = family.seen.one_each(k for k, each in enumerate(family.seen.effects) if each.nonsmooth)
             steps += [(best, [k]) for k in variants if k not in chosen]
-        near = is_abrupt(best.effects) and best.point.misfit < COARSE
-        if len(best.effects) == len(self.start.effects) + 1 and not near and not self.trials.from_afar(self.start):
+        near = is_nonsmooth(best.effects) and best.point.misfit < COARSE
+        if (
+            len(best.effects) == len(self.start.effects) + 1
+            and not near
+            and not self.trials.screen_unreliable(self.start)
+        ):
             steps += self._pairs(first, best)
-        smooth, abrupt = self._apart(family, first, best, steps)
-        if self.trials.footing(best) is not best or best.is_held:
-            smooth, abrupt = steps, []  # over first periods only, or held, nothing takes long
-        self.race(best, family, first, smooth)
+        smooth, nonsmooth = self._apart(family, first, best, steps)
+        if self.trials.linearization_point(best) is not best or best.uses_feedback:
+            smooth, nonsmooth = steps, []  # over first periods only, or held, nothing takes long
+        self.successive_halving(best, family, first, smooth)
         if not self.trials.explained(len(best.effects) + 1):
-            self.race(best, family, first, abrupt)
+            self.successive_halving(best, family, first, nonsmooth)
         return self.trials.best(len(best.effects) + 1)
 
-    def judged(self, explanation: Explanation) -> Family:
+    def judged(self, candidate_fit: CandidateFit) -> Family:
         """Candidates beside an explanation."""
         self.tell("looking for what is missing")
-        names = explanation.names
-        looked = self.looked if explanation is self.start else self._looked(explanation)
+        names = candidate_fit.names
+        candidate_set = self.candidate_set if candidate_fit is self.start else self._looked(candidate_fit)
         # What sticks and slips is slow to try, and not what could be left where all but noise is explained.
-        quick = explanation is not self.start and explanation.point.misfit < NOISE
+        quick = candidate_fit is not self.start and candidate_fit.point.misfit < NOISE
         kept = [
             k
-            for k, variant in enumerate(looked.variants)
-            if variant.key not in names and not (quick and variant.abrupt)
+            for k, variant in enumerate(candidate_set.variants)
+            if variant.key not in names and not (quick and variant.nonsmooth)
         ]
-        variants = [looked.variants[k] for k in kept]
-        footing = self.trials.footing(explanation)
-        seen = screen(footing.point, footing.effects, variants, self.workers)
-        return Family.of(seen, looked.times[kept], self.rules.alpha, self.rules.seed)
+        variants = [candidate_set.variants[k] for k in kept]
+        linearization_point = self.trials.linearization_point(candidate_fit)
+        seen = screen(linearization_point.point, linearization_point.effects, variants, self.workers)
+        return Family.of(seen, candidate_set.times[kept], self.rules.alpha, self.rules.seed)
 
-    def _looked(self, explanation: Explanation) -> Looked:
+    def _looked(self, candidate_fit: CandidateFit) -> CandidateSet:
         """What to look for: a tone where the residuals have one."""
-        return looked_for(self.effects, self.rig, self.trials.footing(explanation).point)
+        return build_candidates(self.effects, self.rig, self.trials.linearization_point(candidate_fit).point)
 
-    def matters(self, explanation: Explanation) -> float:
+    def matters(self, candidate_fit: CandidateFit) -> float:
         """By how much candidates beside an explanation must lower the chi^2 that they are judged by.
 
         A share of what noise leaves: much more may be left beside an explanation that lacks something else.
         """
-        footing = self.trials.footing(explanation)
-        least = self.rules.least(min(footing.chi2, footing.point.count))
-        for effect in explanation.effects:
-            if effect.abrupt:
-                without = self.trials.tried.get(explanation.names - {effect.key}, self.start)
-                least = max(least, _ABRUPT_LEAVES * (self.trials.footing(without).chi2 - footing.chi2))
+        linearization_point = self.trials.linearization_point(candidate_fit)
+        least = self.rules.least(min(linearization_point.chi2, linearization_point.point.count))
+        for effect in candidate_fit.effects:
+            if effect.nonsmooth:
+                without = self.trials.tried.get(candidate_fit.names - {effect.key}, self.start)
+                least = max(
+                    least, _ABRUPT_LEAVES * (self.trials.linearization_point(without).chi2 - linearization_point.chi2)
+                )
         return least
 
-    def race(self, best: Explanation, family: Family, first: Family, steps: Sequence[Step]) -> None:
+    def successive_halving(self, best: CandidateFit, family: Family, first: Family, steps: Sequence[Step]) -> None:
         """Refit explanations, giving up those that will not come near the best."""
         jobs = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            abrupt = any(seen.effects[k].abrupt for k in chosen)
-            job = proposal(self.trials.origin(start, abrupt), seen, chosen, self.trials.from_afar(start))
+            nonsmooth = any(seen.effects[k].nonsmooth for k in chosen)
+            job = proposal(
+                self.trials.refit_start(start, nonsmooth), seen, chosen, self.trials.screen_unreliable(start)
+            )
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
         self.trials.fit(jobs)
 
     def replacements(
-        self, best: Explanation, others: Sequence[Effect], added: Sequence[Effect], guesses: Sequence[Array]
+        self, best: CandidateFit, others: Sequence[Effect], added: Sequence[Effect], guesses: Sequence[Array]
     ) -> None:
         """Fit explanations in which a cause is replaced, from the best without it.
 
@@ -272,39 +214,40 @@ class Search:
         new = [added[k] for k in sizes]
         start = trials.tried.get(names, self.start)
         if new and start.names == names:
-            footing, afar = trials.footing(start), trials.from_afar(start)
-            seen = screen(footing.point, footing.effects, new, self.workers)
-            jobs = [proposal(trials.origin(start, each.abrupt), seen, [k], afar) for k, each in enumerate(new)]
+            linearization_point, afar = trials.linearization_point(start), trials.screen_unreliable(start)
+            seen = screen(linearization_point.point, linearization_point.effects, new, self.workers)
+            jobs = [proposal(trials.refit_start(start, each.nonsmooth), seen, [k], afar) for k, each in enumerate(new)]
             trials.fit(jobs, every=True)
         elif new:  # the others were never fitted without the cause
             chain = best.point.chain
-            trials.fit([Job(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()], every=True)
+            trials.fit([FitJob(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()], every=True)
 
     def _apart(
-        self, family: Family, first: Family, best: Explanation, steps: Sequence[Step]
+        self, family: Family, first: Family, best: CandidateFit, steps: Sequence[Step]
     ) -> tuple[list[Step], list[Step]]:
         """Steps that are quickly fitted, and those with what sticks and slips."""
         smooth: list[Step] = []
-        abrupt: list[Step] = []
+        nonsmooth: list[Step] = []
         for start, chosen in steps:
             seen = family.seen if start is best else first.seen
-            (abrupt if any(seen.effects[k].abrupt for k in chosen) else smooth).append((start, chosen))
-        return smooth, abrupt
+            (nonsmooth if any(seen.effects[k].nonsmooth for k in chosen) else smooth).append((start, chosen))
+        return smooth, nonsmooth
 
-    def needed(self, best: Explanation, family: Family) -> list[int]:
+    def needed(self, best: CandidateFit, family: Family) -> list[int]:
         """Candidates that are needed beside an explanation, one variant each, the most needed first."""
-        seen, least, lost = family.seen, self.matters(best), self.trials.from_afar(best)
+        seen, least, diverges_from_data = family.seen, self.matters(best), self.trials.screen_unreliable(best)
         needed = seen.one_each(
             k
             for k in range(len(seen.effects))
-            if (lost and not seen.absorbed[k]) or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
+            if (diverges_from_data and not seen.absorbed[k])
+            or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
         )
         if best is self.start:
             return needed
         # What sticks and slips takes as long to try as all else together: only where it is among the most needed.
-        return [k for place, k in enumerate(needed) if place < FEW or not seen.effects[k].abrupt]
+        return [k for place, k in enumerate(needed) if place < FEW or not seen.effects[k].nonsmooth]
 
-    def _pairs(self, first: Family, best: Explanation) -> list[Step]:
+    def _pairs(self, first: Family, best: CandidateFit) -> list[Step]:
         """Pairs that explain most by the first screen, without the best single effect.
 
         Of several variants, as of a marker that is off, the best may be another beside another effect than alone.
@@ -322,17 +265,17 @@ class Search:
             found.setdefault(frozenset({seen.effects[i].key, seen.effects[j].key}), [i, j])
         return [(self.start, pair) for pair in [*found.values()][:_PAIRS]]
 
-    def _worth(self, fewer: Explanation, more: Explanation) -> bool:
+    def _worth(self, fewer: CandidateFit, more: CandidateFit) -> bool:
         return fewer.chi2 - more.chi2 > max(self.rules.least(fewer.chi2), self.matters(fewer))
 
-    def _without_idle(self, explanation: Explanation) -> Explanation:
+    def _without_idle(self, candidate_fit: CandidateFit) -> CandidateFit:
         """Without effects that the others make needless."""
-        new = explanation.effects[len(self.start.effects) :]
+        new = candidate_fit.effects[len(self.start.effects) :]
         for effect in new if len(new) > 1 else ():  # the step to a first effect is judged against the start
-            fewer = self.trials.without(explanation, effect, explanation.chi2 * (1 + self.rules.matters))
-            if fewer is not None and not self._worth(fewer, explanation):
+            fewer = self.trials.without(candidate_fit, effect, candidate_fit.chi2 * (1 + self.rules.matters))
+            if fewer is not None and not self._worth(fewer, candidate_fit):
                 return self._without_idle(fewer)
-        return explanation
+        return candidate_fit
 
 
 def _p_value(family: Family, key: Key) -> float:
@@ -341,7 +284,7 @@ def _p_value(family: Family, key: Key) -> float:
     return min((p for effect, p in found if effect.key == key), default=1.0)
 
 
-def whole_search(search: Search, begun: Found) -> tuple[Search, Found]:
+def search_stick_slip(search: Search, search_start: SearchResult) -> tuple[Search, SearchResult]:
     """Look for all that is missing, open loop as far as that is a guide.
 
     A joint that sticks a moment too early is off for good, so that fits open loop are lost among accidents. What may
@@ -349,14 +292,14 @@ def whole_search(search: Search, begun: Found) -> tuple[Search, Found]:
 
     Args:
         search: open loop.
-        begun: what it has found so far.
+        search_start: what it has found so far.
 
     Returns:
         The search that found the explanation, and where it ended.
     """
-    if not can_be_held(search.start):
-        return search, search.run(begun)
-    found, asked = begun, set[Names]()
+    if not feedback_possible(search.start):
+        return search, search.run(search_start)
+    found, asked = search_start, set[Names]()
     while True:
         found = search.run(found, lambda each: each.best.names not in asked and _may_stick(search, each))
         if found.best.names in asked or not _may_stick(search, found):
@@ -369,60 +312,60 @@ def whole_search(search: Search, begun: Found) -> tuple[Search, Found]:
         other, beside = held_search
         if _is_needed(other, beside) or _is_adrift(search, found):
             beside = other.run(beside)
-            if is_abrupt(beside.best.effects):
+            if is_nonsmooth(beside.best.effects):
                 return other, beside
-            found = _released(search, found, beside.best, other.trials.runner_up(beside.best))
+            found = _released(search, found, beside.best, other.trials.next_best(beside.best))
             asked.add(found.best.names)
 
 
-def _may_stick(search: Search, found: Found) -> bool:
+def _may_stick(search: Search, found: SearchResult) -> bool:
     """Whether what sticks and slips is among the most needed, or may be hidden where nothing follows the recordings."""
     return bool(search.needed(found.best, found.last)) and (_is_adrift(search, found) or _is_needed(search, found))
 
 
-def _is_adrift(search: Search, found: Found) -> bool:
+def _is_adrift(search: Search, found: SearchResult) -> bool:
     """Whether the search begins where nothing follows the recordings."""
-    return found.best is search.start and found.best.point.misfit > ADRIFT
+    return found.best is search.start and found.best.point.misfit > DIVERGED_MISFIT
 
 
-def _is_needed(search: Search, found: Found) -> bool:
+def _is_needed(search: Search, found: SearchResult) -> bool:
     """Whether what sticks and slips is among the most needed."""
-    return any(found.last.seen.effects[k].abrupt for k in search.needed(found.best, found.last)[:FEW])
+    return any(found.last.seen.effects[k].nonsmooth for k in search.needed(found.best, found.last)[:FEW])
 
 
-def _held(search: Search, found: Found) -> tuple[Search, Found] | None:
+def _held(search: Search, found: SearchResult) -> tuple[Search, SearchResult] | None:
     """The search with simulations held, and what it would have found so far; None where that cannot be simulated."""
     start = held(search.start)
     best = start if found.best is search.start else held(found.best)
     if start is None or best is None:
         return None
-    if best is start and start.point.misfit > ADRIFT:
+    if best is start and start.point.misfit > DIVERGED_MISFIT:
         # Parameters that follow nothing, even held, lead away from what is missing.
-        best = start = held_at_nominal(search.start) or start
+        best = start = nominal_with_feedback(search.start) or start
     other = search.again(start)
     first = other.judged(start)
     if best is start:
-        return other, Found.nothing(start, first)
+        return other, SearchResult.nothing(start, first)
     other.trials.tried[best.names] = best
-    return other, Found(best, first, other.judged(best), found.p_values)
+    return other, SearchResult(best, first, other.judged(best), found.p_values)
 
 
-def _released(search: Search, found: Found, best: Explanation, runner_up: Explanation | None) -> Found:
+def _released(search: Search, found: SearchResult, best: CandidateFit, next_best: CandidateFit | None) -> SearchResult:
     """What was found with simulations held, fitted open loop; what was before where that cannot be simulated."""
-    free = None if best.names == found.best.names else released(best, search.start)
+    free = None if best.names == found.best.names else fit_open_loop(best, search.start)
     if free is None:
         return found
     search.trials.tried[free.names] = free
-    free = search.trials.sharpen(search.trials.polish(free))
-    return Found(free, found.first, search.judged(free), found.p_values, runner_up)
+    free = search.trials.correct_discretization(search.trials.converge(free))
+    return SearchResult(free, found.first, search.judged(free), found.p_values, next_best)
 
 
 _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
 
 
-def already_there(
+def preexisting_effects(
     base: Base, effects: Sequence[Effect], rig: Rig, tell: Callable[[str], None], workers: Workers
-) -> Explanation:
+) -> CandidateFit:
     """The model of the reference recordings, with the effect that explains much of them, if one does.
 
     Args:
@@ -434,16 +377,16 @@ def already_there(
     """
     if not base.others or base.point.misfit < LACKING:
         return base.plain
-    start = Explanation(replace(base.fit, point=_as(base.point, None)))
-    smooth = [effect for effect in effects if not effect.abrupt]
-    search = Search(rig, Beginning(start, start), smooth, _MUCH, tell, workers)
-    best = search.run(Found.nothing(start, search.judged(start))).best
+    start = CandidateFit(replace(base.fit, point=_as(base.point, None)))
+    smooth = [effect for effect in effects if not effect.nonsmooth]
+    search = Search(rig, SearchStart(start, start), smooth, _MUCH, tell, workers)
+    best = search.run(SearchResult.nothing(start, search.judged(start))).best
     if not best.effects:
         return base.plain
     problem = best.point.problem
-    extension = Extension(problem.parametrisation, best.effects, everywhere=len(best.effects))
+    extension = Extension(problem.parametrisation, best.effects, reference_effects=len(best.effects))
     point = _as(replace(best.point, problem=replace(problem, extension=extension)), REFERENCE)
-    return Explanation(replace(best.fit, point=point))
+    return CandidateFit(replace(best.fit, point=point))
 
 
 def _as(point: Point, condition: str | None) -> Point:
@@ -455,7 +398,7 @@ def _as(point: Point, condition: str | None) -> Point:
     return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
 
 
-def told(base: Base, known: Explanation, lacking: float) -> str:
+def reference_warning(base: Base, known: CandidateFit, reference_misfit: float) -> str:
     """What the reference recordings show already, as a sentence; empty where it is nothing but noise."""
     if base.point.misfit < LACKING or not base.others:
         return ""
@@ -468,4 +411,5 @@ def told(base: Base, known: Explanation, lacking: float) -> str:
         return f"{said}; no single candidate explains it"
     effect = known.effects[0]
     values = ", ".join(f"{name} {value:.3g}" for name, value in effect.values.items())
-    return f"{said}; {effect.id} ({values}) explains it down to {lacking * noise:.2g} mm and is part of both models"
+    down_to = f"{reference_misfit * noise:.2g} mm"
+    return f"{said}; {effect.id} ({values}) explains it down to {down_to} and is part of both models"

@@ -7,48 +7,55 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.diagnosis.alternatives import alternatives
+from vjm.diagnosis.alternatives import find_alternatives
 from vjm.diagnosis.baseline import Base
-from vjm.diagnosis.candidate_fit import Explanation
+from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.fit_cache import OFF
 from vjm.diagnosis.next_experiment import Proposal, next_experiment, proposals
-from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Rival, Size, Verdict
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Size, Verdict
 from vjm.diagnosis.replays import follow, found_symptoms
-from vjm.diagnosis.residual_tests import Leftover, Repeated, described, leftover, noise_told, remains_told, repeated
-from vjm.diagnosis.selection import Found, Search
+from vjm.diagnosis.residual_tests import (
+    Repeated,
+    ResidualTest,
+    described,
+    noise_told,
+    remains_told,
+    repeated,
+    residual_test,
+)
+from vjm.diagnosis.selection import Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.identification.uncertainty import Information, covariance, estimates, of_trajectory, to_physical
-from vjm.records import REFERENCE, Estimate, Experiment, Recording
+from vjm.records import REFERENCE, Array, Estimate, Experiment, Recording
 from vjm.simulation.model import Model
-
-Array = NDArray[np.float64]
 
 _SLOPE_STEP = 1e-5
 
 
 def found_causes(
-    search: Search, found: Found, rivals: Mapping[Key, tuple[Rival, ...]], spread: Array
+    search: Search, found: SearchResult, alternatives: Mapping[Key, tuple[Alternative, ...]], spread: Array
 ) -> tuple[Cause, ...]:
     """The best explanation's new effects as causes, the one without which most is missed first.
 
     Args:
         search: can fit more.
         found: where it ended.
-        rivals: what explains the recordings as well, by the cause in whose place.
+        alternatives: what explains the recordings as well, by the cause in whose place.
         spread: (p, p) covariance of the best explanation's coordinates.
     """
     best, family, causes = found.best, found.first, []
     scale = max(1.0, best.point.misfit**2)
     estimated = best.extension.present(best.estimate)
-    for effect, beam, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][best.everywhere :]:
+    for effect, beam, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][
+        best.reference_effects :
+    ]:
         fewer = search.trials.tried.get(best.names - {effect.key}) or search.trials.without(best, effect, np.inf)
         without = fewer or search.start
         drop = without.chi2 - best.chi2
         before, after = without.point.misfit, best.point.misfit
-        unit = "the noise" if search.begun.lacking == 1 else "what was missing before the change"
+        unit = "the noise" if search.search_start.reference_misfit == 1 else "what was missing before the change"
         evidence = (
             f"without it the model misses the training recordings by {before:.3g} times {unit}, with it by "
             f"{after:.3g}; chi^2 falls by {drop:.3g}"
@@ -59,7 +66,7 @@ def found_causes(
                 _sizes(beam, spread[part, part]),
                 max(min(found.p_values.get(effect.key, 1.0), family.p_of_fit(effect, drop / scale)), 1e-300),
                 drop,
-                rivals.get(effect.key, ()),
+                alternatives.get(effect.key, ()),
                 evidence,
             )
         )
@@ -80,7 +87,7 @@ def _sizes(effect: Effect, spread: Array) -> dict[str, Size]:
         slope = slopes[each.name]
         with np.errstate(invalid="ignore"):  # of an explanation that the recordings do not determine
             variance = float(slope @ spread @ slope)
-        std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not each.whole else None
+        std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not each.integer else None
         found[each.name] = Size(float(values[each.name]), std, each.unit)
     return found
 
@@ -102,7 +109,7 @@ def gain(followed: Sequence[Replayed], seed: int) -> Gain | None:
     if not held_out:
         return None
     blocks = np.concatenate([_blocks(each) for each in held_out])
-    before, after, count, runner_up = blocks.sum(axis=0)
+    before, after, count, next_best = blocks.sum(axis=0)
     draws = np.random.default_rng(seed).integers(0, len(blocks), (_DRAWS, len(blocks)))
     sums = blocks[draws].sum(axis=1)
     reductions = 1 - np.sqrt(sums[:, 1] / np.maximum(sums[:, 0], 1e-300))
@@ -113,7 +120,7 @@ def gain(followed: Sequence[Replayed], seed: int) -> Gain | None:
         noise=held_out[0].noise,
         reduction=float(1 - np.sqrt(after / before)),
         interval=(low, high),
-        runner_up=float(np.sqrt(runner_up / count)) if np.isfinite(runner_up) else None,
+        next_best=float(np.sqrt(next_best / count)) if np.isfinite(next_best) else None,
     )
 
 
@@ -122,7 +129,7 @@ def _blocks(each: Replayed) -> Array:
     recording = each.recording
     known = np.isfinite(recording.markers)
     columns = []
-    for replay in (each.before, each.after, each.runner_up):
+    for replay in (each.before, each.after, each.next_best):
         if replay is None:
             columns.append(np.full(len(known), np.nan))
             continue
@@ -201,7 +208,7 @@ def conclude(
     experiment: Experiment,
     base: Base,
     search: Search,
-    found: Found,
+    found: SearchResult,
     table: tuple[Candidate, ...],
     already: str = "",
 ) -> Diagnosis:
@@ -216,20 +223,23 @@ def conclude(
         already: what was missing before any change, as a sentence.
     """
     best = found.best
-    new = best.effects[best.everywhere :]
+    new = best.effects[best.reference_effects :]
     scale = max(1.0, best.point.misfit**2)
     search.tell("asking what cannot be told apart")
     # What does not follow the recordings is no explanation that others could equal.
     asked = new if best.point.misfit < OFF else ()
-    rivals = alternatives(found, search, asked, scale)
+    alternatives = find_alternatives(found, search, asked, scale)
     information, _ = of_trajectory(best.fit, True)
-    causes = found_causes(search, found, rivals, covariance(information))
+    causes = found_causes(search, found, alternatives, covariance(information))
     search.tell("replaying the recordings")
-    model, plain = _model(experiment, base, best, information), _model(experiment, base, search.begun.before, None)
-    runner_up = search.trials.runner_up(best) or found.runner_up
-    followed = follow(experiment, base, search.begun.before, best, runner_up)
+    model, plain = (
+        _model(experiment, base, best, information),
+        _model(experiment, base, search.search_start.before, None),
+    )
+    next_best = search.trials.next_best(best) or found.next_best
+    followed = follow(experiment, base, search.search_start.before, best, next_best)
     gained = gain(followed, search.rules.seed)
-    left, again = leftover(best.point.runs), repeated(best.point.runs)
+    left, again = residual_test(best.point.runs), repeated(best.point.runs)
     needed = _still_needed(best, search, found)
     remains = _remains(best, base, search, left, needed)
     description = _described(experiment, best, left, again, found, needed) if remains else _usual(best, base, search)
@@ -248,7 +258,7 @@ def conclude(
         symptoms=found_symptoms(experiment, plain, followed, base),
         next_experiment=next_experiment(experiment, verdict, causes, partial(_worth, search, best)),
         noise=f"{base.noise.source}; {noise_told(again)}",
-        runner_up=runner_up.effects[runner_up.everywhere :] if runner_up else (),
+        next_best=next_best.effects[next_best.reference_effects :] if next_best else (),
         warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
         notes=_notes(search, base, best, left, remains),
     )
@@ -261,13 +271,13 @@ def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
     """The diagnosis where what is significant is small, and of no use."""
     named = ", ".join(cause.effect.id for cause in diagnosis.causes)
     warning = f"{named} would explain a little of the training recordings and nothing of those held out: not a cause"
-    followed = tuple(replace(each, after=each.before, runner_up=None) for each in diagnosis.recordings)
+    followed = tuple(replace(each, after=each.before, next_best=None) for each in diagnosis.recordings)
     return replace(
         diagnosis,
         verdict="none",
         causes=(),
         model=diagnosis.base,
-        runner_up=(),
+        next_best=(),
         parameters=diagnosis.base.estimates,
         recordings=followed,
         gain=gain(followed, seed),
@@ -303,33 +313,33 @@ def _verdict(causes: Sequence[Cause], remains: bool) -> Verdict:
         return "unknown"
     if not causes:
         return "none"
-    return "set" if any(cause.rivals for cause in causes) else "named"
+    return "set" if any(cause.alternatives for cause in causes) else "named"
 
 
-def _still_needed(best: Explanation, search: Search, found: Found) -> list[int]:
+def _still_needed(best: CandidateFit, search: Search, found: SearchResult) -> list[int]:
     """Candidates of the last screen that are certain and matter."""
     certain = (found.last.p_values < search.rules.alpha) & (found.last.seen.statistics > search.matters(best))
     return [int(k) for k in np.flatnonzero(certain)]
 
 
-def _remains(best: Explanation, base: Base, search: Search, left: Leftover, needed: Sequence[int]) -> bool:
+def _remains(best: CandidateFit, base: Base, search: Search, left: ResidualTest, needed: Sequence[int]) -> bool:
     """Whether the explanation leaves more than noise; more than before the change, where that was more than noise."""
-    if search.begun.lacking > 1:
+    if search.search_start.reference_misfit > 1:
         return _changed_misfit(best, search) > _CLEARLY * base.point.misfit
     unlikely = left.p_value < _UNLIKELY and left.excess > search.matters(best)
     return unlikely or bool(needed)
 
 
-def _changed_misfit(best: Explanation, search: Search) -> float:
+def _changed_misfit(best: CandidateFit, search: Search) -> float:
     """By how many times the noise the changed recordings are missed."""
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     squares, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
-    return float(search.begun.lacking * np.sqrt(squares / max(count, 1)))
+    return float(search.search_start.reference_misfit * np.sqrt(squares / max(count, 1)))
 
 
-def _usual(best: Explanation, base: Base, search: Search) -> str:
+def _usual(best: CandidateFit, base: Base, search: Search) -> str:
     """What is left where as much was missing before a change; empty where noise is all that is usual."""
-    if search.begun.lacking <= 1:
+    if search.search_start.reference_misfit <= 1:
         return ""
     return (
         f"the changed recordings are missed by {_changed_misfit(best, search):.2g} times the noise; the reference ones "
@@ -337,35 +347,37 @@ def _usual(best: Explanation, base: Base, search: Search) -> str:
     )
 
 
-def _model(experiment: Experiment, base: Base, explanation: Explanation, information: Information | None) -> Model:
+def _model(experiment: Experiment, base: Base, candidate_fit: CandidateFit, information: Information | None) -> Model:
     """The model of an explanation, with its parameters' estimates."""
-    parametrisation = explanation.point.problem.parametrisation
+    parametrisation = candidate_fit.point.problem.parametrisation
     own = len(parametrisation.coordinates)
-    x, estimate = explanation.point.x[:own], explanation.estimate[:own]
+    x, estimate = candidate_fit.point.x[:own], candidate_fit.estimate[:own]
     if information is None:
-        information, _ = of_trajectory(explanation.fit, True)
+        information, _ = of_trajectory(candidate_fit.fit, True)
     inside = covariance(information)[:own, :own]
     kept = Information(information.normal[:own, :own], information.spread[:own, :own])
     found: tuple[Estimate, ...] = estimates(
         parametrisation, estimate, kept, to_physical(parametrisation, estimate, inside)
     )
     noise = base.fit.point.runs[0].observed.noise
-    return Model(parametrisation.chain(x), experiment.rig, *noise, found, explanation.effects, explanation.everywhere)
+    return Model(
+        parametrisation.chain(x), experiment.rig, *noise, found, candidate_fit.effects, candidate_fit.reference_effects
+    )
 
 
-def _worth(search: Search, best: Explanation, cause: Cause) -> Sequence[Proposal]:
+def _worth(search: Search, best: CandidateFit, cause: Cause) -> Sequence[Proposal]:
     """Recordings by how well they would tell a cause from its rivals."""
     others = best.names - {cause.effect.key}
-    rivals = [search.trials.tried.get(others | {rival.effect.key}) for rival in cause.rivals]
-    return proposals(best, [each for each in rivals if each is not None])
+    alternatives = [search.trials.tried.get(others | {alternative.effect.key}) for alternative in cause.alternatives]
+    return proposals(best, [each for each in alternatives if each is not None])
 
 
 def _described(
     experiment: Experiment,
-    best: Explanation,
-    left: Leftover,
+    best: CandidateFit,
+    left: ResidualTest,
     again: Repeated | None,
-    found: Found,
+    found: SearchResult,
     needed: Sequence[int],
 ) -> str:
     """Where something remains and what it looks like."""
@@ -382,18 +394,18 @@ def _described(
     return "; ".join(parts)
 
 
-def _notes(search: Search, base: Base, best: Explanation, left: Leftover, remains: bool) -> tuple[str, ...]:
+def _notes(search: Search, base: Base, best: CandidateFit, left: ResidualTest, remains: bool) -> tuple[str, ...]:
     joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in base.point.chain.links)
     known = "is measured against a finer chain" if best.shift is not None else "was not measured"
     notes = [f"virtual joints of the search's chain: {joints}; what so few of them get wrong {known}"]
-    if search.begun.lost:
+    if search.search_start.diverges_from_data:
         notes.append(
             "without a change the model follows so little of the changed recordings that the table of candidates, "
             "which is linear, is no guide: each was fitted"
         )
-    if not remains and search.begun.lacking == 1 and left.p_value < _UNLIKELY:
+    if not remains and search.search_start.reference_misfit == 1 and left.p_value < _UNLIKELY:
         notes.append("what is left is a little more than noise, and too little to matter")
-    if best.is_held:
+    if best.uses_feedback:
         notes.append(
             "dry friction or play: while fitting, a weak spring and damper held the simulated joint near its encoder's "
             "angles; misfits and parameters are those of such simulations, replays and the gain are open loop"

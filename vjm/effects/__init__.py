@@ -10,7 +10,7 @@ from vjm.effects.bending import (
     ViscoelasticCreep,
 )
 from vjm.effects.drag import LinearDrag, QuadraticDrag
-from vjm.effects.effect import Effect, Motion, Parameter, Way, inner, size
+from vjm.effects.effect import Effect, Motion, Parameter, RateIndependentUpdate, magnitude, shape_parameter
 from vjm.effects.joint import CoulombFriction, JointSpring, TorqueGain, TorqueOffset, ViscousFriction
 from vjm.effects.root import Backlash, ClampCompliance, GearElasticity
 from vjm.effects.sensors import (
@@ -93,6 +93,7 @@ __all__ = [
     "Motion",
     "Parameter",
     "QuadraticDrag",
+    "RateIndependentUpdate",
     "RestCurvature",
     "RollingShutter",
     "StiffnessDrift",
@@ -104,8 +105,7 @@ __all__ = [
     "UnmodelledMode",
     "ViscoelasticCreep",
     "ViscousFriction",
-    "Way",
     "by_id",
-    "inner",
-    "size",
+    "magnitude",
+    "shape_parameter",
 ]

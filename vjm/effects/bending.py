@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, LinkEffect, Motion, changed_link, inner, size
+from vjm.effects.effect import Effect, LinkEffect, Motion, changed_link, magnitude, shape_parameter
 from vjm.model.modes import linearise, modes_of
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 # Modes above are damped no faster than one here [rad/s]: no camera shows them, and steps need not follow them.
 _FASTEST = 1000.0
@@ -29,12 +27,12 @@ class StructuralDamping(LinkEffect):
         loss_factor: energy lost in a radian over the strain energy.
     """
 
-    loss_factor: float = size("", 0.01, lower=0.0, upper=0.3)
+    loss_factor: float = magnitude("", 0.01, lower=0.0, upper=0.3)
 
     id = "structural_damping"
-    says = "structural damping: a loss in bending that does not depend on the rate"
+    description = "structural damping: a loss in bending that does not depend on the rate"
     reference = "S. H. Crandall, The role of damping in vibration theory, Journal of Sound and Vibration 11(1), 1970"
-    apart_by = "two or more modes in free decay"
+    distinguishing_experiment = "two or more modes in free decay"
     dissipative = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -74,12 +72,12 @@ class CubicStiffness(LinkEffect):
         coefficient: positive: hardening, negative: softening [m^2].
     """
 
-    coefficient: float = size("m^2", 0.05)
+    coefficient: float = magnitude("m^2", 0.05)
 
     id = "cubic_stiffness"
-    says = "a bending stiffness that changes with the curvature"
+    description = "a bending stiffness that changes with the curvature"
     reference = "A. H. Nayfeh and P. F. Pai, Linear and Nonlinear Structural Mechanics, Wiley, 2004"
-    apart_by = "recordings at two amplitudes"
+    distinguishing_experiment = "recordings at two amplitudes"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Proportional to the angles' cubes."""
@@ -104,15 +102,15 @@ class StiffnessDrift(LinkEffect):
         rate: [1/s].
     """
 
-    rate: float = size("1/s", 0.002)
+    rate: float = magnitude("1/s", 0.002)
 
     id = "stiffness_drift"
-    says = "a bending stiffness that drifts during each recording"
+    description = "a bending stiffness that drifts during each recording"
     reference = (
         "H. Sohn, Effects of environmental and operational variability on structural health monitoring, Philosophical "
         "Transactions of the Royal Society A 365, 2007"
     )
-    apart_by = "recordings at two amplitudes, or one that starts again when the link has warmed up"
+    distinguishing_experiment = "recordings at two amplitudes, or one that starts again when the link has warmed up"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Proportional to time and angles."""
@@ -137,12 +135,12 @@ class RestCurvature(LinkEffect):
         curvature: [1/m].
     """
 
-    curvature: float = size("1/m", 0.02)
+    curvature: float = magnitude("1/m", 0.02)
 
     id = "rest_curvature"
-    says = "a link that is bent at rest"
+    description = "a link that is bent at rest"
     reference = "S. P. Timoshenko and J. M. Gere, Theory of Elastic Stability, 2nd edition, McGraw-Hill, 1961"
-    apart_by = "a fixed fiducial beside the base in the camera's view"
+    distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
 
     def chain(self, chain: Chain) -> Chain:
         """With an arc for the link."""
@@ -157,9 +155,9 @@ class UnmodelledMode(Effect):
     """The chain has too few virtual joints for what the recordings show: a reason to refit, no physics."""
 
     id = "unmodelled_mode"
-    says = "a bending mode for which the model has too few virtual joints"
+    description = "a bending mode for which the model has too few virtual joints"
     reference = "M. J. Balas, Feedback control of flexible systems, IEEE Transactions on Automatic Control 23(4), 1978"
-    apart_by = "the same fit with two virtual joints more"
+    distinguishing_experiment = "the same fit with two virtual joints more"
 
 
 _CREEP_STEPS = 1.5  # longest step, in time constants; an explicit one of fourth order is stable up to 2.8
@@ -176,7 +174,7 @@ class MemoryEffect(LinkEffect):
         ratio: its stiffness over that of the link's own spring.
     """
 
-    ratio: float = size("", 0.03, lower=0.0, upper=1.0)
+    ratio: float = magnitude("", 0.03, lower=0.0, upper=1.0)
 
     def states(self, chain: Chain) -> int:
         """One for each virtual joint of the link."""
@@ -191,12 +189,12 @@ class ViscoelasticCreep(MemoryEffect):
         time_constant: of the series [s].
     """
 
-    time_constant: float = inner("s", 0.1, lower=1e-3, upper=1e3, grid=(0.01, 0.032, 0.1, 0.32, 1.0))
+    time_constant: float = shape_parameter("s", 0.1, lower=1e-3, upper=1e3, grid=(0.01, 0.032, 0.1, 0.32, 1.0))
 
     id = "viscoelastic_creep"
-    says = "creep: a part of the bending stiffness that relaxes"
+    description = "creep: a part of the bending stiffness that relaxes"
     reference = "C. Zener, Elasticity and Anelasticity of Metals, University of Chicago Press, 1948"
-    apart_by = "two or more modes in free decay, and a static bend that is held"
+    distinguishing_experiment = "two or more modes in free decay, and a static bend that is held"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Of the relaxing springs."""
@@ -233,16 +231,16 @@ class Hysteresis(MemoryEffect):
         yield_angle: of the bending of the whole link, of which each joint has a part [rad].
     """
 
-    ratio: float = size("", 0.05, lower=0.0, upper=1.0)
-    yield_angle: float = inner("rad", 0.05, lower=1e-3, upper=3.0, grid=(0.01, 0.031, 0.097, 0.3))
+    ratio: float = magnitude("", 0.05, lower=0.0, upper=1.0)
+    yield_angle: float = shape_parameter("rad", 0.05, lower=1e-3, upper=3.0, grid=(0.01, 0.031, 0.097, 0.3))
 
     id = "hysteresis"
-    says = "hysteresis: stiffness that is lost where the link bends farther than it slips"
+    description = "hysteresis: stiffness that is lost where the link bends farther than it slips"
     reference = (
         "Y.-K. Wen, Method for random vibration of hysteretic systems, Journal of the Engineering Mechanics Division, "
         "ASCE 102(2), 1976"
     )
-    apart_by = "recordings at two amplitudes, and a slow one"
+    distinguishing_experiment = "recordings at two amplitudes, and a slow one"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """On top of the springs' own -K phi."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import LinkEffect, Motion, size
+from vjm.effects.effect import LinkEffect, Motion, magnitude
+from vjm.records import Array
 
-Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
@@ -103,12 +103,12 @@ class LinearDrag(LinkEffect):
         coefficient: force per length over velocity [N s/m^2].
     """
 
-    coefficient: float = size("N s/m^2", 0.05, lower=0.0)
+    coefficient: float = magnitude("N s/m^2", 0.05, lower=0.0)
 
     id = "linear_drag"
-    says = "air drag in proportion to the velocity"
+    description = "air drag in proportion to the velocity"
     reference = _REFERENCE
-    apart_by = "two or more modes in free decay: drag damps the slow ones most"
+    distinguishing_experiment = "two or more modes in free decay: drag damps the slow ones most"
     dissipative = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -126,12 +126,12 @@ class QuadraticDrag(LinkEffect):
         coefficient: force per length over the velocity's square [N s^2/m^3].
     """
 
-    coefficient: float = size("N s^2/m^3", 0.1, lower=0.0)
+    coefficient: float = magnitude("N s^2/m^3", 0.1, lower=0.0)
 
     id = "quadratic_drag"
-    says = "air drag in proportion to the square of the velocity"
+    description = "air drag in proportion to the square of the velocity"
     reference = _REFERENCE
-    apart_by = "two amplitudes: its damping grows with the amplitude"
+    distinguishing_experiment = "two amplitudes: its damping grows with the amplitude"
     dissipative = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:

@@ -14,17 +14,15 @@ from itertools import product
 from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.records import Recording, Rig
+from vjm.records import Array, Recording, Rig
 
-Array = NDArray[np.float64]
 Key = tuple[str, int | None]
 # From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
 Motion = Callable[[Array, Array, Array, Array], Array]
 # From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
-Way = Callable[[Array, Array, Array], Array]
+RateIndependentUpdate = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -35,53 +33,61 @@ class Parameter:
         name: as in the class.
         unit: SI; empty where it has none.
         null: value at which the effect is absent; NaN for an inner parameter, which means nothing then.
-        usual: an everyday size of the difference from `null` (of the value itself, where that is reciprocal or inner).
+        typical_magnitude: difference from `null` (the value itself, where reciprocal or a shape parameter).
         lower, upper: bounds of the value.
         grid: of an inner parameter, the values from which searches start.
         reciprocal: whether the effect grows with one over the value, whose null is infinite.
-        whole: whether it is a whole number, which is never varied in a fit.
+        integer: whether it is a whole number, which is never varied in a fit.
     """
 
     name: str
     unit: str
     null: float
-    usual: float
+    typical_magnitude: float
     lower: float
     upper: float
     grid: tuple[float, ...]
     reciprocal: bool
-    whole: bool
+    integer: bool
 
     @property
-    def inner(self) -> bool:
+    def shape_parameter(self) -> bool:
         """Whether it says how the effect is, not how large."""
         return bool(np.isnan(self.null))
 
     def coordinate(self, value: float) -> float:
         """The number that a search varies: zero at the null, one at an everyday size; inner: a logarithm."""
         if self.reciprocal:
-            return self.usual / value
-        return float(np.log(value / self.usual)) if self.inner else (value - self.null) / self.usual
+            return self.typical_magnitude / value
+        return (
+            float(np.log(value / self.typical_magnitude))
+            if self.shape_parameter
+            else (value - self.null) / self.typical_magnitude
+        )
 
     def value(self, coordinate: float) -> float:
         """The value at a coordinate."""
         if self.reciprocal:
-            return self.usual / coordinate if coordinate > 0 else np.inf
-        return float(self.usual * np.exp(coordinate)) if self.inner else self.null + self.usual * coordinate
+            return self.typical_magnitude / coordinate if coordinate > 0 else np.inf
+        return (
+            float(self.typical_magnitude * np.exp(coordinate))
+            if self.shape_parameter
+            else self.null + self.typical_magnitude * coordinate
+        )
 
     @property
     def bounds(self) -> tuple[float, float]:
         """Of the coordinate."""
         if self.reciprocal:
-            return 0.0, self.usual / self.lower if self.lower > 0 else np.inf
-        if self.inner:
+            return 0.0, self.typical_magnitude / self.lower if self.lower > 0 else np.inf
+        if self.shape_parameter:
             return (self.coordinate(self.lower) if self.lower > 0 else -np.inf), self.coordinate(self.upper)
         return tuple(sorted((self.coordinate(self.lower), self.coordinate(self.upper))))  # type: ignore[return-value]
 
 
-def size(
+def magnitude(
     unit: str,
-    usual: float,
+    typical_magnitude: float,
     null: float = 0.0,
     lower: float = -np.inf,
     upper: float = np.inf,
@@ -91,29 +97,36 @@ def size(
 
     Args:
         unit: SI; empty where it has none.
-        usual: an everyday size of the difference from the null (reciprocal: an everyday value).
+        typical_magnitude: an everyday size of the difference from the null (reciprocal: an everyday value).
         null: value at which the effect is absent.
         lower, upper: bounds.
         reciprocal: whether the effect grows with one over the value.
     """
-    kept = Parameter("", unit, null, usual, lower, upper, (), reciprocal, False)
+    kept = Parameter("", unit, null, typical_magnitude, lower, upper, (), reciprocal, False)
     return field(default=null, metadata={_KEY: kept})
 
 
-def inner(
-    unit: str, usual: float, lower: float = 0.0, upper: float = np.inf, grid: Sequence[float] = (), whole: bool = False
+def shape_parameter(
+    unit: str,
+    typical_magnitude: float,
+    lower: float = 0.0,
+    upper: float = np.inf,
+    grid: Sequence[float] = (),
+    integer: bool = False,
 ) -> Any:
     """A field that says how an effect is, which means nothing where its size is null.
 
     Args:
         unit: SI; empty where it has none.
-        usual: an everyday value, the default.
+        typical_magnitude: an everyday value, the default.
         lower, upper: bounds.
         grid: values from which searches start; the everyday value where empty.
-        whole: whether it is a whole number.
+        integer: whether it is a whole number.
     """
-    kept = Parameter("", unit, np.nan, usual, lower, upper, tuple(grid) or (usual,), False, whole)
-    return field(default=int(usual) if whole else usual, metadata={_KEY: kept})
+    kept = Parameter(
+        "", unit, np.nan, typical_magnitude, lower, upper, tuple(grid) or (typical_magnitude,), False, integer
+    )
+    return field(default=int(typical_magnitude) if integer else typical_magnitude, metadata={_KEY: kept})
 
 
 _KEY = "vjm"
@@ -131,11 +144,11 @@ class Effect:
 
     id: ClassVar[str] = ""
     # In the words of a mechanical engineer, as in "the data say: ...".
-    says: ClassVar[str] = ""
+    description: ClassVar[str] = ""
     # Where the model is described.
     reference: ClassVar[str] = ""
     # Which recording tells it from what it looks like.
-    apart_by: ClassVar[str] = ""
+    distinguishing_experiment: ClassVar[str] = ""
     # Whether it can only take energy out of the arm.
     dissipative: ClassVar[bool] = False
     # Whether it is in the sensors, not in the arm.
@@ -144,7 +157,7 @@ class Effect:
     in_urdf: ClassVar[bool] = False
     # Whether motion depends on it abruptly, as on what sticks and slips: it is looked for with simulated joints held
     # near the angles that were measured, and what is left after a fit need not be noise.
-    abrupt: ClassVar[bool] = False
+    nonsmooth: ClassVar[bool] = False
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -164,7 +177,7 @@ class Effect:
     @cached_property
     def is_null(self) -> bool:
         """Whether it is absent."""
-        return all(getattr(self, each.name) == each.null for each in self.parameters() if not each.inner)
+        return all(getattr(self, each.name) == each.null for each in self.parameters() if not each.shape_parameter)
 
     @property
     def coordinates(self) -> Array:
@@ -186,12 +199,12 @@ class Effect:
     @property
     def sizes(self) -> int:
         """Number of coordinates, the first ones, that say how large it is."""
-        return sum(not each.inner for each in self.parameters())
+        return sum(not each.shape_parameter for each in self.parameters())
 
     @classmethod
     def _varied(cls) -> tuple[Parameter, ...]:
-        found = [each for each in cls.parameters() if not each.whole]
-        return tuple(sorted(found, key=lambda each: each.inner))
+        found = [each for each in cls.parameters() if not each.integer]
+        return tuple(sorted(found, key=lambda each: each.shape_parameter))
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         """Links on which it can act; None alone for what is camera-wide."""
@@ -199,7 +212,7 @@ class Effect:
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Absent instances from which searches start: one for each place and each combination of inner values."""
-        grids = [[(each.name, value) for value in each.grid] for each in self.parameters() if each.inner]
+        grids = [[(each.name, value) for value in each.grid] for each in self.parameters() if each.shape_parameter]
         return tuple(
             replace(self, link=link, **dict(chosen)) for link in self.places(rig) for chosen in product(*grids)
         )
@@ -235,10 +248,10 @@ class Effect:
         return 0
 
     def rates(self, chain: Chain) -> Motion | None:
-        """Their rates of change; needed where there are any and `way` says nothing of them."""
+        """Their rates of change; needed where there are any and `rate_independent_update` says nothing of them."""
         return None
 
-    def way(self, chain: Chain) -> Way | None:
+    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         """How its internal states follow the joints, where that depends on the way and not on the time it takes.
 
         What slips has no slope at instants: `smooth` then says what stands for it, without internal states.
@@ -249,7 +262,7 @@ class Effect:
         """(..., nz) internal states at a recording's start, at angles (..., nv) [rad]."""
         return np.zeros((*q.shape[:-1], self.states(chain)))
 
-    def settled(self, chain: Chain, q: Array) -> Array:
+    def rest_state(self, chain: Chain, q: Array) -> Array:
         """Angles (..., nv) near the given ones [rad] at which an arm on which nothing acts would stay."""
         return q
 
@@ -279,9 +292,9 @@ class Effect:
         return theta
 
 
-def is_abrupt(effects: Sequence[Effect]) -> bool:
+def is_nonsmooth(effects: Sequence[Effect]) -> bool:
     """Whether something among them sticks and slips, or rattles."""
-    return any(effect.abrupt for effect in effects)
+    return any(effect.nonsmooth for effect in effects)
 
 
 NO_JOINT = "the arm has no active joint"

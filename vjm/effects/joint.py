@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import (
@@ -15,15 +14,13 @@ from vjm.effects.effect import (
     Effect,
     JointEffect,
     Motion,
-    Way,
+    RateIndependentUpdate,
     active_coordinate,
     changed_link,
     has_torque,
-    size,
+    magnitude,
 )
-from vjm.records import Recording, Rig
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Recording, Rig
 
 # Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows, and that an
 # arm which sticks with an everyday torque (0.008 N m) swings on it at some 10 Hz, which steps of a millisecond resolve.
@@ -43,18 +40,18 @@ class CoulombFriction(JointEffect):
         torque: [N m].
     """
 
-    torque: float = size("N m", 0.008, lower=0.0)
+    torque: float = magnitude("N m", 0.008, lower=0.0)
 
     id = "coulomb_friction"
-    says = "dry friction at the active joint"
+    description = "dry friction at the active joint"
     reference = (
         "P. Dupont, V. Hayward, B. Armstrong and F. Altpeter, Single state elastoplastic friction models, IEEE "
         "Transactions on Automatic Control 47(5), 2002"
     )
-    apart_by = "slow sweeps in both directions, and motion that comes to a stop"
+    distinguishing_experiment = "slow sweeps in both directions, and motion that comes to a stop"
     dissipative = True
     in_urdf = True
-    abrupt = True
+    nonsmooth = True
 
     def smooth(self) -> Effect:
         """Without the bristle: reversals take as long as derivatives are apart."""
@@ -69,7 +66,7 @@ class CoulombFriction(JointEffect):
         joint, torque = active_coordinate(chain, self.index), self.torque
         return None if self.is_null else _at(joint, lambda v, z: -torque / _PRESLIDING * z[..., 0])
 
-    def way(self, chain: Chain) -> Way | None:
+    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         """With the joint, as far as it does not slip."""
         if self.is_null:
             return None
@@ -86,7 +83,7 @@ class CoulombFriction(JointEffect):
 class _SmoothFriction(JointEffect):
     """Dry friction whose sign changes gradually."""
 
-    torque: float = size("N m", 0.008, lower=0.0)
+    torque: float = magnitude("N m", 0.008, lower=0.0)
 
     id = "coulomb_friction"
 
@@ -115,12 +112,12 @@ class ViscousFriction(JointEffect):
         coefficient: [N m s/rad].
     """
 
-    coefficient: float = size("N m s/rad", 0.004, lower=0.0)
+    coefficient: float = magnitude("N m s/rad", 0.004, lower=0.0)
 
     id = "viscous_friction"
-    says = "viscous friction at the active joint"
+    description = "viscous friction at the active joint"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
-    apart_by = "motion of the joint at speeds that differ much, with the link bending little"
+    distinguishing_experiment = "motion of the joint at speeds that differ much, with the link bending little"
     dissipative = True
     in_urdf = True
 
@@ -140,12 +137,12 @@ class JointSpring(JointEffect):
         stiffness: [N m/rad].
     """
 
-    stiffness: float = size("N m/rad", 0.05, lower=0.0)
+    stiffness: float = magnitude("N m/rad", 0.05, lower=0.0)
 
     id = "joint_spring"
-    says = "a cable or hose that pulls the active joint back to zero"
+    description = "a cable or hose that pulls the active joint back to zero"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
-    apart_by = "slow sweeps in both directions over a wide range of the joint"
+    distinguishing_experiment = "slow sweeps in both directions over a wide range of the joint"
 
     def chain(self, chain: Chain) -> Chain:
         """With a spring at the joint."""
@@ -172,15 +169,15 @@ class TorqueGain(TorqueEffect):
         gain: true over recorded.
     """
 
-    gain: float = size("", 0.05, null=1.0, lower=0.2, upper=5.0)
+    gain: float = magnitude("", 0.05, null=1.0, lower=0.2, upper=5.0)
 
     id = "torque_gain"
-    says = "the true torque is a multiple of the recorded one"
+    description = "the true torque is a multiple of the recorded one"
     reference = (
         "M. Gautier and S. Briot, Global identification of joint drive gains and dynamic parameters of robots, Journal "
         "of Dynamic Systems, Measurement, and Control 136(5), 2014"
     )
-    apart_by = "a recording with a weighed mass on the tip"
+    distinguishing_experiment = "a recording with a weighed mass on the tip"
 
     def inputs(self, recording: Recording) -> Recording:
         """With the true torque."""
@@ -195,15 +192,15 @@ class TorqueOffset(TorqueEffect):
         offset: true less recorded [N m].
     """
 
-    offset: float = size("N m", 0.005)
+    offset: float = magnitude("N m", 0.005)
 
     id = "torque_offset"
-    says = "a constant torque beside the recorded one"
+    description = "a constant torque beside the recorded one"
     reference = (
         "J. Swevers, W. Verdonck and J. De Schutter, Dynamic model identification for industrial robots, IEEE Control "
         "Systems Magazine 27(5), 2007"
     )
-    apart_by = "recordings at several hub angles, and slow sweeps in both directions"
+    distinguishing_experiment = "recordings at several hub angles, and slow sweeps in both directions"
 
     def inputs(self, recording: Recording) -> Recording:
         """With the true torque."""

@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.effects.effect import Effect, JointEffect, LinkEffect, Motion, size
-
-Array = NDArray[np.float64]
+from vjm.effects.effect import Effect, JointEffect, LinkEffect, Motion, magnitude
+from vjm.records import Array
 
 _MOTOR_SHARE = 0.5  # of the hub's inertia, on the motor's side of a gear
 
@@ -33,15 +31,15 @@ class ClampCompliance(LinkEffect):
         compliance: turn over the bending moment at the root [rad/(N m)].
     """
 
-    compliance: float = size("rad/(N m)", 0.005, lower=0.0)
+    compliance: float = magnitude("rad/(N m)", 0.005, lower=0.0)
 
     id = "clamp_compliance"
-    says = "a clamp that gives way: the link's root turns in it"
+    description = "a clamp that gives way: the link's root turns in it"
     reference = (
         "K. R. Chun, Free vibration of a beam with one end spring-hinged and the other free, Journal of Applied "
         "Mechanics 39(4), 1972"
     )
-    apart_by = "a recording with a known mass on the tip, or a marker next to the clamp"
+    distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
     in_urdf = True
 
     def chain(self, chain: Chain) -> Chain:
@@ -59,15 +57,15 @@ class GearElasticity(JointEffect):
         stiffness: [N m/rad].
     """
 
-    stiffness: float = size("N m/rad", 60.0, null=np.inf, lower=1.0, reciprocal=True)
+    stiffness: float = magnitude("N m/rad", 60.0, null=np.inf, lower=1.0, reciprocal=True)
 
     id = "gear_elasticity"
-    says = "an elastic gear or shaft between the motor's encoder and the hub"
+    description = "an elastic gear or shaft between the motor's encoder and the hub"
     reference = (
         "M. W. Spong, Modeling and control of elastic joint robots, Journal of Dynamic Systems, Measurement, and "
         "Control 109(4), 1987"
     )
-    apart_by = "a marker on the hub, or a recording with a known mass on the tip"
+    distinguishing_experiment = "a marker on the hub, or a recording with a known mass on the tip"
 
     def chain(self, chain: Chain) -> Chain:
         """With a joint between motor and hub."""
@@ -86,15 +84,15 @@ class Backlash(JointEffect):
         gap: its whole width [rad].
     """
 
-    gap: float = size("rad", 0.004, lower=0.0, upper=0.2)
+    gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
 
     id = "backlash"
-    abrupt = True
-    says = "play between the motor and the hub"
+    nonsmooth = True
+    description = "play between the motor and the hub"
     reference = (
         "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002"
     )
-    apart_by = "a marker on the hub, and slow motion that changes its direction"
+    distinguishing_experiment = "a marker on the hub, and slow motion that changes its direction"
 
     def smooth(self) -> Effect:
         """With flanks so soft that contact does not begin between two instants at which derivatives are taken."""
@@ -125,7 +123,7 @@ class Backlash(JointEffect):
 
         return force
 
-    def settled(self, chain: Chain, q: Array) -> Array:
+    def rest_state(self, chain: Chain, q: Array) -> Array:
         """With the hub between the flanks, on one of them at most."""
         if self.is_null:
             return q

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.curve import rotate
 from vjm.effects.effect import (
@@ -20,13 +19,11 @@ from vjm.effects.effect import (
     has_encoder,
     has_torque,
     in_base_frame,
-    inner,
-    size,
+    magnitude,
+    shape_parameter,
 )
 from vjm.errors import ShapeError
-from vjm.records import Recording, Rig
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Recording, Rig
 
 
 @dataclass(frozen=True)
@@ -37,15 +34,15 @@ class CameraScale(Effect):
         scale: measured over true position.
     """
 
-    scale: float = size("", 0.008, null=1.0, lower=0.5, upper=2.0)
+    scale: float = magnitude("", 0.008, null=1.0, lower=0.5, upper=2.0)
 
     id = "camera_scale"
-    says = "a camera whose scale is off"
+    description = "a camera whose scale is off"
     reference = (
         "Z. Zhang, A flexible new technique for camera calibration, IEEE Transactions on Pattern Analysis and Machine "
         "Intelligence 22(11), 2000"
     )
-    apart_by = "two fiducials at a measured distance in the camera's view"
+    distinguishing_experiment = "two fiducials at a measured distance in the camera's view"
     sensor = True
 
     def shown(self, positions: Array, headings: Array) -> Array:
@@ -61,12 +58,12 @@ class CameraRotation(Effect):
         angle: [rad].
     """
 
-    angle: float = size("rad", 0.01, lower=-np.pi, upper=np.pi)
+    angle: float = magnitude("rad", 0.01, lower=-np.pi, upper=np.pi)
 
     id = "camera_rotation"
-    says = "a camera that is turned against the base"
+    description = "a camera that is turned against the base"
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
-    apart_by = "a fixed fiducial beside the base in the camera's view"
+    distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
@@ -91,12 +88,12 @@ class LensDistortion(Effect):
         k1: [1/m^2].
     """
 
-    k1: float = size("1/m^2", 0.01, lower=-0.5, upper=0.5)
+    k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5)
 
     id = "lens_distortion"
-    says = "a lens that distorts with the distance from the middle"
+    description = "a lens that distorts with the distance from the middle"
     reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
-    apart_by = "three or more fiducials at measured distances in the camera's view"
+    distinguishing_experiment = "three or more fiducials at measured distances in the camera's view"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
@@ -121,18 +118,18 @@ class MarkerOffset(LinkEffect):
         first: number of markers on the links before this one; None: unknown, right for the first link only.
     """
 
-    marker: int = inner("", 1, lower=1, whole=True)
-    along: float = size("m", 0.005, lower=-0.5, upper=0.5)
-    across: float = size("m", 0.005, lower=-0.5, upper=0.5)
+    marker: int = shape_parameter("", 1, lower=1, integer=True)
+    along: float = magnitude("m", 0.005, lower=-0.5, upper=0.5)
+    across: float = magnitude("m", 0.005, lower=-0.5, upper=0.5)
     first: int | None = field(default=None, kw_only=True)
 
     id = "marker_offset"
-    says = "a marker that is not where the experiment file says"
+    description = "a marker that is not where the experiment file says"
     reference = (
         "J. M. Hollerbach and C. W. Wampler, The calibration index and taxonomy for robot kinematic calibration "
         "methods, International Journal of Robotics Research 15(6), 1996"
     )
-    apart_by = "a ruler: measure where on the link the marker is"
+    distinguishing_experiment = "a ruler: measure where on the link the marker is"
     sensor = True
 
     @property
@@ -175,15 +172,17 @@ class EncoderOffset(ColumnEffect):
         offset: shown less true angle [rad].
     """
 
-    offset: float = size("rad", 0.005, lower=-np.pi, upper=np.pi)
+    offset: float = magnitude("rad", 0.005, lower=-np.pi, upper=np.pi)
 
     id = "encoder_offset"
-    says = "the encoder's zero is off"
+    description = "the encoder's zero is off"
     reference = (
         "J. M. Hollerbach and C. W. Wampler, The calibration index and taxonomy for robot kinematic calibration "
         "methods, International Journal of Robotics Research 15(6), 1996"
     )
-    apart_by = "a fixed fiducial beside the base in the camera's view; under gravity, static sag at several hub angles"
+    distinguishing_experiment = (
+        "a fixed fiducial beside the base in the camera's view; under gravity, static sag at several hub angles"
+    )
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
@@ -214,15 +213,15 @@ class TimeOffset(ClockEffect):
         delay: [s].
     """
 
-    delay: float = size("s", 0.015, lower=-0.1, upper=0.1)
+    delay: float = magnitude("s", 0.015, lower=-0.1, upper=0.1)
 
     id = "time_offset"
-    says = "a camera that lags behind its time stamps"
+    description = "a camera that lags behind its time stamps"
     reference = (
         "P. Furgale, J. Rehder and R. Siegwart, Unified temporal and spatial calibration for multi-sensor systems, "
         "IEEE/RSJ International Conference on Intelligent Robots and Systems (IROS), 2013"
     )
-    apart_by = "driven recordings with fast motion, and two recordings that start differently"
+    distinguishing_experiment = "driven recordings with fast motion, and two recordings that start differently"
 
     def instants(self, time: Array, positions: Array) -> Array:
         """Earlier."""
@@ -237,15 +236,15 @@ class ClockScale(ClockEffect):
         scale: time of the camera over true time.
     """
 
-    scale: float = size("", 0.002, null=1.0, lower=0.8, upper=1.25)
+    scale: float = magnitude("", 0.002, null=1.0, lower=0.8, upper=1.25)
 
     id = "clock_scale"
-    says = "a camera whose clock does not run at the encoder's rate"
+    description = "a camera whose clock does not run at the encoder's rate"
     reference = (
         "E. Olson, A passive solution to the sensor synchronization problem, IEEE/RSJ International Conference on "
         "Intelligent Robots and Systems (IROS), 2010"
     )
-    apart_by = "long driven recordings"
+    distinguishing_experiment = "long driven recordings"
 
     def instants(self, time: Array, positions: Array) -> Array:
         """By the encoder's clock."""
@@ -260,15 +259,15 @@ class RollingShutter(Effect):
         readout: delay over y [s/m].
     """
 
-    readout: float = size("s/m", 0.005, lower=-0.2, upper=0.2)
+    readout: float = magnitude("s/m", 0.005, lower=-0.2, upper=0.2)
 
     id = "rolling_shutter"
-    says = "a camera that reads its rows one after another"
+    description = "a camera that reads its rows one after another"
     reference = (
         "C.-K. Liang, L.-W. Chang and H. H. Chen, Analysis and compensation of rolling shutter effect, IEEE "
         "Transactions on Image Processing 17(8), 2008"
     )
-    apart_by = "fast motion far to both sides of the base"
+    distinguishing_experiment = "fast motion far to both sides of the base"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:

@@ -7,12 +7,11 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.drag import Rods
-from vjm.effects.effect import Effect, Motion, TipEffect, changed_link, inner, size
-from vjm.records import Recording, Rig
+from vjm.effects.effect import Effect, Motion, TipEffect, changed_link, magnitude, shape_parameter
+from vjm.records import Array, Recording, Rig
 
 
 @dataclass(frozen=True)
@@ -23,12 +22,14 @@ class TipPayload(TipEffect):
         mass: [kg].
     """
 
-    mass: float = size("kg", 0.01, lower=0.0)
+    mass: float = magnitude("kg", 0.01, lower=0.0)
 
     id = "tip_payload"
-    says = "an unknown mass on the tip"
+    description = "an unknown mass on the tip"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
-    apart_by = "a recording with a known mass on the tip, static sag under gravity, or driven recordings"
+    distinguishing_experiment = (
+        "a recording with a known mass on the tip, static sag under gravity, or driven recordings"
+    )
     in_urdf = True
 
     def chain(self, chain: Chain) -> Chain:
@@ -46,13 +47,13 @@ class InPlaneGravity(Effect):
         gx, gy: in the base frame [m/s^2].
     """
 
-    gx: float = size("m/s^2", 0.25, lower=-30.0, upper=30.0)
-    gy: float = size("m/s^2", 0.25, lower=-30.0, upper=30.0)
+    gx: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
+    gy: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
 
     id = "in_plane_gravity"
-    says = "gravity in the plane of motion: the base is tilted"
+    description = "gravity in the plane of motion: the base is tilted"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
-    apart_by = "recordings at several hub angles"
+    distinguishing_experiment = "recordings at several hub angles"
 
     def inputs(self, recording: Recording) -> Recording:
         """With more gravity."""
@@ -61,8 +62,6 @@ class InPlaneGravity(Effect):
         x, y = recording.gravity
         return replace(recording, gravity=(x + self.gx, y + self.gy))
 
-
-Array = NDArray[np.float64]
 
 _LOWEST = 0.2  # Hz, where no recording is known
 _FREQUENCIES = 12
@@ -82,15 +81,15 @@ class ExternalTone(TipEffect):
         lowest: frequency to which searches may go [Hz]; a force that takes longer than the recordings is none.
     """
 
-    amplitude: float = size("N", 0.01, lower=0.0)
-    frequency: float = inner("Hz", 5.0, lower=1e-2, upper=1e4)
-    phase: float = inner("rad", 0.0, lower=-np.pi, upper=np.pi)
+    amplitude: float = magnitude("N", 0.01, lower=0.0)
+    frequency: float = shape_parameter("Hz", 5.0, lower=1e-2, upper=1e4)
+    phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
     lowest: float = field(default=0.0, kw_only=True, compare=False)
 
     id = "external_tone"
-    says = "a sinusoidal force on the tip from outside"
+    description = "a sinusoidal force on the tip from outside"
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
-    apart_by = "a quiet recording, in which nothing drives the arm"
+    distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
 
     @property
     def coordinates(self) -> Array:

@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from vjm.errors import RecordingError
-from vjm.experiment.load import RecordingTable, recording_gravity, shown, suggestion
+from vjm.experiment.schema import RecordingTable, recording_gravity, shown, suggestion
 from vjm.records import Array, Kind, Link, Recording, Rig
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.signal import get_window
 
-from vjm.records import Recording, Rig
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Recording, Rig
 
 _QUANTILE = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
 _LEAST_SAMPLES = 16

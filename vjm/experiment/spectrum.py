@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import get_window, lfilter
 
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 
 class Oscillators:

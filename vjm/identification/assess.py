@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.curve import curve_map
 from vjm.chain.virtual_links import Chain
@@ -17,15 +16,12 @@ from vjm.identification.outliers import without_outliers
 from vjm.identification.parameters import layouts_of
 from vjm.identification.prepare import Data, Prepared, driving_torque, prepare
 from vjm.identification.records import ModeComparison, RecordingFit, TorqueData
-from vjm.identification.torque_method import noise_factor, seen_errors, whiten
+from vjm.identification.torque_method import MATCH_TOLERANCE, noise_factor, seen_errors, whiten
 from vjm.model.modes import modes
 from vjm.model.torque import torque_errors
-from vjm.records import Experiment, Progress, Recording, Rig
+from vjm.records import Array, Complex, Experiment, Progress, Recording, Rig
 from vjm.simulation.initial_state import Replay
 from vjm.simulation.model import Model
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 def model_shapes(chain: Chain, rig: Rig, payload: float) -> Array:
@@ -73,7 +69,6 @@ def _lateral(rig: Rig, prepared: Prepared) -> Array:
 
 
 _COARSE = 2.0  # times the integrator's default step, for models that miss by more than its error anyway
-MATCH_TOLERANCE = 0.15  # a measured frequency this close to the model's is the same mode
 
 
 def prepared_for(chain: Chain, rig: Rig, data: Data) -> tuple[Prepared, ...]:
@@ -213,14 +208,16 @@ class _Compared:
 
 
 def _replayed(
-    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array], coarse: float = 1.0
+    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array], step_multiple: float = 1.0
 ) -> list[tuple[Replay | None, str]]:
     """Each recording's replay, or why there is none."""
     if not recordings:
         return []
     try:
-        return [(each, "") for each in model.replays(recordings, [states.get(r.file) for r in recordings], coarse)]
+        return [
+            (each, "") for each in model.replays(recordings, [states.get(r.file) for r in recordings], step_multiple)
+        ]
     except (InsufficientDataError, SimulationDivergedError) as error:
         if len(recordings) == 1:
             return [(None, str(error))]
-    return [_replayed(model, [each], states, coarse)[0] for each in recordings]
+    return [_replayed(model, [each], states, step_multiple)[0] for each in recordings]

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vjm.errors import InsufficientDataError
 from vjm.identification.parameters import PARAMETRISATIONS
 from vjm.identification.prepare import Data, Options, read_data
@@ -15,9 +12,7 @@ from vjm.identification.uncertainty import covariance, estimates, of_torque, to_
 from vjm.identification.virtual_joints import cuts_of, nominal_chain
 from vjm.identification.warn import data_warnings, marker_warnings
 from vjm.model.modes import modes
-from vjm.records import Estimate, Experiment
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Estimate, Experiment
 
 _NOMINAL_JOINTS = 6
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.errors import ShapeError
 from vjm.identification.assess import fit_recordings
@@ -15,10 +14,8 @@ from vjm.identification.parameters import layouts_of
 from vjm.identification.records import RecordingFit
 from vjm.identification.virtual_joints import nominal_chain
 from vjm.identification.warn import result_warnings
-from vjm.records import Experiment, Progress
+from vjm.records import Array, Experiment, Progress
 from vjm.simulation.model import Model
-
-Array = NDArray[np.float64]
 
 _SAME_LENGTH = 1e-3  # relative
 

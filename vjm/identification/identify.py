@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.chain.layout import DEFAULT_LAYOUT, Layout
+from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.identification.assess import compare_modes, fit_recordings, objective_of, prepared_for, torque_data
 from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation, layouts_of
-from vjm.identification.prepare import Data, Options, choose_orders, read_data
+from vjm.identification.prepare import (
+    Data,
+    Options,
+    read_data,
+)
 from vjm.identification.records import METHODS, Identification, TrajectorySummary
 from vjm.identification.torque_method import by_torque
 from vjm.identification.trajectory_method import by_trajectory
 from vjm.identification.uncertainty import Information, covariance, estimates, of_torque, of_trajectory, to_physical
-from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints, cuts_of, nominal_chain
+from vjm.identification.virtual_joints import JointChoice, nominal_chain
 from vjm.identification.warn import (
     data_warnings,
     joint_notes,
@@ -29,79 +32,10 @@ from vjm.identification.warn import (
     result_warnings,
     scale_notes,
 )
-from vjm.markers.angles import ANGLE_METHODS, AngleMethod, ShapeSettings
-from vjm.records import Experiment, Link, Progress, Recording
+from vjm.markers.angles import ANGLE_METHODS, AngleMethod
+from vjm.records import Array, Experiment, Progress
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.model import Model
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Decisions for every link.
-
-    Attributes:
-        shape: shape functions and how angles are read off them.
-        joints: numbers of virtual joints, and what they cost.
-        cuts: virtual links and cells.
-    """
-
-    shape: ShapeSettings
-    joints: tuple[JointChoice, ...]
-    cuts: tuple[Layout, ...]
-
-
-def make_plan(
-    experiment: Experiment,
-    recordings: Sequence[Recording],
-    parameters: str,
-    virtual_joints: int | None,
-    layout: str,
-    family: str,
-    angles: AngleMethod | None,
-) -> Plan:
-    """Choose the shape functions' orders by cross-validation, and from them the numbers of joints.
-
-    Args:
-        experiment: the rig.
-        recordings: those to be fitted.
-        parameters: parametrisation; with parameters of their own, there are no more joints than can be told apart.
-        virtual_joints: n of every link where it is given.
-        layout: where the links are cut.
-        family: of the shape functions.
-        angles: how angles are read off them; None: for uniform links by the curvature of the shape functions, for
-            joints with parameters of their own by the chain's own curve, where there are markers enough.
-    """
-    rig = experiment.rig
-    provisional = cuts_of(rig, [3] * len(rig.links), layout)
-    orders = choose_orders(rig, provisional, recordings, family)
-    joints = tuple(
-        _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
-        for link, order in zip(rig.links, orders, strict=True)
-    )
-    if angles is None:
-        placed = all(len(link.markers) >= choice.joints for link, choice in zip(rig.links, joints, strict=True))
-        angles = "curve" if parameters != "uniform" and placed else "curvature"
-    robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
-    shape = ShapeSettings(family, orders, angles, robust)
-    return Plan(shape, joints, tuple(cuts_of(rig, [choice.joints for choice in joints], layout)))
-
-
-def _choose_joints(link: Link, order: int, parameters: str, asked: int | None) -> JointChoice:
-    choice = choose_virtual_joints(link, order, asked or _joints_told(link, order, parameters))
-    return replace(choice, asked=asked is not None)
-
-
-def _joints_told(link: Link, order: int, parameters: str) -> int | None:
-    """Number of joints whose own parameters the markers can tell apart; None: as many as accuracy asks.
-
-    Fixed lengths need two joints more than there are modes to carry those modes well; free lengths need none.
-    """
-    if parameters == "uniform":
-        return None
-    return min(order + 2 if parameters == "joints" else order, len(link.markers))
-
-
-Array = NDArray[np.float64]
 
 _STOPPED_EARLY = "the search stopped early: ask for fewer parameters, or give recordings that move more"
 

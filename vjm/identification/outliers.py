@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, median_filter
 
-from vjm.records import Recording
+from vjm.records import Array, Mask, Recording
 from vjm.simulation.measurement import Observed, view
 from vjm.simulation.run import Run
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _AROUND = 15  # frames that say what a residual should be like
 _SPREAD_OVER = 31  # frames that say how far residuals scatter about it

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from vjm.chain.layout import Layout, free_layout
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ChoiceError
-from vjm.records import Recording
+from vjm.records import Array, Recording
 from vjm.simulation.arm import Arm
 
-Array = NDArray[np.float64]
 PARAMETRISATIONS = ("uniform", "joints", "lengths", "full")
 
 

@@ -6,18 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import Angles
 from vjm.markers.smoothing import Derivatives
-from vjm.records import Estimate, Experiment, Recording
+from vjm.records import Array, Estimate, Experiment, Recording
 from vjm.simulation.initial_state import Replay
 from vjm.simulation.model import Model
 
-Array = NDArray[np.float64]
 Method = Literal["torque", "torque+frequency", "trajectory"]
 METHODS: tuple[str, ...] = get_args(Method)
 

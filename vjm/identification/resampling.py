@@ -9,18 +9,15 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.records import Identification
-from vjm.identification.trajectory_fit import Hold, Point, TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_fit import FixedParameter, Point, TrajectoryFit, fit_trajectory
 from vjm.identification.uncertainty import covariance, of_trajectory, reach_of, to_physical
-from vjm.records import Progress
+from vjm.records import Array, Progress
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 _MOST_STEPS = 12
 _CLOSE = 0.02  # standard deviations
@@ -119,12 +116,12 @@ class _Profile:
 
     def _root(self, found: TrajectoryFit) -> float:
         """Standard deviations by which the fit is less likely than the best one."""
-        excess = found.point.cost - found.point.held_cost - self.fit.point.cost
+        excess = found.point.cost - found.point.fixed_cost - self.fit.point.cost
         return float(np.sqrt(max(excess, 0.0))) / self.inflation
 
     def _held(self, value: float, near: TrajectoryFit) -> TrajectoryFit:
-        hold = Hold(self.index, value, 1e-3 * self.std / self.inflation)
-        problem = replace(self.fit.point.problem, hold=hold)
+        fixed = FixedParameter(self.index, value, 1e-3 * self.std / self.inflation)
+        problem = replace(self.fit.point.problem, fixed=fixed)
         states: Sequence[Array] = [run.state for run in near.point.runs]
         return fit_trajectory(problem, near.point.x, states=states)
 

@@ -6,23 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.spectrum import MeasuredModes, match
-from vjm.identification.assess import MATCH_TOLERANCE
 from vjm.identification.parameters import Parametrisation, layouts_of
 from vjm.identification.prepare import Data, Prepared, Settings, prepare
 from vjm.identification.virtual_joints import nominal_chain
 from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.model.torque import torque_errors
-from vjm.records import Experiment, Progress, Recording, Rig
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Experiment, Progress, Recording, Rig
 
 _RIDGE = 1e-12  # of the mean variance; keeps exact data's covariance invertible
 _MOST_EVALUATIONS = 100
@@ -393,3 +389,6 @@ def _targets(chain: Chain, payload: float, seen: Sequence[MeasuredModes]) -> lis
             std = float(np.hypot(found.frequency_std, _MODEL_FLOOR * found.frequency))
             targets.append(FrequencyTarget(mode, found.frequency, std))
     return targets
+
+
+MATCH_TOLERANCE = 0.15  # a measured frequency this close to the model's is the same mode

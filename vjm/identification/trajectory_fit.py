@@ -14,23 +14,20 @@ from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import is_abrupt
+from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
-from vjm.records import Progress, Recording
+from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import most_likely, run_nearer, run_or_stand
-from vjm.simulation.least_squares import Damping, Triangle
+from vjm.simulation.initial_state import backtrack, most_likely, run_or_rest
+from vjm.simulation.least_squares import Damping, SquareRootInformation
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Run, Start
 from vjm.simulation.sensitivity import Moved
-
-Array = NDArray[np.float64]
 
 _DERIVATIVE_STEP = 1e-6
 
@@ -54,7 +51,7 @@ class Coordinates(Protocol):
 
 
 @dataclass(frozen=True)
-class Hold:
+class FixedParameter:
     """One physical parameter held at a value.
 
     Attributes:
@@ -75,19 +72,19 @@ class TrajectoryProblem:
     Attributes:
         parametrisation: the coordinates.
         observed: the recordings.
-        coarse: multiple of the integrator's default step.
+        step_multiple: multiple of the integrator's default step.
         preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
         spread: size of the weighted residuals that counts as one standard deviation beside the preference.
-        hold: a parameter that is not free; None: all are.
+        fixed: a parameter that is not free; None: all are.
         extension: what is varied where that is more than the parametrisation, whose coordinates come first.
     """
 
     parametrisation: Parametrisation
     observed: tuple[Observed, ...]
-    coarse: float = 1.0
+    step_multiple: float = 1.0
     preference: tuple[Array, Array] | None = None
     spread: float = 1.0
-    hold: Hold | None = None
+    fixed: FixedParameter | None = None
     extension: Coordinates | None = None
 
     @property
@@ -101,9 +98,9 @@ class TrajectoryProblem:
         return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
 
     @property
-    def guided(self) -> bool:
+    def with_feedback(self) -> bool:
         """Whether simulations are held near the angles that encoders measured."""
-        return any(each.guide is not None for each in self.observed)
+        return any(each.feedback is not None for each in self.observed)
 
     def until(self, duration: float) -> TrajectoryProblem:
         """The same with the recordings' first seconds only."""
@@ -132,16 +129,16 @@ class TrajectoryProblem:
         if self.preference is not None:
             centre, width = self.preference
             rows, wanted = np.diag(self.spread / width), self.spread * (centre - x) / width
-        if self.hold is None:
+        if self.fixed is None:
             return rows, wanted
-        slope = self.parametrisation.jacobian(x)[self.hold.index] / self.hold.width
-        return np.vstack([rows, slope]), np.append(wanted, self.held(x))
+        slope = self.parametrisation.jacobian(x)[self.fixed.index] / self.fixed.width
+        return np.vstack([rows, slope]), np.append(wanted, self.fixed_offset(x))
 
-    def held(self, x: Array) -> float:
+    def fixed_offset(self, x: Array) -> float:
         """How far the parameter held is off its value, in widths; zero where none is held."""
-        if self.hold is None:
+        if self.fixed is None:
             return 0.0
-        return float((self.hold.value - self.parametrisation.physical(x)[self.hold.index]) / self.hold.width)
+        return float((self.fixed.value - self.parametrisation.physical(x)[self.fixed.index]) / self.fixed.width)
 
 
 @dataclass(frozen=True)
@@ -170,9 +167,9 @@ class Point:
         return sum(run.cost for run in self.runs) + float(wanted @ wanted)
 
     @property
-    def held_cost(self) -> float:
+    def fixed_cost(self) -> float:
         """What a parameter held adds to the cost."""
-        return self.problem.held(self.x) ** 2
+        return self.problem.fixed_offset(self.x) ** 2
 
     @property
     def chi2(self) -> float:
@@ -190,18 +187,18 @@ class Point:
         return float(np.sqrt(self.chi2 / self.count))
 
     @cached_property
-    def triangles(self) -> tuple[Triangle, ...]:
+    def linearizations(self) -> tuple[SquareRootInformation, ...]:
         """Each recording's linearised problem: its initial state first, then the coordinates."""
         moved = self.problem.moved(self.x)
-        return tuple(run.triangle(own) for run, own in zip(self.runs, moved, strict=True))
+        return tuple(run.linearized(own) for run, own in zip(self.runs, moved, strict=True))
 
-    def gathered(self, damping: float = 0.0) -> tuple[Triangle, tuple[Triangle, ...]]:
+    def gathered(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
         """What recordings and preference together say of the coordinates, and each recording's own problem."""
-        parts = tuple(triangle.damped(damping) for triangle in self.triangles)
+        parts = tuple(linearized.damped(damping) for linearized in self.linearizations)
         rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
         rows.append(np.column_stack(self.problem.preferred(self.x)))
         stacked = np.vstack(rows)
-        return Triangle.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
+        return SquareRootInformation.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
 
 
 _MOST_ITERATIONS = 60
@@ -303,7 +300,7 @@ def _search(
     hopeless: Callable[[Point, float], bool] | None,
 ) -> TrajectoryFit:
     if states is None:
-        found = most_likely(problem.arms(x), problem.observed, coarse=problem.coarse)
+        found = most_likely(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
         point = Point(problem, x, tuple(run for run, _ in found))
     else:
         point = _point(problem, x, states, states)
@@ -344,7 +341,7 @@ def _point(
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
     if spreads is not None:
         starts = [replace(start, spread=spread) for start, spread in zip(starts, spreads, strict=True)]
-    runs = run_or_stand(arms, problem.observed, starts, states, known, problem.coarse)
+    runs = run_or_rest(arms, problem.observed, starts, states, known, problem.step_multiple)
     return Point(problem, x, tuple(runs))
 
 
@@ -381,7 +378,7 @@ def _step(point: Point, damping: float) -> _Step:
         bounds = (np.minimum(bounds[0], 0.0) - 1e-12, np.maximum(bounds[1], 0.0) + 1e-12)
         change = np.clip(lsq_linear(R / scale, together.R[:, -1], bounds).x / scale, lower - point.x, upper - point.x)
     states, own, gains = [], [], []
-    for run, part, plain in zip(point.runs, parts, point.triangles, strict=True):
+    for run, part, plain in zip(point.runs, parts, point.linearizations, strict=True):
         modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
         states.append(run.basis.states @ modal)
         own.append(run.basis.states @ alone)
@@ -417,10 +414,10 @@ def _nearer(point: Point, step: _Step, trial: Point) -> Point:
     missed = [
         k
         for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True))
-        if is_abrupt(run.arm.effects) and before.cost - run.cost < gain - _MISSED * abs(gain)
+        if is_nonsmooth(run.arm.effects) and before.cost - run.cost < gain - _MISSED * abs(gain)
     ]
     runs = list(trial.runs)
-    found = run_nearer([runs[k] for k in missed], [step.own[k] for k in missed], point.problem.coarse)
+    found = backtrack([runs[k] for k in missed], [step.own[k] for k in missed], point.problem.step_multiple)
     for k, run in zip(missed, found, strict=True):
         runs[k] = run
     return replace(trial, runs=tuple(runs))

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -30,22 +29,19 @@ from vjm.identification.trajectory_fit import (
     fit_trajectory,
 )
 from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints, cuts_of, nominal_chain
-from vjm.records import Experiment, Progress, Recording
+from vjm.records import Array, Experiment, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import most_likely
-from vjm.simulation.integrate import still
-from vjm.simulation.integrators import measured_torque
+from vjm.simulation.integrators import measured_torque, still
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Start, run_all, transferred
-
-Array = NDArray[np.float64]
 
 _LOST = 10.0  # RMS residual over noise of the first periods beyond which other starts are tried
 _EXPLAINED = 0.3  # unless it is less than this share of the motion
 
 
-def from_afar(
+def screen_unreliable(
     problem: TrajectoryProblem, likely: Sequence[Array], others: Sequence[Array], progress: Progress | None
 ) -> TrajectoryFit:
     """The fit to the recordings' first periods that follows them best.
@@ -182,7 +178,7 @@ class Search:
         short = problem.until(horizon)
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
         others = [np.where(stiffness, factor * nominal, nominal) for factor in _OTHER_STIFFNESS]
-        fit = from_afar(short, starts, others, self.progress)
+        fit = screen_unreliable(short, starts, others, self.progress)
         states = [run.state for run in fit.point.runs]
         return fit_trajectory(problem, fit.point.x, self.progress, states, horizon, rough=self.only_a_start)
 
@@ -200,7 +196,7 @@ class Search:
         states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
         problem = self.problem(joints)
         chain = problem.parametrisation.chain(fit.point.x)
-        problem = replace(problem, coarse=_coarsest(chain, problem.observed, states, fit.point.misfit**2))
+        problem = replace(problem, step_multiple=_coarsest(chain, problem.observed, states, fit.point.misfit**2))
         return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.only_a_start)
 
     def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -266,11 +262,11 @@ def _coarsest(chain: Chain, observed: Sequence[Observed], states: Sequence[Array
     arms = [Arm(chain)] * len(observed)
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     exact = run_all(arms, observed, starts, states, 1.0)
-    for coarse in _COARSE:
-        runs = run_all(arms, observed, starts, states, coarse)
+    for step_multiple in _COARSE:
+        runs = run_all(arms, observed, starts, states, step_multiple)
         error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
         if error < _UNSEEN * max(excess, 1.0):
-            return coarse
+            return step_multiple
     return 1.0
 
 

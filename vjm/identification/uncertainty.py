@@ -13,10 +13,8 @@ from vjm.identification.parameters import Coordinate, Parametrisation
 from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.model.modes import modes
-from vjm.records import Estimate
+from vjm.records import Array, Estimate
 from vjm.simulation.run import Run
-
-Array = NDArray[np.float64]
 
 _LAGS = 10  # samples, of the test for coloured residuals
 _FALSE_ALARM = 1e-3
@@ -99,15 +97,15 @@ def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, t
     moved = point.problem.moved(point.x)
     whiteness = tuple(_whiteness(run) for run in point.runs)
     normal, plain = np.zeros((count, count)), np.zeros((count, count))
-    for triangle, white in zip(point.triangles, whiteness, strict=True):
-        R = triangle.eliminated(triangle.columns - count).R[:, :-1]
+    for linearized, white in zip(point.linearizations, whiteness, strict=True):
+        R = linearized.eliminated(linearized.columns - count).R[:, :-1]
         normal += R.T @ R
         plain += R.T @ R * (max(white.chi2, 1.0) if noise_known else white.chi2)
     if not any(white.coloured for white in whiteness):
         return Information(normal, plain), whiteness
     sandwich = np.zeros((count, count))
-    for run, triangle, own in zip(point.runs, point.triangles, moved, strict=True):
-        scores = _by_frame(run, run.scores(own, triangle))
+    for run, linearized, own in zip(point.runs, point.linearizations, moved, strict=True):
+        scores = _by_frame(run, run.scores(own, linearized))
         sandwich += _long_run(scores, min(reach_of(scores), len(scores) - 1))
     return Information(normal, _larger(sandwich, plain, normal)), whiteness
 

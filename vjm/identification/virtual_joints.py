@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.layout import DEFAULT_LAYOUT, Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.model.modes import modes
-from vjm.records import Link, Rig
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Link, Rig
 
 FREQUENCY_TOLERANCE = 1e-3  # relative discretisation error allowed in the frequencies of the modes seen
 _REFERENCE_JOINTS = 40

@@ -15,9 +15,7 @@ from vjm.chain.layout import Layout
 from vjm.chain.virtual_links import Distal
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.markers.shape import ShapeFit, basis, fit_shape
-from vjm.records import Link, Recording, Rig
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Link, Recording, Rig
 
 _NODES = 24  # Gauss-Legendre nodes for the tip's position
 

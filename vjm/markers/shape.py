@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 
 from vjm.errors import ChoiceError, ShapeError
+from vjm.records import Array
 
-Array = NDArray[np.float64]
 FamilyName = Literal["polynomial", "clamped-polynomial", "trigonometric", "cantilever"]
 FAMILIES: tuple[str, ...] = get_args(FamilyName)
 

@@ -13,8 +13,7 @@ from scipy.optimize import brentq
 from scipy.sparse import csr_array, dia_array
 
 from vjm.errors import InsufficientDataError, ShapeError
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 # Degree 7 keeps the second derivative right to 0.1 % at four samples a period, where a cubic spline is 20 % off.
 _DEGREE = 7

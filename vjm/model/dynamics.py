@@ -14,12 +14,11 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ShapeError
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 _THREADS = 2
 _PARALLEL_FROM = 2000  # samples below which starting threads costs more than it saves

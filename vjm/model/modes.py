@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
 from vjm.model import dynamics
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 _RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
 _NEWTON_STEPS = 50

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
 from vjm.model import dynamics
-
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 
 def torque_errors(

@@ -77,7 +77,7 @@ def number(element: Element, attribute: str) -> float:
 
 
 def vector(element: Element, attribute: str, size: int) -> tuple[float, ...]:
-    """A required attribute that is `size` finite numbers."""
+    """A required attribute that is `magnitude` finite numbers."""
     given = text(element, attribute)
     try:
         values = tuple(map(float, given.split()))

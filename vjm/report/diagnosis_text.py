@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from vjm.effects.effect import Effect
-from vjm.report.tables import unit
-from vjm.report.text import UNKNOWN, Grade, Verdict, counted, listed, millimetres, number, with_error
+from vjm.report.text import UNKNOWN, Grade, Verdict, counted, listed, millimetres, number, unit, with_error
 from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Size] | None = None
     texts = {}
     for name, value in effect.values.items():
         size = None if sizes is None else sizes.get(name)
-        if units[name].whole:
+        if units[name].integer:
             texts[name] = str(int(value))
         elif size is None:
             texts[name] = quantity(value, None, units[name].unit, 3)
@@ -98,7 +97,7 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Size] | None = None
         return _CLAUSES[effect.id].format(link=link, **texts)
     values = ", ".join(f"{name} {text}" for name, text in texts.items())
     where = f" ({link})" if effect.link is not None else ""
-    return f"{effect.says or effect.id}{where}{': ' if values else ''}{values}"
+    return f"{effect.description or effect.id}{where}{': ' if values else ''}{values}"
 
 
 def capital(text: str) -> str:
@@ -204,8 +203,8 @@ def probability(value: float | None) -> str:
 
 
 def _nothing(diagnosis: Diagnosis) -> str:
-    looked = [each for each in diagnosis.candidates if each.testable]
-    seen = f"none of the {counted(len(looked), 'candidate')} is needed"
+    candidate_set = [each for each in diagnosis.candidates if each.testable]
+    seen = f"none of the {counted(len(candidate_set), 'candidate')} is needed"
     small = smallest_sizes(diagnosis, 2)
     as_small = f", and an effect as small as {' or '.join(small)} would have been seen" if small else ""
     return f"Nothing is missing: {seen}{as_small}."
@@ -257,8 +256,8 @@ def _set(diagnosis: Diagnosis) -> str:
     parts = []
     for cause in diagnosis.causes:
         own = clause(cause.effect, diagnosis.model, cause.parameters)
-        others = [clause(rival.effect, diagnosis.model) for rival in cause.rivals[:_MOST_RIVALS]]
-        more = len(cause.rivals) - _MOST_RIVALS
+        others = [clause(alternative.effect, diagnosis.model) for alternative in cause.alternatives[:_MOST_RIVALS]]
+        more = len(cause.alternatives) - _MOST_RIVALS
         others += [f"{counted(more, 'other')} (see below)"] if more > 0 else []
         parts.append(f"either {own}, or {', or '.join(others)}" if others else own)
     told = "these recordings cannot tell which"
@@ -314,10 +313,10 @@ def _gain_points(diagnosis: Diagnosis) -> list[str]:
     low, high = (f"{100 * each:.0f}" for each in gain.interval)
     less = f"{abs(100 * gain.reduction):.0f} % {'less' if gain.reduction >= 0 else 'more'}"
     text = f"Held-out error: {less} (95 % interval of the reduction: {low} … {high} %)"
-    if gain.runner_up is not None:
-        others = listed([named(each.id).lower() for each in diagnosis.runner_up])
+    if gain.next_best is not None:
+        others = listed([named(each.id).lower() for each in diagnosis.next_best])
         called = f", {others}," if others else ""
-        text += f"; the next best explanation{called} leaves {millimetres(gain.runner_up)}"
+        text += f"; the next best explanation{called} leaves {millimetres(gain.next_best)}"
     return [f"{text}."]
 
 
@@ -338,13 +337,13 @@ def indistinct(diagnosis: Diagnosis) -> Sequence[str]:
     """What cannot be told apart and the recording that would, a sentence each."""
     found = []
     for cause in diagnosis.causes:
-        for rival in cause.rivals:
-            own, other = clause(cause.effect, diagnosis.model), clause(rival.effect, diagnosis.model)
-            worse = f"chi² is {number(rival.worse, 2)} larger" if rival.worse >= 0 else "chi² is no larger"
+        for alternative in cause.alternatives:
+            own, other = clause(cause.effect, diagnosis.model), clause(alternative.effect, diagnosis.model)
+            worse = f"chi² is {number(alternative.worse, 2)} larger" if alternative.worse >= 0 else "chi² is no larger"
             found.append(f"{capital(own)}, or {other}: with the latter, {worse}.")
-            apart = rival.effect.apart_by or cause.effect.apart_by
+            apart = alternative.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
             if apart:
-                found.append(f"{named(rival.effect.id)} would be told from the rest by {apart}.")
+                found.append(f"{named(alternative.effect.id)} would be told from the rest by {apart}.")
     if diagnosis.next_experiment and diagnosis.next_experiment not in diagnosis.warnings:
         found.append(f"Next experiment: {diagnosis.next_experiment.rstrip('.')}.")
     return found

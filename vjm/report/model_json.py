@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
@@ -22,7 +21,7 @@ from vjm.errors import ModelFileError, ShapeError
 from vjm.experiment.noise import sensor_noise
 from vjm.files import json_text, write_text_atomic
 from vjm.identification.records import Identification
-from vjm.records import Estimate, Experiment
+from vjm.records import Array, Estimate, Experiment
 from vjm.report.result_json import finite
 from vjm.simulation.model import Model
 
@@ -82,7 +81,7 @@ class EffectEntry(_Entry):
     effect: str
     link: str | None
     parameters: dict[str, float | None]
-    everywhere: bool = False
+    reference_effects: bool = False
 
 
 class ModelEntry(_Entry):
@@ -104,13 +103,13 @@ class StoredEffect:
         effect: its id.
         link: name of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
         parameters: by name, SI; None for a value that is infinite.
-        everywhere: whether it acts in recordings of the reference condition too.
+        reference_effects: whether it acts in recordings of the reference condition too.
     """
 
     effect: str
     link: str | None
     parameters: Mapping[str, float | None]
-    everywhere: bool = False
+    reference_effects: bool = False
 
 
 @dataclass(frozen=True)
@@ -265,9 +264,6 @@ def _explained(detail: ErrorDetails) -> tuple[str, str]:
     return f"got {shown if len(shown) <= 60 else shown[:57] + '...'}", detail["msg"].removeprefix("Input should be ")
 
 
-Array = NDArray[np.float64]
-
-
 def identification_extra(fit: Identification) -> dict[str, Any]:
     """How the model was found: method, estimates and their covariance."""
     covariance = fit.covariance if np.isfinite(fit.covariance).all() else np.empty((0, 0))
@@ -312,7 +308,7 @@ def stored_effects(model: Model) -> list[StoredEffect]:
             effect.id,
             None if effect.link is None else names[effect.link],
             {name: value if math.isfinite(value) else None for name, value in effect.values.items()},
-            k < model.everywhere,
+            k < model.reference_effects,
         )
         for k, effect in enumerate(model.effects)
     ]
@@ -345,11 +341,11 @@ def stored_model(
     noise = sensor_noise(experiment.rig, experiment.recordings)
     model = Model(stored.chain, experiment.rig, *noise, estimates)
     # Those that act everywhere come first.
-    ordered = sorted(stored.effects, key=lambda each: not each.everywhere)
+    ordered = sorted(stored.effects, key=lambda each: not each.reference_effects)
     read = _read_effects(path, stored.chain, ordered, effects)
     placed = tuple(_placed(path, k, effect, experiment) for k, effect in enumerate(read))
-    everywhere = sum(each.everywhere for each in ordered)
-    return replace(model, effects=placed, everywhere=everywhere), covariance, stored.extra
+    reference_effects = sum(each.reference_effects for each in ordered)
+    return replace(model, effects=placed, reference_effects=reference_effects), covariance, stored.extra
 
 
 def stored_chain(path: Path | str, effects: Sequence[Effect] = BUILTIN) -> tuple[Chain, tuple[Effect, ...]]:
@@ -401,7 +397,7 @@ def _values(
         if value is not None and not _within(each, value):
             expected = f"{each.lower:g} to {each.upper:g} {each.unit}".rstrip()
             raise ModelFileError(path, f"key '{key}.{each.name}': got {value:g}", expected)
-        if value is not None and each.whole:
+        if value is not None and each.integer:
             if value != int(value):
                 raise ModelFileError(path, f"key '{key}.{each.name}': got {value:g}", "a whole number")
             found[each.name] = int(value)
@@ -418,7 +414,7 @@ def _placed(path: Path | str, k: int, effect: Effect, experiment: Experiment) ->
     """An effect with all that it must know of the rig, as its own `variants` do."""
     rig = experiment.rig
     places = effect.places(rig)
-    whole = [each.name for each in effect.parameters() if each.whole]
+    whole = [each.name for each in effect.parameters() if each.integer]
     variants = [each for each in effect.variants(rig, experiment.recordings) if each.link == effect.link]
     alike = [each for each in variants if all(getattr(each, name) == getattr(effect, name) for name in whole)]
     if alike:

@@ -15,7 +15,7 @@ from jinja2 import Environment, StrictUndefined, Template
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
 from vjm.report.diagnosis_text import carried_points, diagnosis_verdict, indistinct
-from vjm.report.figures.pictures import Picture
+from vjm.report.figures.style import Picture
 from vjm.report.tables import (
     Table,
     candidate_table,

@@ -8,11 +8,10 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.identification.records import Identification, ModeComparison, RecordingFit
-from vjm.records import Estimate
+from vjm.records import Array, Estimate
 from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ if TYPE_CHECKING:
     from vjm.identification.comparison import Comparison
 
 
-Array = NDArray[np.float64]
 Result = dict[str, Any]
 
 
@@ -189,8 +187,8 @@ def _cause(cause: Cause, model: Model) -> Result:
         },
         "p_value": finite(cause.p_value),
         "chi2_gain": finite(cause.gain),
-        "indistinguishable_from": list(dict.fromkeys(rival.effect.id for rival in cause.rivals)),
-        "rivals": [{**_effect(each.effect, model), "chi2_worse": finite(each.worse)} for each in cause.rivals],
+        "indistinguishable_from": list(dict.fromkeys(alternative.effect.id for alternative in cause.alternatives)),
+        "rivals": [{**_effect(each.effect, model), "chi2_worse": finite(each.worse)} for each in cause.alternatives],
         "evidence": cause.evidence,
     }
 
@@ -208,14 +206,14 @@ def _candidate(candidate: Candidate, model: Model) -> Result:
 
 
 def _followed(followed: Replayed) -> Result:
-    replays = followed.before, followed.after, followed.runner_up
-    before, after, runner_up = (finite(None if each is None else each.marker_rms) for each in replays)
+    replays = followed.before, followed.after, followed.next_best
+    before, after, next_best = (finite(None if each is None else each.marker_rms) for each in replays)
     return {
         "file": followed.recording.file,
         "role": followed.recording.role,
         "marker_rms_before_m": before,
         "marker_rms_after_m": after,
-        "marker_rms_runner_up_m": runner_up,
+        "marker_rms_runner_up_m": next_best,
         "noise_m": finite(followed.noise),
     }
 
@@ -224,7 +222,7 @@ def _gain(gain: Gain) -> Result:
     return {
         "holdout_rms_before_m": finite(gain.before),
         "holdout_rms_after_m": finite(gain.after),
-        "holdout_rms_runner_up_m": finite(gain.runner_up),
+        "holdout_rms_runner_up_m": finite(gain.next_best),
         "noise_m": finite(gain.noise),
         "reduction": finite(gain.reduction),
         "ci95": [finite(each) for each in gain.interval],

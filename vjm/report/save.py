@@ -13,7 +13,8 @@ from vjm.identification.records import Identification
 from vjm.report.figures import diagnosis as of_diagnosis
 from vjm.report.figures import symptoms as of_symptoms
 from vjm.report.figures.diagnosis import diagnosis_pictures
-from vjm.report.figures.pictures import NAMES, Picture, identification_pictures, replay_pictures
+from vjm.report.figures.pictures import NAMES, identification_pictures, replay_pictures
+from vjm.report.figures.style import Picture
 from vjm.report.model_json import diagnosis_extra, identification_extra, stored_effects, write_model
 from vjm.report.page import comparison_page, diagnosis_page, identification_page
 from vjm.report.result_json import comparison_result, diagnosis_result, identification_result

@@ -7,27 +7,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.chain.virtual_links import Chain
 from vjm.identification.records import ModeComparison, RecordingFit
 from vjm.identification.uncertainty import Whiteness
 from vjm.records import Estimate
 from vjm.report.diagnosis_text import differences_text, named, place, probability, quantity, sizes_text
-from vjm.report.text import UNKNOWN, counted, interval, millimetres, number, with_error
+from vjm.report.text import (
+    UNKNOWN,
+    counted,
+    interval,
+    millimetres,
+    nominal_value,
+    number,
+    unit,
+    with_error,
+)
 
 if TYPE_CHECKING:
     from vjm.diagnosis.records import Candidate, Diagnosis, Replayed
-
-
-_ARRAYS = {
-    "stiffness": ("stiffness", 1),
-    "damping": ("damping", 1),
-    "length": ("lengths", 0),
-    "mass": ("masses", 0),
-    "mass_center": ("mass_centers", 0),
-    "inertia": ("inertias", 0),
-}  # quantity: field of a LinkChain, and the number of its first element
 
 
 @dataclass(frozen=True)
@@ -111,35 +108,6 @@ def whiteness_table(whiteness: Sequence[Whiteness]) -> Table:
         "largest correlation up to 10 samples later",
     )
     return Table("What the model leaves of the recordings it was fitted to", headers, rows, words=2)
-
-
-def unit(text: str) -> str:
-    """A unit with raised exponents."""
-    return text.replace("^2", "²").replace("^3", "³")
-
-
-def nominal_value(name: str, nominal: Chain) -> float | None:
-    """What an estimate's parameter is in a chain; None for a name the chain knows nothing of."""
-    link_name, _, quantity = name.partition(".")
-    link = next((each for each in nominal.links if each.name == link_name), None)
-    if link is None:
-        return None
-    if quantity == "bending_stiffness":
-        return float(np.mean(link.stiffness * link.cells))
-    if quantity == "kelvin_voigt_time":
-        return float(np.mean(link.damping / np.maximum(link.stiffness, 1e-300)))
-    if quantity == "hub_inertia":
-        return link.hub_inertia
-    return _element(quantity, link)
-
-
-def _element(quantity: str, link: LinkChain) -> float | None:
-    kind, _, text = quantity.rpartition("_")
-    if kind not in _ARRAYS or not text.isdecimal():
-        return None
-    field, first = _ARRAYS[kind]
-    values, at = getattr(link, field), int(text) - first
-    return float(values[at]) if 0 <= at < values.size else None
 
 
 def mode_table(modes: Sequence[ModeComparison]) -> Table:
@@ -282,7 +250,7 @@ def followed_table(diagnosis: Diagnosis) -> Table:
         )
     names = ("without", "next best", "with", "noise", "with / noise")
     headers: tuple[str, ...] = ("recording", "role", "kind", *names)
-    if all(each.runner_up is None for each in diagnosis.recordings):
+    if all(each.next_best is None for each in diagnosis.recordings):
         headers, rows = (*headers[:4], *headers[5:]), [(*row[:4], *row[5:]) for row in rows]
     if not diagnosis.causes:
         headers, rows = _without_diagnosis_tables(headers, "with"), [(*row[:4], *row[5:6]) for row in rows]

@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
+from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification, RecordingFit, TrajectorySummary
 from vjm.report.result_json import bending_stiffness
-from vjm.report.tables import nominal_value, unit
 from vjm.simulation.model import Model
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -261,3 +261,42 @@ def _encoder(model: Model) -> list[tuple[str, str]]:
 
 def _source(given: float | None) -> str:
     return "estimated from the recordings" if given is None else "from the experiment file"
+
+
+_ARRAYS = {
+    "stiffness": ("stiffness", 1),
+    "damping": ("damping", 1),
+    "length": ("lengths", 0),
+    "mass": ("masses", 0),
+    "mass_center": ("mass_centers", 0),
+    "inertia": ("inertias", 0),
+}  # quantity: field of a LinkChain, and the number of its first element
+
+
+def unit(text: str) -> str:
+    """A unit with raised exponents."""
+    return text.replace("^2", "²").replace("^3", "³")
+
+
+def nominal_value(name: str, nominal: Chain) -> float | None:
+    """What an estimate's parameter is in a chain; None for a name the chain knows nothing of."""
+    link_name, _, quantity = name.partition(".")
+    link = next((each for each in nominal.links if each.name == link_name), None)
+    if link is None:
+        return None
+    if quantity == "bending_stiffness":
+        return float(np.mean(link.stiffness * link.cells))
+    if quantity == "kelvin_voigt_time":
+        return float(np.mean(link.damping / np.maximum(link.stiffness, 1e-300)))
+    if quantity == "hub_inertia":
+        return link.hub_inertia
+    return _element(quantity, link)
+
+
+def _element(quantity: str, link: LinkChain) -> float | None:
+    kind, _, text = quantity.rpartition("_")
+    if kind not in _ARRAYS or not text.isdecimal():
+        return None
+    field, first = _ARRAYS[kind]
+    values, at = getattr(link, field), int(text) - first
+    return float(values[at]) if 0 <= at < values.size else None

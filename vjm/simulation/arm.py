@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Motion, Way
-from vjm.records import Recording
-from vjm.simulation.encoder_feedback import Guide
+from vjm.effects.effect import Effect, Motion, RateIndependentUpdate
+from vjm.records import Array, Recording
+from vjm.simulation.encoder_feedback import EncoderFeedback
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 
@@ -26,15 +25,15 @@ class Arm:
     Attributes:
         chain: with all that the effects change of it.
         effects: those present, in the order in which they were added.
-        guide: what draws its active joints towards what was measured; None: it moves as it does.
+        feedback: what draws its active joints towards what was measured; None: it moves as it does.
     """
 
     chain: Chain
     effects: tuple[Effect, ...] = ()
-    guide: Guide | None = None
+    feedback: EncoderFeedback | None = None
 
-    def __reduce__(self) -> tuple[type[Arm], tuple[Chain, tuple[Effect, ...], Guide | None]]:
-        return Arm, (self.chain, self.effects, self.guide)  # without functions that were kept
+    def __reduce__(self) -> tuple[type[Arm], tuple[Chain, tuple[Effect, ...], EncoderFeedback | None]]:
+        return Arm, (self.chain, self.effects, self.feedback)  # without functions that were kept
 
     @classmethod
     def of(cls, chain: Chain, effects: Sequence[Effect] = ()) -> Arm:
@@ -44,9 +43,9 @@ class Arm:
             chain = effect.chain(chain)
         return cls(chain, present)
 
-    def guided(self, guide: Guide | None) -> Arm:
+    def with_feedback(self, feedback: EncoderFeedback | None) -> Arm:
         """The same on a guide."""
-        return self if guide is self.guide else replace(self, guide=guide)
+        return self if feedback is self.feedback else replace(self, feedback=feedback)
 
     def inputs(self, recording: Recording) -> Recording:
         """The recording with what really drove the arm."""
@@ -64,10 +63,10 @@ class Arm:
         parts = [effect.rest(self.chain, q) for effect in self.effects]
         return np.concatenate([np.zeros((*q.shape[:-1], 0)), *parts], axis=-1)
 
-    def settled(self, q: Array) -> Array:
+    def rest_state(self, q: Array) -> Array:
         """Angles (..., nv) near the given ones [rad] at which its effects let it stay."""
         for effect in self.effects:
-            q = effect.settled(self.chain, q)
+            q = effect.rest_state(self.chain, q)
         return q
 
     def forces(self, payload: float) -> Motion | None:
@@ -102,16 +101,16 @@ class Arm:
         return together
 
     @cached_property
-    def way(self) -> Way | None:
+    def rate_independent_update(self) -> RateIndependentUpdate | None:
         """How internal states follow the joints' way, the others as given; None where none does."""
-        following = self._told(lambda effect: effect.way(self.chain))
+        following = self._told(lambda effect: effect.rate_independent_update(self.chain))
         if not following:
             return None
 
         def together(q: Array, z: Array, to: Array) -> Array:
             found = z.copy()
-            for way, part in following:
-                found[..., part] = way(q, z[..., part], to)
+            for rate_independent_update, part in following:
+                found[..., part] = rate_independent_update(q, z[..., part], to)
             return found
 
         return together
@@ -137,7 +136,7 @@ class Arm:
             for part, effect in zip(self._parts, effects, strict=True)
             if effect.states(self.chain)
         ]
-        return Arm(self.chain, effects, self.guide), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
+        return Arm(self.chain, effects, self.feedback), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
 
     @cached_property
     def _parts(self) -> list[slice]:

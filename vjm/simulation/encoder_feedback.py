@@ -14,23 +14,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.errors import InsufficientDataError
 from vjm.markers.smoothing import Smoother
 from vjm.model import dynamics
-from vjm.records import Recording
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Recording
 
 _GRID = 1e-3  # s; encoders are no faster, and in between it is interpolated
 _MOMENT = 1e-4  # s, over which what encoders show is differentiated
 
 
 @dataclass(frozen=True)
-class Guide:
+class EncoderFeedback:
     """What draws active joints towards measured angles; of one recording, or of C copies together.
 
     Attributes:
@@ -44,7 +42,9 @@ class Guide:
     damping: Array
 
     @classmethod
-    def of(cls, recording: Recording, chain: Chain, noise: float, frequency: float, ratio: float) -> Guide | None:
+    def of(
+        cls, recording: Recording, chain: Chain, noise: float, frequency: float, ratio: float
+    ) -> EncoderFeedback | None:
         """A guide on which a chain's active joints would swing slowly.
 
         Args:
@@ -77,9 +77,9 @@ class Guide:
         return cls(theta, rate, inertia * omega**2, 2 * ratio * omega * inertia)
 
     @classmethod
-    def together(cls, guides: Sequence[Guide | None]) -> Guide | None:
+    def together(cls, feedbacks: Sequence[EncoderFeedback | None]) -> EncoderFeedback | None:
         """Of copies that are advanced together, those without a guide left alone; None where none has one."""
-        given = [each for each in guides if each is not None]
+        given = [each for each in feedbacks if each is not None]
         if not given:
             return None
         longest, none = max(len(each.theta) for each in given), np.zeros(given[0].stiffness.shape)
@@ -88,10 +88,10 @@ class Guide:
             return np.concatenate([values, np.repeat(values[-1:], longest - len(values), axis=0)])
 
         return cls(
-            np.stack([column(each.theta if each else none[None]) for each in guides], axis=1),
-            np.stack([column(each.rate if each else none[None]) for each in guides], axis=1),
-            np.stack([each.stiffness if each else none for each in guides]),
-            np.stack([each.damping if each else none for each in guides]),
+            np.stack([column(each.theta if each else none[None]) for each in feedbacks], axis=1),
+            np.stack([column(each.rate if each else none[None]) for each in feedbacks], axis=1),
+            np.stack([each.stiffness if each else none for each in feedbacks]),
+            np.stack([each.damping if each else none for each in feedbacks]),
         )
 
     def torque(self, time: ArrayLike, theta: Array, rate: Array) -> Array:

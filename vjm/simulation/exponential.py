@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.errors import SimulationDivergedError
 from vjm.model import dynamics
-from vjm.simulation.integrate import Steps
-from vjm.simulation.integrators import Drive, Recorder, System
-
-Array = NDArray[np.float64]
+from vjm.records import Array, Indices
+from vjm.simulation.integrators import Drive, Recorder, Steps, System
 
 _NORM = 0.5  # to which matrices are halved before their power series
 _COEFFICIENTS = 1 / np.cumprod(np.arange(1.0, 12.0))[2:]  # 1 / (k + 3)!
@@ -55,8 +52,6 @@ def rate_scale(acceleration: Array) -> float:
     largest = float(np.abs(acceleration[..., :size]).sum(axis=-1).max())
     return max(float(np.sqrt(largest)), 1e-6)
 
-
-Indices = NDArray[np.intp]
 
 _ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 

@@ -7,25 +7,23 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.effects.effect import is_abrupt
+from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
-from vjm.records import Recording, Rig
+from vjm.records import Array, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import Simulation, simulation, still
-from vjm.simulation.least_squares import Damping, Triangle
+from vjm.simulation.integrate import Simulation, simulation
+from vjm.simulation.integrators import still
+from vjm.simulation.least_squares import Damping, SquareRootInformation
 from vjm.simulation.measurement import Observed
 from vjm.simulation.run import Run, Start, run_all
-
-Array = NDArray[np.float64]
 
 _ITERATIONS = 3  # markers are nearly linear in such small angles
 _STEP = 1e-6  # rad
 _NEARER = 0.2, 0.0  # parts of what a state was changed by
 
 
-def standing(arm: Arm, observed: Observed, start: Start) -> Array:
+def state_at_rest(arm: Arm, observed: Observed, start: Start) -> Array:
     """(2 nv,) the state at rest that explains a recording best if nothing moves in it.
 
     Link and springs are as they are at rest; joints that motors turn, and those at links' roots, stand where they are
@@ -43,16 +41,16 @@ def standing(arm: Arm, observed: Observed, start: Start) -> Array:
         here = off(q)
         slopes = np.column_stack([(here - off(q + _STEP * np.eye(n)[k])) / _STEP for k in loose])
         q[loose] += np.linalg.lstsq(slopes, here, rcond=None)[0]
-    return np.concatenate([arm.settled(q), np.zeros(n)])
+    return np.concatenate([arm.rest_state(q), np.zeros(n)])
 
 
-def run_or_stand(
+def run_or_rest(
     arms: Sequence[Arm],
     observed: Sequence[Observed],
     starts: Sequence[Start],
     states: Sequence[Array],
     known: Sequence[Array],
-    coarse: float,
+    step_multiple: float,
 ) -> list[Run]:
     """Simulate recordings as `run_all`; arms that stick or rattle, where they are quiet, from the best of three states.
 
@@ -61,8 +59,8 @@ def run_or_stand(
         states: (2 nv,) where to begin; a quiet recording also where it stands.
         known: (2 nv,) where else a quiet recording may begin.
     """
-    quiet = [k for k, arm in enumerate(arms) if is_abrupt(arm.effects) and observed[k].recording.kind == "quiet"]
-    further = [(k, standing(arms[k], observed[k], starts[k])) for k in quiet]
+    quiet = [k for k, arm in enumerate(arms) if is_nonsmooth(arm.effects) and observed[k].recording.kind == "quiet"]
+    further = [(k, state_at_rest(arms[k], observed[k], starts[k])) for k in quiet]
     further += [(k, known[k]) for k in quiet if known[k] is not states[k]]
     every = [*range(len(arms)), *(k for k, _ in further)]
     runs = run_all(
@@ -70,7 +68,7 @@ def run_or_stand(
         [observed[k] for k in every],
         [starts[k] for k in every],
         [*states, *(state for _, state in further)],
-        coarse,
+        step_multiple,
     )
     found = runs[: len(arms)]
     for (k, _), run in zip(further, runs[len(arms) :], strict=True):
@@ -78,13 +76,13 @@ def run_or_stand(
     return found
 
 
-def run_nearer(runs: Sequence[Run], changes: Sequence[Array], coarse: float) -> list[Run]:
+def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: float) -> list[Run]:
     """Begin recordings with a part of a change or without it, where that follows them better.
 
     Args:
         runs: with the whole of the change.
         changes: (2 nv,) of each initial state.
-        coarse: multiple of the default step.
+        step_multiple: multiple of the default step.
 
     Raises:
         SimulationDivergedError: one of them diverged.
@@ -94,7 +92,7 @@ def run_nearer(runs: Sequence[Run], changes: Sequence[Array], coarse: float) -> 
     every = [run for run in runs for _ in _NEARER]
     states = [run.state - (1 - part) * by for run, by in zip(runs, changes, strict=True) for part in _NEARER]
     found = run_all(
-        [run.arm for run in every], [run.observed for run in every], [run.start for run in every], states, coarse
+        [run.arm for run in every], [run.observed for run in every], [run.start for run in every], states, step_multiple
     )
     tries = len(_NEARER)
     return [min(run, *found[k * tries : (k + 1) * tries], key=lambda each: each.cost) for k, run in enumerate(runs)]
@@ -134,7 +132,7 @@ def replays(
     marker_noise: float,
     encoder_noise: float,
     states: Sequence[Array | None] | None = None,
-    coarse: float = 1.0,
+    step_multiple: float = 1.0,
 ) -> list[Replay]:
     """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
 
@@ -145,14 +143,14 @@ def replays(
         marker_noise: 1-sigma [m].
         encoder_noise: 1-sigma [rad].
         states: (2 nv,) where to start the search for the initial states; None: at rest.
-        coarse: multiple of the integrator's default step.
+        step_multiple: multiple of the integrator's default step.
 
     Raises:
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
     observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
-    return [report(run, converged) for run, converged in most_likely(arms, observed, states, coarse)]
+    return [report(run, converged) for run, converged in most_likely(arms, observed, states, step_multiple)]
 
 
 def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
@@ -166,35 +164,35 @@ class _Search:
     def __init__(self, run: Run) -> None:
         self.run = run
         self.damping = Damping()
-        self.triangle: Triangle | None = None
+        self.linearized: SquareRootInformation | None = None
         self.converged = False
         self.gains = [np.inf] * _IN_VAIN
 
     def proposal(self) -> Array | None:
         """The next state to try; None once nothing is to be gained."""
-        held = self.run.observed.guide is not None and is_abrupt(self.run.arm.effects)
+        held = self.run.observed.feedback is not None and is_nonsmooth(self.run.arm.effects)
         if held and sum(self.gains[-_IN_VAIN:]) < _TOLERANCE * self.run.cost:
             self.converged = True  # slopes promise more than there is
             return None
-        if self.triangle is None:
-            self.triangle = self.run.triangle()
-        step = self.triangle.damped(self.damping.value).best()
-        if self.triangle.decrease(step) < max(_TOLERANCE * self.run.chi2, _NEGLIGIBLE):
+        if self.linearized is None:
+            self.linearized = self.run.linearized()
+        step = self.linearized.damped(self.damping.value).best()
+        if self.linearized.decrease(step) < max(_TOLERANCE * self.run.chi2, _NEGLIGIBLE):
             self.converged = True
             return None
         return self.run.state + self.run.basis.states @ step
 
     def _length(self, damping: float) -> float:
         """Of the step at a damping, in the lengths of the predictions' derivatives."""
-        triangle = self.run.triangle() if self.triangle is None else self.triangle
-        return float(np.linalg.norm(triangle.scale * triangle.damped(damping).best()))
+        linearized = self.run.linearized() if self.linearized is None else self.linearized
+        return float(np.linalg.norm(linearized.scale * linearized.damped(damping).best()))
 
     def judge(self, trial: Run | None) -> None:
         """Go there if it is better."""
         gain = 0.0 if trial is None else max(self.run.cost - trial.cost, 0.0)
         self.gains.append(gain)
         if trial is not None and gain > 0:
-            self.run, self.triangle = trial.weighed(), None
+            self.run, self.linearized = trial.weighed(), None
             self.damping = self.damping.better()
         else:
             self.damping = self.damping.worse(self._length)
@@ -204,7 +202,7 @@ def most_likely(
     arms: Sequence[Arm],
     observed: Sequence[Observed],
     states: Sequence[Array | None] | None = None,
-    coarse: float = 1.0,
+    step_multiple: float = 1.0,
     most: int = _MOST_ITERATIONS,
 ) -> list[tuple[Run, bool]]:
     """Each recording's run from its most likely initial state, and whether the search for it converged.
@@ -213,35 +211,35 @@ def most_likely(
         arms: one a recording.
         observed: the recordings.
         states: (2 nv,) where to start; None: at rest.
-        coarse: multiple of the default step.
+        step_multiple: multiple of the default step.
         most: simulations to try.
     """
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     given = [None] * len(starts) if states is None else states
     first = [start.rest if state is None else state for start, state in zip(starts, given, strict=True)]
-    runs = run_all(arms, observed, starts, first, coarse)
+    runs = run_all(arms, observed, starts, first, step_multiple)
     searches = [_Search(run.weighed()) for run in runs]
     for _ in range(most):
         proposals = [(search, search.proposal()) for search in searches if not search.converged]
         pending = [(search, state) for search, state in proposals if state is not None]
         if not pending:
             break
-        for (search, _), trial in zip(pending, _attempts(pending, coarse), strict=True):
+        for (search, _), trial in zip(pending, _attempts(pending, step_multiple), strict=True):
             search.judge(trial)
     return [(search.run, search.converged) for search in searches]
 
 
-def _attempts(pending: Sequence[tuple[_Search, Array]], coarse: float) -> list[Run | None]:
+def _attempts(pending: Sequence[tuple[_Search, Array]], step_multiple: float) -> list[Run | None]:
     """Runs from the proposed states; None where one diverges."""
     arms = [search.run.arm for search, _ in pending]
     observed = [search.run.observed for search, _ in pending]
     starts = [search.run.start for search, _ in pending]
     try:
-        return [*run_all(arms, observed, starts, [state for _, state in pending], coarse)]
+        return [*run_all(arms, observed, starts, [state for _, state in pending], step_multiple)]
     except SimulationDivergedError:
         if len(pending) == 1:
             return [None]
-        return [_attempts([each], coarse)[0] for each in pending]
+        return [_attempts([each], step_multiple)[0] for each in pending]
 
 
 def report(run: Run, converged: bool) -> Replay:

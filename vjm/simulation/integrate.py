@@ -6,71 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Recording, Rig
+from vjm.records import Array, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.exponential import exponential
-from vjm.simulation.integrators import Drive, System, runge_kutta
+from vjm.simulation.integrators import Drive, Steps, System, runge_kutta, sample
 from vjm.simulation.measurement import Arcs, view
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Steps:
-    """A trajectory at the integrator's own instants.
-
-    Attributes:
-        time: (S + 1,) evenly spaced [s].
-        q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
-        z: (S + 1, C, nz) internal states of the effects.
-    """
-
-    time: Array
-    q: Array
-    v: Array
-    a: Array
-    z: Array
-
-    @property
-    def step(self) -> float:
-        """Distance between instants [s]."""
-        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
-
-
-def sample(steps: Steps, time: Array) -> tuple[Array, Array]:
-    """Angles and rates at any instants between the first and last step, by quintic Hermite interpolation.
-
-    Args:
-        steps: the trajectory.
-        time: (T,) [s].
-
-    Returns:
-        q, v (T, C, nv) [rad, rad/s].
-    """
-    h = steps.step
-    k = np.clip(((time - steps.time[0]) / h).astype(int), 0, len(steps.time) - 2)
-    s = ((time - steps.time[k]) / h)[:, None, None]
-    q0, v0, a0 = steps.q[k], steps.v[k] * h, steps.a[k] * h * h / 2
-    jump = steps.q[k + 1] - q0 - v0 - a0
-    slope = steps.v[k + 1] * h - v0 - 2 * a0
-    bend = (steps.a[k + 1] * h * h - 2 * a0) / 2
-    c3, c4, c5 = 10 * jump - 4 * slope + bend, -15 * jump + 7 * slope - 2 * bend, 6 * jump - 3 * slope + bend
-    q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
-    v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-    return q, v
-
-
-def still(time: Array, q: Array) -> Steps:
-    """An arm that stays at angles (nv,) [rad] from the first of the instants [s] to the last."""
-    ends = np.array([time[0], time[-1]])
-    each = (np.broadcast_to(x, (2, 1, x.size)) for x in (q, 0 * q, 0 * q, np.zeros(0)))
-    return Steps(ends, *each)
-
 
 # Steps a period of the locked arm's slowest mode; measured on 1 m chains of 4 to 40 joints bent by an eighth of their
 # length, or driven: the tip stays within 1e-6 m for 10 s. The error grows with the arm's length and the fourth power of
@@ -136,7 +81,7 @@ def rollouts(
     v: Sequence[Array],
     integrator: str = "exponential",
     step: float | None = None,
-    coarse: float = 1.0,
+    step_multiple: float = 1.0,
     longest: float = np.inf,
 ) -> list[Steps]:
     """Simulate several recordings, or several copies over one, all advanced together where they are alike.
@@ -147,7 +92,7 @@ def rollouts(
         q, v: C initial angles (nv,) [rad] and rates (nv,) [rad/s].
         integrator: `exponential` or `rk4`.
         step: [s]; None: `default_step` or, for `rk4`, 100 us.
-        coarse: multiple of the default step to take.
+        step_multiple: multiple of the default step to take.
         longest: step allowed [s].
 
     Returns:
@@ -165,7 +110,7 @@ def rollouts(
     found: list[Steps | None] = [None] * len(arms)
     for group in _alike(arms, driven):
         first, own = driven[group[0]], [arms[k] for k in group]
-        h = min(_step_of(own[0].chain, first, integrator, step, coarse), longest, _allowed(own, coarse))
+        h = min(_step_of(own[0].chain, first, integrator, step, step_multiple), longest, _allowed(own, step_multiple))
         counts = [_count(arms[k].chain, driven[k], h) for k in group]
         drive = Drive.of([driven[k] for k in group], h, max(counts))
         system = System.of(own, [driven[k].payload for k in group], first.gravity)
@@ -196,9 +141,9 @@ def _alike(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[in
     return groups
 
 
-def _allowed(arms: Sequence[Arm], coarse: float) -> float:
+def _allowed(arms: Sequence[Arm], step_multiple: float) -> float:
     """Step that the effects allow [s]."""
-    return min(arm.longest_step for arm in arms) * min(coarse, _MOST_COARSE)
+    return min(arm.longest_step for arm in arms) * min(step_multiple, _MOST_COARSE)
 
 
 def _unknowns(arm: Arm) -> tuple[int, int]:
@@ -209,9 +154,9 @@ def _duration(recording: Recording) -> float:
     return float(recording.time[-1] - recording.time[0])
 
 
-def _step_of(chain: Chain, recording: Recording, integrator: str, step: float | None, coarse: float) -> float:
+def _step_of(chain: Chain, recording: Recording, integrator: str, step: float | None, step_multiple: float) -> float:
     if step is None:
-        step = coarse * default_step(chain, recording.payload) if integrator == "exponential" else REFERENCE_STEP
+        step = step_multiple * default_step(chain, recording.payload) if integrator == "exponential" else REFERENCE_STEP
     if not 0 < step < np.inf:
         raise ShapeError("step", step, "a positive number of seconds")
     duration = _duration(recording)

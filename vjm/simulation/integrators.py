@@ -12,15 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.effects.effect import Effect, Motion, Way
+from vjm.effects.effect import Effect, Motion, RateIndependentUpdate
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.model import dynamics
-from vjm.records import Recording
+from vjm.records import Array, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import Guide, shown
-from vjm.simulation.integrate import Steps
-
-Array = NDArray[np.float64]
+from vjm.simulation.encoder_feedback import EncoderFeedback, shown
 
 _GAUSS = np.array([-1.0, 1.0]) / np.sqrt(3.0)  # exact for the product of a line and a quadratic
 
@@ -114,13 +111,13 @@ class Acting(NamedTuple):
         copies: their numbers.
         force: generalised forces; None: none.
         rates: of change of the internal states; None: none have any.
-        way: how internal states follow the joints' way; None: none do.
+        rate_independent_update: how internal states follow the joints' way; None: none do.
     """
 
     copies: NDArray[np.intp]
     force: Motion | None
     rates: Motion | None
-    way: Way | None
+    rate_independent_update: RateIndependentUpdate | None
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,7 @@ class System:
         active: coordinates that torques drive.
         acting: what acts on the copies beyond springs, dampers and torques.
         states: number nz of each copy's internal states.
-        guide: what draws the copies' active joints; None: nothing does.
+        feedback: what draws the copies' active joints; None: nothing does.
         sensors: of each copy, the effects in what it shows.
     """
 
@@ -143,7 +140,7 @@ class System:
     active: NDArray[np.intp]
     acting: tuple[Acting, ...] = ()
     states: int = 0
-    guide: Guide | None = None
+    feedback: EncoderFeedback | None = None
     sensors: tuple[tuple[Effect, ...], ...] = ()
 
     @classmethod
@@ -163,14 +160,14 @@ class System:
             chains[0].active,
             _acting(arms, payloads),
             sum(arms[0].states),
-            Guide.together([arm.guide for arm in arms]),
+            EncoderFeedback.together([arm.feedback for arm in arms]),
             tuple(arm.sensors for arm in arms),
         )
 
     @property
     def is_pushed(self) -> bool:
         """Whether anything acts beyond springs, dampers and torques."""
-        return bool(self.acting) or self.guide is not None
+        return bool(self.acting) or self.feedback is not None
 
     def pushed(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
         """Forces of effects and guide (C, nv) [N m] and rates of internal states (C, nz), since the start [s]."""
@@ -182,8 +179,8 @@ class System:
                 force[rows] = push(at, q[rows], v[rows], z[rows])
             if change is not None:
                 rates[rows] = change(at, q[rows], v[rows], z[rows])
-        if self.guide is not None:
-            force[:, self.active] += self.guide.torque(time, *self._shown(q[:, self.active], v[:, self.active]))
+        if self.feedback is not None:
+            force[:, self.active] += self.feedback.torque(time, *self._shown(q[:, self.active], v[:, self.active]))
         return force, rates
 
     def _shown(self, theta: Array, rate: Array) -> tuple[Array, Array]:
@@ -195,10 +192,14 @@ class System:
 
     def carried(self, q: Array, z: Array, to: Array) -> Array:
         """Internal states (C, nz), those that follow the joints' way carried from angles q to others (C, nv)."""
-        ways = [(each.copies, each.way) for each in self.acting if each.way is not None]
+        ways = [
+            (each.copies, each.rate_independent_update)
+            for each in self.acting
+            if each.rate_independent_update is not None
+        ]
         found = z.copy() if ways else z
-        for copies, way in ways:
-            found[copies] = way(q[copies], z[copies], to[copies])
+        for copies, rate_independent_update in ways:
+            found[copies] = rate_independent_update(q[copies], z[copies], to[copies])
         return found
 
     def acceleration(self, q: Array, v: Array, torque: Array, force: Array) -> Array:
@@ -221,7 +222,12 @@ def _acting(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[Acting, ...
     for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
         groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)
     found = [
-        Acting(np.array(copies), arms[copies[0]].forces(payload), arms[copies[0]].rates, arms[copies[0]].way)
+        Acting(
+            np.array(copies),
+            arms[copies[0]].forces(payload),
+            arms[copies[0]].rates,
+            arms[copies[0]].rate_independent_update,
+        )
         for (*_, payload), copies in groups.items()
     ]
     return tuple(each for each in found if each.force is not None or each.rates is not None)
@@ -287,3 +293,55 @@ class Recorder:
         """Keep the last instant; the whole trajectory, from time zero."""
         self.put(len(self.q) - 1, q, v, a, z)
         return Steps(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a, self.z)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A trajectory at the integrator's own instants.
+
+    Attributes:
+        time: (S + 1,) evenly spaced [s].
+        q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
+        z: (S + 1, C, nz) internal states of the effects.
+    """
+
+    time: Array
+    q: Array
+    v: Array
+    a: Array
+    z: Array
+
+    @property
+    def step(self) -> float:
+        """Distance between instants [s]."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+
+def sample(steps: Steps, time: Array) -> tuple[Array, Array]:
+    """Angles and rates at any instants between the first and last step, by quintic Hermite interpolation.
+
+    Args:
+        steps: the trajectory.
+        time: (T,) [s].
+
+    Returns:
+        q, v (T, C, nv) [rad, rad/s].
+    """
+    h = steps.step
+    k = np.clip(((time - steps.time[0]) / h).astype(int), 0, len(steps.time) - 2)
+    s = ((time - steps.time[k]) / h)[:, None, None]
+    q0, v0, a0 = steps.q[k], steps.v[k] * h, steps.a[k] * h * h / 2
+    jump = steps.q[k + 1] - q0 - v0 - a0
+    slope = steps.v[k + 1] * h - v0 - 2 * a0
+    bend = (steps.a[k + 1] * h * h - 2 * a0) / 2
+    c3, c4, c5 = 10 * jump - 4 * slope + bend, -15 * jump + 7 * slope - 2 * bend, 6 * jump - 3 * slope + bend
+    q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
+    v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
+    return q, v
+
+
+def still(time: Array, q: Array) -> Steps:
+    """An arm that stays at angles (nv,) [rad] from the first of the instants [s] to the last."""
+    ends = np.array([time[0], time[-1]])
+    each = (np.broadcast_to(x, (2, 1, x.size)) for x in (q, 0 * q, 0 * q, np.zeros(0)))
+    return Steps(ends, *each)

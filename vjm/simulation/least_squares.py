@@ -6,13 +6,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from vjm.records import Array
 
 
 @dataclass(frozen=True)
-class Triangle:
+class SquareRootInformation:
     """min |J x - r|^2 as an upper triangle R with |J x - r|^2 = |R (x, -1)|^2.
 
     Attributes:
@@ -22,7 +21,7 @@ class Triangle:
     R: Array
 
     @classmethod
-    def of(cls, parts: Iterable[tuple[Array, Array]], columns: int) -> Triangle:
+    def of(cls, parts: Iterable[tuple[Array, Array]], columns: int) -> SquareRootInformation:
         """Gather rows: pairs of J (m, C) and r (m,)."""
         R: Array = np.zeros((0, columns + 1))
         for jacobian, residual in parts:
@@ -41,19 +40,19 @@ class Triangle:
         length: Array = np.linalg.norm(self.R[:, :-1], axis=0)
         return length
 
-    def with_rows(self, jacobian: Array, residual: Array) -> Triangle:
+    def with_rows(self, jacobian: Array, residual: Array) -> SquareRootInformation:
         """The same with more rows."""
-        return Triangle.of([(self.R[:, :-1], self.R[:, -1]), (jacobian, residual)], self.columns)
+        return SquareRootInformation.of([(self.R[:, :-1], self.R[:, -1]), (jacobian, residual)], self.columns)
 
-    def damped(self, damping: float) -> Triangle:
+    def damped(self, damping: float) -> SquareRootInformation:
         """With Levenberg and Marquardt's rows, in the columns' own lengths."""
         if damping == 0:
             return self
         return self.with_rows(np.diag(np.sqrt(damping) * self.scale), np.zeros(self.columns))
 
-    def eliminated(self, count: int) -> Triangle:
+    def eliminated(self, count: int) -> SquareRootInformation:
         """What is left for the other unknowns once the first `count` are chosen best."""
-        return Triangle(self.R[count:, count:])
+        return SquareRootInformation(self.R[count:, count:])
 
     def solve(self, count: int, others: Array) -> Array:
         """(count,) best first unknowns, given the others (C - count,)."""

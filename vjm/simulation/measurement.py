@@ -6,19 +6,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
 from vjm.chain.curve import marker_headings, marker_positions
 from vjm.chain.virtual_links import Chain
-from vjm.records import Recording, Rig
+from vjm.records import Array, Indices, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import Guide
-from vjm.simulation.integrate import Steps, sample
+from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.integrators import Steps, sample
 from vjm.simulation.least_squares import LINEAR, Loss
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _PERTURBATION = 1e-6  # of a direction's length
 
@@ -104,8 +100,8 @@ class Observed:
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
         whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
-        surplus: (N_m + N_t,) what is known to be shown beyond any simulation [m, rad]; None: nothing.
-        guide: that simulations are held on; None: they run open loop.
+        discretization_offset: (N_m + N_t,) what is known to be shown beyond any simulation [m, rad]; None: nothing.
+        feedback: that simulations are held on; None: they run open loop.
     """
 
     recording: Recording
@@ -117,8 +113,8 @@ class Observed:
     noise: tuple[float, float]
     loss: Loss = LINEAR
     whitening: sparse.csr_array | None = None
-    surplus: Array | None = None
-    guide: Guide | None = None
+    discretization_offset: Array | None = None
+    feedback: EncoderFeedback | None = None
 
     @classmethod
     def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:
@@ -167,7 +163,9 @@ class Observed:
     def residual(self, arm: Arm, steps: Steps) -> Array:
         """(N_m + N_t,) measured less predicted, weighted and whitened."""
         left = self.values - self.predicted(arm, steps)
-        return self.whitened(self.weights * (left if self.surplus is None else left - self.surplus))
+        return self.whitened(
+            self.weights * (left if self.discretization_offset is None else left - self.discretization_offset)
+        )
 
     def whitened(self, weighted: Array) -> Array:
         """Weighted values (N_m + N_t, ...), so that their noise is white."""
@@ -214,15 +212,15 @@ class Observed:
             angles=angles,
             values=self.values[kept],
             whitening=whitening,
-            surplus=None if self.surplus is None else self.surplus[kept],
+            discretization_offset=None if self.discretization_offset is None else self.discretization_offset[kept],
         )
 
-    def held(self, guide: Guide | None) -> Observed:
+    def held(self, feedback: EncoderFeedback | None) -> Observed:
         """The same on a guide, whose angles no longer count as measured: what draws a joint there is no evidence of it.
 
         Counted, the encoder's noise would be in what is simulated as in what is measured, and parameters off with it.
         """
-        if guide is None:
+        if feedback is None:
             return self
         kept = np.arange(self.markers.size)
         return replace(
@@ -230,8 +228,8 @@ class Observed:
             angles=self.angles[:0],
             values=self.values[kept],
             whitening=None if self.whitening is None else self.whitening[kept][:, kept],
-            surplus=None if self.surplus is None else self.surplus[kept],
-            guide=guide,
+            discretization_offset=None if self.discretization_offset is None else self.discretization_offset[kept],
+            feedback=feedback,
         )
 
     def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:

@@ -8,9 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.effects.joint import CoulombFriction
@@ -19,15 +16,13 @@ from vjm.files import write_text_atomic
 from vjm.model import dynamics
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import chain_to_urdf
-from vjm.records import REFERENCE, Estimate, Recording, Rig
+from vjm.records import REFERENCE, Array, Estimate, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import Replay, replays
 from vjm.simulation.integrate import Simulation
 
 if TYPE_CHECKING:
     import pinocchio as pin
-
-Array = NDArray[np.float64]
 
 
 class PinocchioModel(NamedTuple):
@@ -55,7 +50,7 @@ class Model:
         encoder_noise: 1-sigma noise of an encoder [rad].
         estimates: the parameters it was identified with; empty for a nominal model.
         effects: what acts on the chain and its sensors beyond it.
-        everywhere: number of them, the first ones, that act in recordings of condition `reference` too.
+        reference_effects: number of them, the first ones, that act in recordings of condition `reference` too.
 
     Raises:
         ShapeError: a chain whose links are not the rig's.
@@ -67,7 +62,7 @@ class Model:
     encoder_noise: float
     estimates: tuple[Estimate, ...] = ()
     effects: tuple[Effect, ...] = ()
-    everywhere: int = 0
+    reference_effects: int = 0
 
     def __post_init__(self) -> None:
         chain_links = [(link.name, link.joint) for link in self.chain.links]
@@ -82,7 +77,7 @@ class Model:
 
     @cached_property
     def _reference(self) -> Arm:
-        return Arm.of(self.chain, self.effects[: self.everywhere])
+        return Arm.of(self.chain, self.effects[: self.reference_effects])
 
     def arm_in(self, recording: Recording) -> Arm:
         """What moves in a recording: where its condition is `reference`, with what acts everywhere only."""
@@ -102,17 +97,17 @@ class Model:
         return self.replays([recording])[0]
 
     def replays(
-        self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, coarse: float = 1.0
+        self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, step_multiple: float = 1.0
     ) -> list[Replay]:
         """Replays of several recordings, advanced together; each is of the arm that moved in it.
 
         Args:
             recordings: T instants each.
             states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
-            coarse: multiple of the integrator's default step.
+            step_multiple: multiple of the integrator's default step.
         """
         arms = [self.arm_in(each) for each in recordings]
-        return replays(arms, self.rig, recordings, self.marker_noise, self.encoder_noise, states, coarse)
+        return replays(arms, self.rig, recordings, self.marker_noise, self.encoder_noise, states, step_multiple)
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""

@@ -7,21 +7,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.curve import curvature_spline
 from vjm.chain.virtual_links import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.model.modes import equilibrium, linearise
-from vjm.records import Recording
+from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import Steps, half_interval, locked_frequencies, rollouts, sample
-from vjm.simulation.least_squares import Triangle
+from vjm.simulation.integrate import half_interval, locked_frequencies, rollouts
+from vjm.simulation.integrators import Steps, sample
+from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observed
 from vjm.simulation.sensitivity import Basis, Moved, first_angles, jacobian
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 _USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
 _USUAL_TURN = 1.0  # rad of an active joint
@@ -145,7 +142,7 @@ class Run:
         """Derivatives (r, 2 slow + p) of the weighted and whitened predictions that indices (r,) name."""
         arm, kept = self.arm.smooth
         steps = self.steps if kept.size == self.steps.z.shape[2] else replace(self.steps, z=self.steps.z[:, :, kept])
-        smooth = [Moved(each.arm.guided(arm.guide).smooth[0], each.by) for each in moved]
+        smooth = [Moved(each.arm.with_feedback(arm.feedback).smooth[0], each.by) for each in moved]
         parts = jacobian(self.observed, arm, self.basis, smooth, steps, self.stride)
         if self.observed.whitening is None:
             yield from parts
@@ -156,14 +153,14 @@ class Run:
         whole[measured] = np.concatenate([part for _, part in gathered])
         yield np.arange(measured.size), self.observed.whitened(whole)
 
-    def triangle(self, moved: Sequence[Moved] = ()) -> Triangle:
+    def linearized(self, moved: Sequence[Moved] = ()) -> SquareRootInformation:
         """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters.
 
         Raises:
             SimulationDivergedError: derivatives that are not finite.
         """
         columns = 2 * self.basis.slow + len(moved)
-        found = Triangle.of(self.rows(moved), columns).with_rows(*self.preferred(columns))
+        found = SquareRootInformation.of(self.rows(moved), columns).with_rows(*self.preferred(columns))
         if not np.abs(found.R).max(initial=0.0) < _LARGEST:
             remedy = "the motion depends on its start or parameters beyond all bounds: check them"
             raise SimulationDivergedError(float(self.steps.time[-1]), self.steps.step, remedy)
@@ -177,15 +174,15 @@ class Run:
         root[:, : states.shape[1]] = preference @ states
         return root, preference @ (self.start.rest - self.state)
 
-    def scores(self, moved: Sequence[Moved], triangle: Triangle) -> Array:
+    def scores(self, moved: Sequence[Moved], linearized: SquareRootInformation) -> Array:
         """(T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated.
 
         Args:
             moved: as in `triangle`.
-            triangle: this run's.
+            linearized: this run's.
         """
-        states = triangle.columns - len(moved)
-        followed = triangle.followed(states)
+        states = linearized.columns - len(moved)
+        followed = linearized.followed(states)
         instants = self.observed.instants
         found = np.zeros((self.observed.recording.time.size, len(moved)))
         for measured, part in self.slopes(moved):
@@ -233,7 +230,7 @@ def run_all(
     observed: Sequence[Observed],
     starts: Sequence[Start],
     states: Sequence[Array],
-    coarse: float,
+    step_multiple: float,
 ) -> list[Run]:
     """Simulate several recordings together.
 
@@ -241,16 +238,16 @@ def run_all(
         arms: one a recording.
         observed, starts: the recordings.
         states: (2 nv,) initial states.
-        coarse: multiple of the default step.
+        step_multiple: multiple of the default step.
 
     Raises:
         SimulationDivergedError: one of them diverged.
     """
     recordings = [each.recording for each in observed]
     q, v = zip(*(np.split(state, 2) for state in states), strict=True)
-    arms = [arm.guided(each.guide) for arm, each in zip(arms, observed, strict=True)]
+    arms = [arm.with_feedback(each.feedback) for arm, each in zip(arms, observed, strict=True)]
     longest = _longest_step(arms[0].chain, recordings)
-    steps = rollouts(arms, recordings, q, v, coarse=coarse, longest=longest)
+    steps = rollouts(arms, recordings, q, v, step_multiple=step_multiple, longest=longest)
     return [
         Run(seen, start, arm, state, path)
         for seen, start, arm, state, path in zip(observed, starts, arms, states, steps, strict=True)

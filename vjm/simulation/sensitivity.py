@@ -7,21 +7,17 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from vjm.chain.virtual_links import Chain
 from vjm.model import dynamics
 from vjm.model.modes import linearise
-from vjm.records import Recording
+from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.encoder_feedback import shown
 from vjm.simulation.exponential import phi_functions, rate_scale
-from vjm.simulation.integrate import Steps, sample
-from vjm.simulation.integrators import measured_torque
+from vjm.simulation.integrators import Steps, measured_torque, sample
 from vjm.simulation.measurement import Observed, instants, sampled, view
-
-Array = NDArray[np.float64]
 
 _MOST_TURN = 3.2  # rad an interval; what lies inside it is interpolated, to three hundredths at this limit
 _MOST_MODES = 16
@@ -130,15 +126,15 @@ class _Balance:
     @property
     def pushed(self) -> bool:
         """Whether effects or a guide exert forces."""
-        return self.force is not None or self.arm.guide is not None
+        return self.force is not None or self.arm.feedback is not None
 
     def effects(self, path: Path) -> Array:
         """Less the forces of effects and guide (I, nv)."""
         found = -self.force(path.time, path.q, path.v, path.z) if self.force else np.zeros(path.q.shape)
-        if self.arm.guide is not None:
+        if self.arm.feedback is not None:
             active = self.arm.chain.active
             theta, rate = shown(self.arm.sensors, path.q[:, active], path.v[:, active])
-            found[:, active] -= self.arm.guide.torque(path.time, theta, rate)
+            found[:, active] -= self.arm.feedback.torque(path.time, theta, rate)
         return found
 
     def rates(self, path: Path) -> Array:
@@ -223,8 +219,8 @@ def followed(arm: Arm, path: Path) -> Array:
             now, later = ((path.time[i], path.q[i], path.v[i]) for i in (k, k + 1))
             first = arm.rates(*now, z[k])
             z[k + 1] += step / 2 * (first + arm.rates(*later, z[k] + step * first))
-        if arm.way is not None:
-            z[k + 1] = arm.way(path.q[k], z[k + 1], path.q[k + 1])
+        if arm.rate_independent_update is not None:
+            z[k + 1] = arm.rate_independent_update(path.q[k], z[k + 1], path.q[k + 1])
     return z
 
 
@@ -309,9 +305,6 @@ def _propagators(found: Coefficients, interval: float) -> tuple[Array, Array]:
     flow, phi1, phi2, phi3 = phi_functions(interval / 6 * (L1 + 4 * L2 + L3))
     added = phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3)
     return flow * units[:, None] / units, interval * added * units[:, None]
-
-
-Indices = NDArray[np.intp]
 
 
 def jacobian(

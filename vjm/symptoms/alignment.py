@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vjm.records import Array
 from vjm.symptoms.records import UNKNOWN, Estimate
 from vjm.symptoms.regression import regress, solve
 from vjm.symptoms.signals import Channels, centred
-
-Array = NDArray[np.float64]
 
 _MOST_STEPS = 8
 _HALVINGS = 4

@@ -6,17 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.records import Recording
+from vjm.records import Array, Complex, Recording
 from vjm.symptoms.bands import Band, Bands
 from vjm.symptoms.demodulation import REACH, Demodulated
 from vjm.symptoms.records import Estimate
 from vjm.symptoms.regression import regress, solve
 from vjm.symptoms.signals import Channels, centred
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _IDLE = 0.02  # of a recording's largest torque: less drives nothing
 _APART = 2  # windows between two whose phases give a frequency: half a window's length

@@ -9,12 +9,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.records import Array, Complex
 from vjm.symptoms.demodulation import Demodulated
 from vjm.symptoms.regression import Regression, regress, solve
 from vjm.symptoms.signals import Channels, centred, middle_of_motion
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 TERMS = 4  # of a band: gain, phase, decay, speed
 _MOST_STEPS = 8

@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from vjm.records import Array
 from vjm.symptoms.band_model import TERMS, BandModel, Part
 from vjm.symptoms.demodulation import REACH, Demodulated, demodulate, visible
 from vjm.symptoms.records import UNKNOWN, Estimate
 from vjm.symptoms.regression import estimate, regress
 from vjm.symptoms.signals import Channels, centred
-
-Array = NDArray[np.float64]
 
 _LEAST_SIGNAL = 30.0  # a band's motion over the noise, root of the sum of squares, below which it is not there
 _LEAST_PART = 0.1  # of the motion of the coordinate that moves most in a band

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from vjm.records import Array
 from vjm.symptoms.records import Estimate
 from vjm.symptoms.regression import estimate, solve
 from vjm.symptoms.signals import Channels
-
-Array = NDArray[np.float64]
 
 _STRETCHES = 5
 _SLOW = 0.5  # of the lowest natural frequency

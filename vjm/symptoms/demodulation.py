@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.records import Array, Complex
 from vjm.symptoms.signals import Channels
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 _LEAST_PERIODS = 4.0  # of a band in a recording
 _LEAST_SAMPLES = 2.2  # in a period

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from vjm.records import Array
 from vjm.symptoms.profiles import Points, Profile, fitted
 from vjm.symptoms.records import Followed
 from vjm.symptoms.signals import Channels, spread
-
-Array = NDArray[np.float64]
 
 _STRETCHES = 64  # of time in a recording: the longer, the less noise; no longer than from one turn to the next
 _LONGEST = 1.5  # of the mean time from one turn to the next

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.records import Array
 from vjm.symptoms.records import Estimate
 from vjm.symptoms.regression import regress, solve
-
-Array = NDArray[np.float64]
 
 _TAILS = 5.0  # per cent at either end that do not count to a motion's range
 

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.errors import ShapeError
-from vjm.records import Recording, Rig
+from vjm.records import Array, Recording, Rig
 
-Array = NDArray[np.float64]
 Kind = Literal[
     "offset",
     "gain",

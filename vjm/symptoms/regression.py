@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from vjm.records import Array
 from vjm.symptoms.records import UNKNOWN, Estimate
-
-Array = NDArray[np.float64]
 
 _SINGULAR = 1e-10  # relative eigenvalue of the scaled normal matrix
 _INDISTINCT = 1e-6  # share of a column that the others leave of it, below which its coefficient means nothing

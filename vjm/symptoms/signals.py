@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly
 
-from vjm.records import Rig
+from vjm.records import Array, Rig
 from vjm.symptoms.records import Followed
 
-Array = NDArray[np.float64]
 Sensor = Literal["camera", "encoder"]
 
 _LEAST_VALUES = 8  # of a channel

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from vjm.records import Array
 from vjm.symptoms.records import Estimate
 from vjm.symptoms.regression import estimate
 from vjm.symptoms.signals import Channels, centred
-
-Array = NDArray[np.float64]
 
 _LEAST_FRAMES = 24
 _OVERSAMPLING = 4  # of the spectrum, for the frequency of a peak

@@ -9,13 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from vjm.chain.virtual_links import Chain
 from vjm.identification.records import TorqueData
 from vjm.model.modes import linearise
-from vjm.report.figures.diagnosis import liveliest_window
+from vjm.records import Array
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
@@ -30,9 +29,8 @@ from vjm.report.figures.style import (
     sheet,
     styled,
 )
+from vjm.report.figures.windows import liveliest_window
 from vjm.report.text import number, short
-
-Array = NDArray[np.float64]
 
 _MOST_LINKS = 3
 _MOST_JOINTS = 4

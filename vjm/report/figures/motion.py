@@ -17,8 +17,7 @@ from vjm.chain.curve import link_poses, rotate
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import InsufficientDataError
 from vjm.identification.records import RecordingFit, TorqueData
-from vjm.records import Recording, Rig
-from vjm.report.figures.diagnosis import Signal, liveliest_window, marker_name, period, tip_signal, windows
+from vjm.records import Array, Recording, Rig
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
@@ -35,6 +34,7 @@ from vjm.report.figures.style import (
     sheet,
     styled,
 )
+from vjm.report.figures.windows import Signal, liveliest_window, marker_name, period, tip_signal, windows
 from vjm.report.text import counted, listed, millimetres, number, short
 from vjm.simulation.initial_state import Replay
 from vjm.simulation.measurement import Arcs
@@ -139,8 +139,6 @@ def _heading(rig: Rig, recording: Recording, link: int, length: float) -> str:
     frame = f"{short(rig.links[link].name, 16)}, {rig.links[link].markers_frame} frame"
     return f"{short(recording.file, 22)} ({role}{part}): {frame}"
 
-
-Array = NDArray[np.float64]
 
 _INSTANTS = 5
 _POINTS = 80  # along the drawn curve

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from matplotlib.figure import Figure
 
 from vjm.identification.records import Identification, RecordingFit
 from vjm.records import Experiment
-from vjm.report.figures.diagnosis import liveliest, spread_over, tips
 from vjm.report.figures.joints import joint_angles, torque_error_figure
 from vjm.report.figures.motion import (
     MOST_RECORDINGS,
@@ -20,7 +18,8 @@ from vjm.report.figures.motion import (
     tip_motion,
 )
 from vjm.report.figures.residuals import MOST_ROWS, correlation_map, residual_map, residual_spectra
-from vjm.report.figures.style import png
+from vjm.report.figures.style import Picture, png
+from vjm.report.figures.windows import liveliest, spread_over, tips
 from vjm.report.text import listed, short
 from vjm.simulation.model import Model
 
@@ -37,23 +36,6 @@ NAMES = (
     "torque_errors",
     "markers",
 )
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A drawn figure.
-
-    Attributes:
-        name: of its file, without suffix.
-        caption: one sentence on how to read it.
-        alternative: what it shows, for those who cannot see it.
-        png: the file.
-    """
-
-    name: str
-    caption: str
-    alternative: str
-    png: bytes
 
 
 def identification_pictures(fit: Identification) -> list[Picture]:

@@ -12,12 +12,10 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 from scipy import stats
 
 from vjm.identification.records import RecordingFit
-from vjm.records import Estimate, Recording, Rig
-from vjm.report.figures.diagnosis import marker_name, tips
+from vjm.records import Array, Estimate, Recording, Rig
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
@@ -31,11 +29,10 @@ from vjm.report.figures.style import (
     sheet,
     styled,
 )
+from vjm.report.figures.windows import marker_name, tips
 from vjm.report.text import number, short
 from vjm.simulation.initial_state import Replay
 from vjm.simulation.model import Model
-
-Array = NDArray[np.float64]
 
 _LEAST_VALUES = 8  # of a coordinate, for a spectrum
 _FALSE_ALARM = 1e-3  # chance that white noise passes the limit anywhere

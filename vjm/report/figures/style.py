@@ -191,3 +191,20 @@ def printable(text: str) -> str:
 @cache
 def _characters() -> frozenset[int]:
     return frozenset(get_font(findfont(FontProperties(family=["DejaVu Sans"]))).get_charmap())
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn figure.
+
+    Attributes:
+        name: of its file, without suffix.
+        caption: one sentence on how to read it.
+        alternative: what it shows, for those who cannot see it.
+        png: the file.
+    """
+
+    name: str
+    caption: str
+    alternative: str
+    png: bytes

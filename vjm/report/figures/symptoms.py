@@ -11,16 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
-from vjm.report.figures.diagnosis import liveliest_window, marker_name, tip_signal
-from vjm.report.figures.pictures import Picture
+from vjm.records import Array
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
     MEASURED,
     NOMINAL,
     TORQUE,
+    Picture,
     Row,
     Sheet,
     letters_on,
@@ -31,6 +30,7 @@ from vjm.report.figures.style import (
     sheet,
     styled,
 )
+from vjm.report.figures.windows import liveliest_window, marker_name, tip_signal
 from vjm.report.text import number, short
 from vjm.symptoms.amplitude import FreeMotion
 from vjm.symptoms.bands import Band
@@ -40,8 +40,6 @@ from vjm.symptoms.lags import Lag
 from vjm.symptoms.profiles import Profile
 from vjm.symptoms.records import Symptom
 from vjm.symptoms.tones import Quiet, Spectrum
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 24
 _MOST_BANDS = 3
