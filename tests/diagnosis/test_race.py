@@ -201,7 +201,7 @@ def viscous_of(family: Family) -> int:
 
 
 @pytest.mark.parametrize(
-    ("gravity", "there", "abrupt", "anew"),
+    ("gravity", "there", "nonsmooth", "anew"),
     [
         (0.3, (), False, True),
         (0.3, (ViscousFriction(link=0, coefficient=0.02),), False, True),
