@@ -117,7 +117,7 @@ def candidates(experiment: Experiment, found: tuple[Effect, ...]) -> tuple[Candi
         if reason:
             listed.append(Candidate(variant, None, None, {}, {}, reason))
             continue
-        sizes = {each.name: each.usual for each in effect.parameters() if not each.inner}
+        sizes = {each.name: each.typical_magnitude for each in effect.parameters() if not each.shape_parameter}
         z = 400.0 / (1 + k) if present else 1.0 + 0.05 * k
         p = 1e-300 if z > 10 else 0.8
         named = present.get(effect.id, variant).values
@@ -131,7 +131,7 @@ def cause(effect: Effect, alternatives: tuple[Alternative, ...] = ()) -> Cause:
     sizes = {}
     for each in effect.parameters():
         value = float(effect.values[each.name])
-        sizes[each.name] = Size(value, None if each.whole else 0.01 * abs(value), each.unit)
+        sizes[each.name] = Size(value, None if each.integer else 0.01 * abs(value), each.unit)
     words = "without it the model misses the training recordings by 7.3 times the noise, with it by 1.0"
     return Cause(effect, sizes, 1e-300, 4.1e4, alternatives, words)
 
@@ -149,7 +149,7 @@ def make_diagnosis(
         if each.before is not None
     ]
     held_out = [each for each in followed if each.recording.role == "holdout"]
-    rms = [_rms(held_out, name) for name in ("before", "after", "runner_up")]
+    rms = [_rms(held_out, name) for name in ("before", "after", "next_best")]
     gain = None
     if rms[0] is not None and rms[1] is not None:
         less = 1 - rms[1] / rms[0]

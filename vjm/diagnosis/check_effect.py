@@ -283,7 +283,9 @@ def name_of(effect: object) -> str:
     return found if isinstance(found, str) and found else type(effect).__name__
 
 
-def overridden(effect: Effect, hooks: tuple[str, ...] = (*_ACTING, *_SENSING, "states", "rates", "way")) -> list[str]:
+def overridden(
+    effect: Effect, hooks: tuple[str, ...] = (*_ACTING, *_SENSING, "states", "rates", "rate_independent_update")
+) -> list[str]:
     """Hooks that the effect's class defines itself."""
     return [name for name in hooks if getattr(type(effect), name) is not getattr(Effect, name)]
 

@@ -188,7 +188,9 @@ def _cause(cause: Cause, model: Model) -> Result:
         "p_value": finite(cause.p_value),
         "chi2_gain": finite(cause.gain),
         "indistinguishable_from": list(dict.fromkeys(alternative.effect.id for alternative in cause.alternatives)),
-        "rivals": [{**_effect(each.effect, model), "chi2_worse": finite(each.worse)} for each in cause.alternatives],
+        "alternatives": [
+            {**_effect(each.effect, model), "chi2_worse": finite(each.worse)} for each in cause.alternatives
+        ],
         "evidence": cause.evidence,
     }
 

@@ -243,7 +243,7 @@ def followed_table(diagnosis: Diagnosis) -> Table:
                 each.recording.file,
                 "held out" if each.recording.role == "holdout" else "train",
                 each.recording.kind,
-                *(millimetres(_rms(each, name)) for name in ("before", "runner_up", "after")),
+                *(millimetres(_rms(each, name)) for name in ("before", "next_best", "after")),
                 millimetres(each.noise),
                 number(_ratio(each), 2),
             )

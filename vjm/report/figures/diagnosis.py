@@ -354,10 +354,10 @@ MOST_RECORDINGS = 40
 _ROW = 0.3  # inches a recording
 _LOOKS: dict[str, dict[str, Any]] = {
     "before": {"linestyle": "", "marker": "s", "color": NOMINAL, "markerfacecolor": "white", "zorder": 2},
-    "runner_up": {"linestyle": "", "marker": "D", "color": TORQUE, "markersize": 6, "zorder": 3},
+    "next_best": {"linestyle": "", "marker": "D", "color": TORQUE, "markersize": 6, "zorder": 3},
     "after": {"linestyle": "", "marker": "o", "color": IDENTIFIED, "zorder": 4},
 }
-_NAMES = {"before": "without the causes", "runner_up": "next best explanation", "after": "with the causes"}
+_NAMES = {"before": "without the causes", "next_best": "next best explanation", "after": "with the causes"}
 _NOISE: dict[str, Any] = {"linestyle": "", "marker": "|", "markeredgewidth": 2, "color": MEASURED}
 _MEASURED: dict[str, Any] = {"color": "#bdbdbd", "linewidth": 4.0, "solid_capstyle": "round"}
 
@@ -434,7 +434,7 @@ def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
         raise InsufficientDataError(f"tip of {recording.file}", "no marker or no replay", "choose another recording")
     left = {
         name: signal.value - simulated(replay, recording, signal)
-        for name in ("before", "runner_up", "after")
+        for name in ("before", "next_best", "after")
         if (replay := getattr(followed, name)) is not None
     }
     role = "held out" if recording.role == "holdout" else "train"
@@ -446,7 +446,7 @@ def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
     start, stop = liveliest_window(signal.time, left["before"])
     _draw_motion(page.axes[0][0], followed, diagnosis, signal, (start, stop))
     _draw_residuals(page.axes[1][0], followed, signal, left)
-    page.legend(_handles("runner_up" in left))
+    page.legend(_handles("next_best" in left))
     return page.figure
 
 
@@ -473,11 +473,11 @@ def _draw_residuals(axes: Axes, followed: Replayed, signal: Signal, left: dict[s
     noise = 1e3 * followed.noise
     axes.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
     axes.axhline(0.0, color="#444444", linewidth=0.6)
-    colors = {"before": NOMINAL, "runner_up": TORQUE, "after": IDENTIFIED}
+    colors = {"before": NOMINAL, "next_best": TORQUE, "after": IDENTIFIED}
     largest = 4 * noise
     for name, values in left.items():
         axes.plot(signal.time, 1e3 * values, color=colors[name], linewidth=0.9, alpha=0.95)
-        if name != "runner_up":
+        if name != "next_best":
             largest = max(largest, 1.08e3 * float(np.abs(values).max()))
     axes.set_ylim(-largest, largest)
     axes.set_xlabel("time [s]")
@@ -492,7 +492,7 @@ def _handles(next_best: bool) -> list[Line2D | Patch]:
         Line2D([], [], color=IDENTIFIED, label=_NAMES["after"]),
     ]
     if next_best:
-        handles.append(Line2D([], [], color=TORQUE, label=f"{_NAMES['runner_up']} (residual)"))
+        handles.append(Line2D([], [], color=TORQUE, label=f"{_NAMES['next_best']} (residual)"))
     return [*handles, Patch(color=BAND, label="±2σ noise")]
 
 
