@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.urdf.chains import HOSTILE, chains, contents, plain_chain, plain_link
+from tests.model.chains import HOSTILE, chains, contents, plain_chain, plain_link
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ModelFileError, ShapeError
 from vjm.files import json_text, write_bytes_atomic, write_text_atomic

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
-from tests.simulate.test_abrupt_start import seen_at
+from tests.simulation.test_abrupt_start import seen_at
 from vjm.diagnosis.alternatives import find_alternatives
 from vjm.diagnosis.baseline import SearchStart
 from vjm.diagnosis.candidate_fit import CandidateFit, refit

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import strategies as st
 
-from tests.dynamics.arms import arms
+from tests.model.arms import arms
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.effects import BUILTIN, Effect

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from tests.effects.setups import PRESENT, RIG, chain_of, draw_from, recording_of, typical_magnitude
-from tests.urdf.chains import contents
+from tests.model.chains import contents
 from vjm.effects import BUILTIN, Effect, by_id
 from vjm.errors import ChoiceError
 from vjm.records import Recording

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.dynamics.arms import random_motion
 from tests.effects.setups import FORE, LINK, POST, PRESENT, chain_of, placed_first, recording_of, revolute_arms
+from tests.model.arms import random_motion
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import (
     CoulombFriction,

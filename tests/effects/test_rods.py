@@ -7,7 +7,7 @@ import pinocchio as pin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.dynamics.arms import arms, random_motion
+from tests.model.arms import arms, random_motion
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import ClampCompliance, RestCurvature
 from vjm.effects.drag import Rods

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import vjm
 from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
 from tests.identification.test_recovery import SHARED, chain_recordings, demo
-from tests.simulate.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
+from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
 from vjm.identification import Identification, identify
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.resampling import Resampled, resample

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from tests.dynamics.arms import GRAVITY, arms, one_joint_arm, random_motion
-from tests.dynamics.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
+from tests.model.arms import GRAVITY, arms, one_joint_arm, random_motion
+from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
 from vjm.model.dynamics import build

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly, make_interp_spline
 
-from tests.dynamics.lagrange import lagrange_mass_matrix, lagrange_potential
-from tests.simulate.setups import (
+from tests.model.lagrange import lagrange_mass_matrix, lagrange_potential
+from tests.simulation.setups import (
     DOWN,
     arm_of,
     end_load_shape,

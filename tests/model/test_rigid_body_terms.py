@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.dynamics.arms import GRAVITY, arms, one_joint_arm, random_motion
-from tests.dynamics.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
+from tests.model.arms import GRAVITY, arms, one_joint_arm, random_motion
+from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InputError, ShapeError
 from vjm.model.dynamics import bias, blocks, build, forward_dynamics, gravity_stiffness, inverse_dynamics, mass_matrix

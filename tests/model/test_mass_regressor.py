@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.dynamics.arms import arms, one_joint_arm, random_motion
+from tests.model.arms import arms, one_joint_arm, random_motion
 from vjm.chain.virtual_links import Chain
 from vjm.model.dynamics import build, inverse_dynamics, mass_regressor
 

@@ -8,7 +8,7 @@ import pytest
 import yourdfpy
 from hypothesis import given, settings
 
-from tests.urdf.chains import HOSTILE, chains, contents, extended_chain, plain_chain, plain_link
+from tests.model.chains import HOSTILE, chains, contents, extended_chain, plain_chain, plain_link
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ModelFileError
 from vjm.model.urdf import chain_to_urdf

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.linalg import expm
 
-from tests.simulate.setups import (
+from tests.simulation.setups import (
     DOWN,
     arm_of,
     end_load_shape,

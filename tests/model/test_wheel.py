@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.urdf.chains import contents, plain_chain
+from tests.model.chains import contents, plain_chain
 from vjm.model.urdf import chain_to_urdf
 from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report.model_json import write_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.simulate.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
+from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
 from vjm.chain.curve import marker_positions
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InputError, InsufficientDataError, ShapeError, SimulationDivergedError

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
-from tests.simulate.setups import DOWN, arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
+from tests.simulation.setups import DOWN, arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment

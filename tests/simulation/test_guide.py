@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.simulate.setups import arm_of, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
+from tests.simulation.setups import arm_of, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
 from vjm.chain.virtual_links import Chain
 from vjm.effects import EncoderOffset
 from vjm.records import Recording

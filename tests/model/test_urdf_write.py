@@ -14,7 +14,7 @@ import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.urdf.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
+from tests.model.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
 from vjm.chain.virtual_links import Array, Chain
 from vjm.errors import ShapeError, VjmError
 from vjm.model import dynamics

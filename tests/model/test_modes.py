@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from scipy.optimize import brentq
 
-from tests.dynamics.arms import arms, one_joint_arm
-from tests.dynamics.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
+from tests.model.arms import arms, one_joint_arm
+from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
 from vjm.model.modes import equilibrium, linearise, modes, modes_of

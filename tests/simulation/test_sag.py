@@ -15,7 +15,7 @@ from tests.fine_beam import Beam, static_state
 from tests.fine_beam import simulate as simulate_beam
 from tests.fine_beam.beam import DEFAULT_NUMERICS
 from tests.fine_beam.mechanics import Mechanics
-from tests.simulate.setups import DOWN, arm_of, recording_of, rig_of, steel_link
+from tests.simulation.setups import DOWN, arm_of, recording_of, rig_of, steel_link
 from vjm.chain.curve import marker_positions
 from vjm.chain.virtual_links import Chain
 from vjm.model.modes import equilibrium, modes
