@@ -201,7 +201,7 @@ def viscous_of(family: Family) -> int:
 
 
 @pytest.mark.parametrize(
-    ("gravity", "there", "nonsmooth", "anew"),
+    ("gravity", "there", "nonsmooth", "restart_from_nominal"),
     [
         (0.3, (), False, True),
         (0.3, (ViscousFriction(link=0, coefficient=0.02),), False, True),
