@@ -118,7 +118,7 @@ def with_vjm(experiment: Experiment) -> Fit:
 
     found = vjm.identify(experiment, METHOD, JOINTS, "joints", progress=count)
     stages.pop("replaying recordings", None)
-    replay = found.recordings[0].replay
+    replay = found.recordings[0].simulated
     return Fit(lambda: np.inf if replay is None else replay.marker_rms, stages, found.model)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -168,3 +169,92 @@ class Estimate:
     identifiable: bool = True
     reason: str = ""
     remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """An open-loop trajectory at a recording's instants.
+
+    Attributes:
+        time: (T,) [s].
+        q, v: (T, nv) joint angles [rad] and rates [rad/s].
+        theta: (T, number of active joints) active joint angles [rad].
+        markers: (T, k, 2) marker positions, each in its link's `markers_frame` [m].
+    """
+
+    time: Array
+    q: Array
+    v: Array
+    theta: Array
+    markers: Array
+
+
+@dataclass(frozen=True)
+class SimulatedRecording:
+    """A recording beside its open-loop simulation from the most likely initial state.
+
+    Attributes:
+        recording: without coordinates that cannot be right.
+        simulation: at the recording's instants, as its sensors would show it.
+        noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
+        chi2: weighted sum of squared residuals.
+        count: number of measured values behind it.
+        status: `converged`, or `not converged` (the remedy is a better model: the state alone cannot follow the data).
+    """
+
+    recording: Recording
+    simulation: Simulation
+    noise: tuple[float, float]
+    chi2: float
+    count: int
+    status: Literal["converged", "not converged"]
+
+    @cached_property
+    def marker_residual(self) -> Array:
+        """(T, k, 2) measured minus simulated marker coordinates [m]; NaN where none was measured."""
+        return self.recording.markers - self.simulation.markers
+
+    @cached_property
+    def theta_residual(self) -> Array:
+        """(T, n_a) measured minus simulated active joint angles [rad]; NaN where none was measured."""
+        return self.recording.theta - self.simulation.theta
+
+    @cached_property
+    def marker_rms(self) -> float:
+        """RMS of the residuals of all measured marker coordinates [m]; NaN without any."""
+        return _rms(self.marker_residual)
+
+    @cached_property
+    def theta_rms(self) -> float | None:
+        """RMS of the active joints' residuals [rad]; None where no angle was measured."""
+        return _rms(self.theta_residual) if np.isfinite(self.theta_residual).any() else None
+
+
+@dataclass(frozen=True)
+class RecordingComparison:
+    """One recording beside simulations of it by up to three models.
+
+    Attributes:
+        recording: without coordinates that cannot be right, and without outliers.
+        noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
+        simulated: by the model that is judged: the identified one, or the one extended by the causes found; None where
+            it cannot be simulated.
+        reference: by the model it is compared with: of nominal values, or without causes; None as above.
+        alternative: by a third model: what the torque method found, or the next best explanation; None where there is
+            none.
+        left_out: number of marker coordinates, impossible or outlying, that are not in `recording` any more.
+        problem: why the recording cannot be simulated; empty otherwise.
+    """
+
+    recording: Recording
+    noise: tuple[float, float]
+    simulated: SimulatedRecording | None
+    reference: SimulatedRecording | None = None
+    alternative: SimulatedRecording | None = None
+    left_out: int = 0
+    problem: str = ""
+
+
+def _rms(residual: Array) -> float:
+    known = residual[np.isfinite(residual)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")

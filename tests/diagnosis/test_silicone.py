@@ -24,9 +24,9 @@ def test_the_mass_on_the_tip_is_named_and_weighed(effects: list[str] | None) -> 
     assert [cause.effect.id for cause in diagnosis.causes] == ["tip_payload"]
     assert diagnosis.causes[0].parameters["mass"].value == pytest.approx(WEIGHED, rel=0.1)
     loaded = next(each for each in diagnosis.recordings if each.recording.file == "loaded_b.csv")
-    assert loaded.before is not None
-    assert loaded.after is not None
-    assert loaded.after.marker_rms < 0.3 * loaded.before.marker_rms
+    assert loaded.reference is not None
+    assert loaded.simulated is not None
+    assert loaded.simulated.marker_rms < 0.3 * loaded.reference.marker_rms
     # The silicone creeps, on the tip or not.
     (said,) = [warning for warning in diagnosis.warnings if "already in the reference recordings" in warning]
     assert "viscoelastic_creep" in said

@@ -45,8 +45,8 @@ def assert_sane(fit: Identification, within: float = 2e-3) -> None:
     assert fit.status == "converged"
     assert fit.parameters[0].value == pytest.approx(TRUTH.bending_stiffness, rel=within)
     held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
-    assert held_out.replay is not None
-    assert held_out.replay.marker_rms < 1.1 * NOISE
+    assert held_out.simulated is not None
+    assert held_out.simulated.marker_rms < 1.1 * NOISE
 
 
 def test_one_outlier_of_a_metre(hub_folder: Path, tmp_path: Path) -> None:
@@ -84,7 +84,7 @@ def test_a_coordinate_that_clips(tmp_path: Path) -> None:
     assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
     assert any("clipped" in text for text in fit.warnings)
     assert any("left out" in text for text in fit.warnings)
-    assert all(one.replay is not None and one.replay.marker_rms < 1.1 * NOISE for one in fit.recordings)
+    assert all(one.simulated is not None and one.simulated.marker_rms < 1.1 * NOISE for one in fit.recordings)
 
 
 def test_a_clip_that_lasts_to_the_end_is_seen_as_a_misfit(hub_folder: Path, tmp_path: Path) -> None:

@@ -170,8 +170,8 @@ def test_hub_rig_is_followed_to_its_noise_on_held_out_recordings() -> None:
     kept = tuple(r for r in experiment.recordings if r.file in {"drive_small_1.csv", "drive_large.csv", "slew.csv"})
     fit = identify(replace(experiment, recordings=kept))
     held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
-    assert held_out.replay is not None
-    assert held_out.replay.marker_rms < 1.1 * 3e-4
+    assert held_out.simulated is not None
+    assert held_out.simulated.marker_rms < 1.1 * 3e-4
     assert {e.name for e in fit.parameters if e.identifiable} == {
         "beam.bending_stiffness",
         "beam.kelvin_voigt_time",

@@ -242,10 +242,10 @@ def test_a_geometrically_exact_beam_is_followed_to_the_noise(hub: Callable[[int]
     assert fit.model.chain.links[0].hub_inertia == pytest.approx(TRUTH.hub_inertia, rel=3e-3)
     assert fit.parameters[1].value == pytest.approx(TRUTH.kelvin_voigt_time, rel=0.01)
     for one in fit.recordings:
-        assert one.replay is not None
-        assert one.replay.marker_rms < 1.03 * NOISE
-        assert one.replay.theta_rms is not None
-        assert one.replay.theta_rms < 1.3 * ENCODER_NOISE
+        assert one.simulated is not None
+        assert one.simulated.marker_rms < 1.03 * NOISE
+        assert one.simulated.theta_rms is not None
+        assert one.simulated.theta_rms < 1.3 * ENCODER_NOISE
     assert fit.recordings[-1].recording.file == SLEW
     assert fit.warnings == ()
 
@@ -259,9 +259,9 @@ def test_the_torque_method_s_model_is_kept_to_compare_with(hub: Callable[[int], 
     fit = hub(1)
     assert fit.torque_model is not None
     for one in fit.recordings[:2]:
-        assert one.torque is not None
-        assert one.replay is not None
-        assert one.replay.chi2 < one.torque.chi2
+        assert one.alternative is not None
+        assert one.simulated is not None
+        assert one.simulated.chi2 < one.alternative.chi2
 
 
 def test_demo_comes_out_as_it_was_put_in() -> None:
@@ -272,8 +272,8 @@ def test_demo_comes_out_as_it_was_put_in() -> None:
     assert fit.trajectory is not None
     assert fit.trajectory.chi2_per_sample == pytest.approx(1.0, abs=0.05)
     held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
-    assert held_out.replay is not None
-    assert held_out.replay.marker_rms < 1.04 * NOISE
+    assert held_out.simulated is not None
+    assert held_out.simulated.marker_rms < 1.04 * NOISE
     for mode, frequency in zip(fit.modes, (1.18516, 7.42727), strict=False):
         assert mode.frequency_model == pytest.approx(frequency, rel=5e-4)
         assert mode.mac is not None
@@ -294,8 +294,8 @@ def test_measured_shapes_tell_modes_apart() -> None:
 def test_hub_rig_of_another_simulator() -> None:
     fit = identify(vjm.load_experiment(SHARED / "hub_rig" / "experiment.toml"))
     for one in fit.recordings:
-        assert one.replay is not None
-        assert one.replay.marker_rms < 1.02 * NOISE
+        assert one.simulated is not None
+        assert one.simulated.marker_rms < 1.02 * NOISE
     assert all(estimate.identifiable for estimate in fit.parameters)
 
 
@@ -305,9 +305,9 @@ def test_silicone_beam_fitted_on_one_recording_follows_the_other() -> None:
     unloaded = tuple(r for r in experiment.recordings if r.condition == "reference")
     fit = identify(replace(experiment, recordings=unloaded))
     held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
-    assert held_out.replay is not None
+    assert held_out.simulated is not None
     peak = float(np.nanmax(np.abs(held_out.recording.markers[:, -1, 1])))
-    assert held_out.replay.marker_rms < 0.03 * peak
+    assert held_out.simulated.marker_rms < 0.03 * peak
     assert fit.modes[0].frequency_model == pytest.approx(7.745, rel=5e-3)
     assert any("no noise" in text for text in fit.warnings)
 
@@ -326,8 +326,8 @@ def test_two_flexible_links(tmp_path: Path) -> None:
         assert values[f"{link.name}.bending_stiffness"].value == pytest.approx(link.bending_stiffness, rel=5e-3)
         assert values[f"{link.name}.hub_inertia"].value == pytest.approx(link.hub_inertia, rel=5e-3)
     for one in fit.recordings:
-        assert one.replay is not None
-        assert one.replay.marker_rms < 1.1 * NOISE
+        assert one.simulated is not None
+        assert one.simulated.marker_rms < 1.1 * NOISE
 
 
 # On request

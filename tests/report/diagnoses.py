@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.report.fits import DEMO, _chain
-from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Size
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Size
 from vjm.effects import (
     BUILTIN,
     ClampCompliance,
@@ -21,7 +21,7 @@ from vjm.effects import (
     ViscousFriction,
 )
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
-from vjm.records import Estimate
+from vjm.records import Estimate, RecordingComparison
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.style import Picture
 from vjm.simulation.arm import Arm
@@ -95,14 +95,17 @@ def _estimates(rig: Rig) -> tuple[Estimate, ...]:
     return tuple(Estimate(*each) for each in known)
 
 
-def followed_by(experiment: Experiment, base: Model, model: Model, next_best: Model | None) -> tuple[Replayed, ...]:
+def followed_by(
+    experiment: Experiment, base: Model, model: Model, next_best: Model | None
+) -> tuple[RecordingComparison, ...]:
     """Every recording, replayed by all models."""
     models = [each for each in (base, model, next_best) if each is not None]
     replays = [each.replays(experiment.recordings) for each in models]
     if next_best is None:
         replays.append([None] * len(experiment.recordings))  # type: ignore[list-item]
     return tuple(
-        Replayed(recording, *three, NOISE[0]) for recording, *three in zip(experiment.recordings, *replays, strict=True)
+        RecordingComparison(recording, NOISE, after, before, alternative)
+        for recording, before, after, alternative in zip(experiment.recordings, *replays, strict=True)
     )
 
 
@@ -144,12 +147,12 @@ def make_diagnosis(
     next_best = replace(base, effects=other) if other else None
     followed = followed_by(experiment, base, model, next_best)
     shown = [
-        Followed(base.rig, each.recording, each.before.simulation.markers, each.before.simulation.theta, NOISE)
+        Followed(base.rig, each.recording, each.reference.simulation.markers, each.reference.simulation.theta, NOISE)
         for each in followed
-        if each.before is not None
+        if each.reference is not None
     ]
     held_out = [each for each in followed if each.recording.role == "holdout"]
-    rms = [_rms(held_out, name) for name in ("before", "after", "next_best")]
+    rms = [_rms(held_out, name) for name in ("reference", "simulated", "alternative")]
     gain = None
     if rms[0] is not None and rms[1] is not None:
         less = 1 - rms[1] / rms[0]
@@ -174,7 +177,7 @@ def make_diagnosis(
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
-def _rms(followed: list[Replayed], name: str) -> float | None:
+def _rms(followed: list[RecordingComparison], name: str) -> float | None:
     found = [getattr(each, name) for each in followed]
     if not found or any(each is None for each in found):
         return None

@@ -16,41 +16,40 @@ from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.records import Identification, ModeComparison, RecordingFit, TorqueData, TrajectorySummary
+from vjm.identification.records import Identification, ModeComparison, TorqueData, TrajectorySummary
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
 from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import ShapeSettings, estimate_angles
 from vjm.markers.smoothing import Smoother
 from vjm.model.torque import torque_errors
-from vjm.records import Estimate
+from vjm.records import Estimate, RecordingComparison, SimulatedRecording
 from vjm.report.figures.pictures import identification_pictures
 from vjm.report.figures.style import Picture
-from vjm.simulation.initial_state import Replay
 from vjm.simulation.integrate import simulate
 from vjm.simulation.measurement import Observed
 from vjm.simulation.model import Model
 from vjm.simulation.run import Start, run_all
 
 Array = NDArray[np.float64]
-Replayer = Callable[[Model, Recording], Replay]
+Replayer = Callable[[Model, Recording], SimulatedRecording]
 DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
 SHARED = Path(__file__).parents[3] / "shared" / "data"
 
 
-def quick_replay(model: Model, recording: Recording) -> Replay:
+def quick_replay(model: Model, recording: Recording) -> SimulatedRecording:
     """A simulation from the state that the first frames show: not the most likely one, but a real one."""
     q, v = _first_state(model, recording)
     simulation = simulate(model.chain, model.rig, recording, q, v)
     residual = recording.markers - simulation.markers
-    theta = recording.theta - simulation.theta
-    return Replay(
-        simulation=simulation,
-        chi2=float(np.nansum((residual / model.marker_noise) ** 2)),
-        count=int(np.isfinite(residual).sum()),
-        marker_rms=float(np.sqrt(np.nanmean(residual**2))),
-        theta_rms=float(np.sqrt(np.nanmean(theta**2))) if theta.size else None,
-        status="converged",
-    )
+    chi2, count = float(np.nansum((residual / model.marker_noise) ** 2)), int(np.isfinite(residual).sum())
+    noise = (model.marker_noise, model.encoder_noise)
+    return SimulatedRecording(recording, simulation, noise, chi2, count, "converged")
+
+
+def with_rms(simulated: SimulatedRecording, rms: float) -> SimulatedRecording:
+    """The same recording, whose markers a simulation misses by an RMS [m]."""
+    markers = simulated.recording.markers - simulated.marker_residual * (rms / simulated.marker_rms)
+    return replace(simulated, simulation=replace(simulated.simulation, markers=markers))
 
 
 def _first_state(model: Model, recording: Recording) -> tuple[Array, Array]:
@@ -178,17 +177,14 @@ def _modes(model: Model) -> tuple[ModeComparison, ...]:
     )
 
 
-def _fit(model: Model, nominal: Model, torque: Model | None, recording: Recording, replayer: Replayer) -> RecordingFit:
+def _fit(
+    model: Model, nominal: Model, torque: Model | None, recording: Recording, replayer: Replayer
+) -> RecordingComparison:
     noise = (model.marker_noise, model.encoder_noise)
     if recording.theta.size and not np.isfinite(recording.tau).any():
-        return RecordingFit(recording, None, not_simulated, *noise, "no torque was measured")
+        return RecordingComparison(recording, noise, None, problem="no torque was measured")
     others = replayer(nominal, recording), None if torque is None else replayer(torque, recording)
-    return RecordingFit(recording, replayer(model, recording), lambda: others, *noise)
-
-
-def not_simulated() -> tuple[Replay | None, Replay | None]:
-    """Neither the nominal model's replay nor the torque method's."""
-    return None, None
+    return RecordingComparison(recording, noise, replayer(model, recording), *others)
 
 
 def two_link_experiment() -> Experiment:

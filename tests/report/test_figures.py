@@ -13,16 +13,16 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from tests.report.fits import demo_fit, elbow_fit, hub_fit, not_simulated, pictures_of, torque_fit
+from tests.report.fits import demo_fit, elbow_fit, hub_fit, pictures_of, torque_fit
 from vjm.errors import InsufficientDataError
 from vjm.identification.records import Identification
+from vjm.records import RecordingComparison, SimulatedRecording
 from vjm.report.figures.joints import joint_angles, torque_error_figure
 from vjm.report.figures.motion import fit_of_recordings, link_shapes, most_recordings, raw_markers, tip_motion
 from vjm.report.figures.pictures import NAMES, identification_pictures, replay_pictures
 from vjm.report.figures.residuals import correlation_map, residual_map, residual_spectra
 from vjm.report.figures.style import png
 from vjm.report.figures.windows import liveliest, spread_over, tips, windows
-from vjm.simulation.initial_state import Replay
 
 _COUNTS = (
     "recording",
@@ -108,7 +108,7 @@ def test_all_three_models_stand_beside_each_other_in_units_of_the_noise() -> Non
     axes = figure.axes[0]
     assert axes.get_xlabel().endswith("[times the noise]")
     marks = [line for line in axes.lines if line.get_marker() == "D"]
-    expected = [each.torque.marker_rms / each.marker_noise for each in demo_fit().recordings if each.torque]
+    expected = [each.alternative.marker_rms / each.noise[0] for each in demo_fit().recordings if each.alternative]
     assert np.ravel([line.get_xdata() for line in marks]).tolist() == pytest.approx(expected)
     title = figure.texts[0].get_text().replace("\n", " ")
     for words in ("in held-out recordings: identified model 2.3", "torque method", "nominal model 53"):
@@ -124,17 +124,17 @@ def test_without_torque_method_beside_it_residuals_are_in_millimetres() -> None:
 def test_tip_shows_the_torque_methods_residual_where_it_is_worse_but_legible() -> None:
     fit = demo_fit()
     shown = fit.recordings[3]
-    assert shown.replay is not None
-    assert shown.torque is not None
+    assert shown.simulated is not None
+    assert shown.alternative is not None
 
-    def residuals(torque: Replay | None) -> tuple[str, str]:
-        figure = tip_motion(replace(shown, others=lambda: (shown.nominal, torque)), fit.model, fit.nominal)
+    def residuals(torque: SimulatedRecording | None) -> tuple[str, str]:
+        figure = tip_motion(replace(shown, alternative=torque), fit.model, fit.nominal)
         return figure.axes[-1].get_title("left"), figure.texts[0].get_text().replace("\n", " ")
 
-    panel, title = residuals(shown.torque)
+    panel, title = residuals(shown.alternative)
     assert "torque method's" in panel
     assert "torque method" in title
-    assert "torque" not in residuals(shown.replay)[0]  # as good: its line would hide the other
+    assert "torque" not in residuals(shown.simulated)[0]  # as good: its line would hide the other
     assert "torque" not in residuals(None)[1]
 
 
@@ -173,7 +173,9 @@ def test_many_periods_are_cut_to_a_window() -> None:
 
 def test_without_training_data_or_replays_the_rest_is_drawn() -> None:
     fit = demo_fit()
-    bare = tuple(replace(each, replay=None, others=not_simulated, problem="it diverged") for each in fit.recordings)
+    bare = tuple(
+        RecordingComparison(each.recording, each.noise, None, problem="it diverged") for each in fit.recordings
+    )
     names = [picture.name for picture in identification_pictures(replace(fit, torque_data=(), recordings=bare))]
     assert names == ["fit", "correlations", "markers"]
 

@@ -9,11 +9,11 @@ from html.parser import HTMLParser
 
 import pytest
 
-from tests.report.fits import demo_fit, elbow_fit, not_simulated, pictures_of, torque_fit
+from tests.report.fits import demo_fit, elbow_fit, pictures_of, torque_fit, with_rms
 from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification, RecordingFit
+from vjm.identification.records import Identification
 from vjm.identification.uncertainty import Whiteness
-from vjm.records import Estimate
+from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import comparison_page, identification_page
 from vjm.report.tables import mode_table, parameter_table, recording_table, remedy_table, whiteness_table
 from vjm.report.text import comparison_verdict, identification_verdict, millimetres, nominal_value
@@ -91,13 +91,13 @@ def test_hostile_names_stay_text() -> None:
     assert "{{ 7 * 7 }}" in page
 
 
-def with_ratio(fit: Identification, ratio: float, role: str | None = None) -> tuple[RecordingFit, ...]:
+def with_ratio(fit: Identification, ratio: float, role: str | None = None) -> tuple[RecordingComparison, ...]:
     """The recordings' fits, those of one role (or all) at so many times the noise."""
     result = []
     for each in fit.recordings:
         factor = ratio if role in (None, each.recording.role) else 1.0
-        assert each.replay is not None
-        result.append(replace(each, replay=replace(each.replay, marker_rms=factor * each.marker_noise)))
+        assert each.simulated is not None
+        result.append(replace(each, simulated=with_rms(each.simulated, factor * each.noise[0])))
     return tuple(result)
 
 
@@ -120,13 +120,12 @@ def test_verdict_rests_on_held_out_recordings(ratio: float, grade: str, words: s
 def test_held_out_recordings_are_told_beside_the_torque_method() -> None:
     fit = demo_fit()
     held_out = fit.recordings[3]
-    assert held_out.replay is not None
-    at = {name: replace(held_out.replay, marker_rms=1e-3 * rms) for name, rms in (("found", 0.31), ("torque", 0.4))}
-    nominal = replace(held_out.replay, marker_rms=7.6e-3)
-    shown = replace(held_out, replay=at["found"], others=lambda: (nominal, at["torque"]))
+    assert held_out.simulated is not None
+    found, nominal, torque = (with_rms(held_out.simulated, rms) for rms in (0.31e-3, 7.6e-3, 0.4e-3))
+    shown = replace(held_out, simulated=found, reference=nominal, alternative=torque)
     point = identification_verdict(replace(fit, recordings=(shown,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
     assert "0.31 mm RMS over its whole 10 s, open loop (torque method: 0.40 mm, nominal values: 7.6 mm)" in point
-    alone = replace(shown, others=lambda: (nominal, None))
+    alone = replace(shown, alternative=None)
     point = identification_verdict(replace(fit, recordings=(alone,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
     assert "open loop; 7.6 mm with nominal values; the camera" in point
 
@@ -158,7 +157,7 @@ def test_torque_method_and_mac_have_columns_where_there_is_something_to_show() -
     table = recording_table(fit.recordings)
     column = table.headers.index("torque method")
     assert [row[column] for row in table.rows] == [
-        millimetres(each.torque.marker_rms) for each in fit.recordings if each.torque
+        millimetres(each.alternative.marker_rms) for each in fit.recordings if each.alternative
     ]
     assert "torque method" not in recording_table(plain.recordings).headers
     modes = mode_table(fit.modes)
@@ -188,7 +187,9 @@ def test_whiteness_table() -> None:
 
 def test_nothing_simulated() -> None:
     fit = demo_fit()
-    bare = tuple(replace(each, replay=None, others=not_simulated, problem="it diverged") for each in fit.recordings)
+    bare = tuple(
+        RecordingComparison(each.recording, each.noise, None, problem="it diverged") for each in fit.recordings
+    )
     assert identification_verdict(replace(fit, recordings=bare)).headline == "No recording could be simulated."
     assert "not simulated: it diverged" in recording_table(bare).notes
 

@@ -9,21 +9,22 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.report.fits import demo_fit, elbow_fit
-from vjm.identification.records import Identification, RecordingFit
+from vjm.identification.records import Identification
+from vjm.records import RecordingComparison
 from vjm.report.figures.residuals import columns, misfit, residual_map, residual_spectra, spectrum
 
 Array = NDArray[np.float64]
 _NOISE = 3e-4
 
 
-def with_residual(fit: RecordingFit, left: Array) -> RecordingFit:
+def with_residual(fit: RecordingComparison, left: Array) -> RecordingComparison:
     """The same recording, which the model misses by this much (T, k, 2) [m]."""
-    assert fit.replay is not None
-    markers = np.where(np.isfinite(fit.recording.markers), fit.replay.simulation.markers + left, np.nan)
+    assert fit.simulated is not None
+    markers = np.where(np.isfinite(fit.recording.markers), fit.simulated.simulation.markers + left, np.nan)
     return replace(fit, recording=replace(fit.recording, markers=markers))
 
 
-def noisy(fit: RecordingFit, seed: int, more: Array | float = 0.0) -> RecordingFit:
+def noisy(fit: RecordingComparison, seed: int, more: Array | float = 0.0) -> RecordingComparison:
     """The recording with white noise of the camera's size, and something more."""
     shape = fit.recording.markers.shape
     return with_residual(fit, _NOISE * np.random.default_rng(seed).standard_normal(shape) + more)
@@ -33,21 +34,21 @@ def white(fit: Identification) -> Identification:
     return replace(fit, recordings=tuple(noisy(each, k) for k, each in enumerate(fit.recordings)))
 
 
-def sine(fit: RecordingFit, frequency: float, amplitude: float) -> Array:
+def sine(fit: RecordingComparison, frequency: float, amplitude: float) -> Array:
     wave = amplitude * np.sin(2 * np.pi * frequency * fit.recording.time)
     return np.broadcast_to(wave[:, None, None], fit.recording.markers.shape)
 
 
 def test_a_sine_stands_at_its_frequency_with_its_amplitude() -> None:
     fit = demo_fit().recordings[1]
-    assert fit.replay is not None
+    assert fit.simulated is not None
     step = float(np.median(np.diff(fit.recording.time)))
     frequency = 30 / (step * fit.recording.time.size)  # a line of the spectrum
     wave = with_residual(fit, sine(fit, frequency, 2e-3))
     lost = wave.recording.markers.copy()
     lost[np.random.default_rng(0).random(lost.shape[:2]) < 0.3] = np.nan
     for recording, tolerance in ((wave.recording, 1e-6), (replace(wave.recording, markers=lost), 0.05)):
-        found = spectrum(recording, fit.replay, _NOISE)
+        found = spectrum(recording, fit.simulated, _NOISE)
         assert found is not None
         peak = int(np.argmax(found.amplitude))
         assert found.frequency[peak] == pytest.approx(frequency, rel=1e-3)
@@ -56,10 +57,10 @@ def test_a_sine_stands_at_its_frequency_with_its_amplitude() -> None:
 
 def test_white_noise_lies_on_its_level_and_below_its_limit() -> None:
     fit = demo_fit().recordings[1]
-    assert fit.replay is not None
+    assert fit.simulated is not None
     passed = 0
     for seed in range(40):
-        found = spectrum(noisy(fit, seed).recording, fit.replay, _NOISE)
+        found = spectrum(noisy(fit, seed).recording, fit.simulated, _NOISE)
         assert found is not None
         assert float(np.sqrt(np.mean(found.amplitude**2))) == pytest.approx(found.white, rel=0.1)
         passed += bool((found.amplitude > found.limit).any())
@@ -68,19 +69,19 @@ def test_white_noise_lies_on_its_level_and_below_its_limit() -> None:
 
 def test_a_recording_of_a_few_frames_has_no_spectrum() -> None:
     fit = demo_fit().recordings[1]
-    assert fit.replay is not None
+    assert fit.simulated is not None
     markers = np.full_like(fit.recording.markers, np.nan)
     markers[:5] = 0.0
-    assert spectrum(replace(fit.recording, markers=markers), fit.replay, _NOISE) is None
+    assert spectrum(replace(fit.recording, markers=markers), fit.simulated, _NOISE) is None
 
 
 def test_a_marker_that_is_hardly_seen_does_not_count() -> None:
     fit = noisy(demo_fit().recordings[1], 0)
-    assert fit.replay is not None
+    assert fit.simulated is not None
     markers = fit.recording.markers.copy()
     markers[3:, 0] = np.nan
     markers[:3, 0] = 0.5
-    found = spectrum(replace(fit.recording, markers=markers), fit.replay, _NOISE)
+    found = spectrum(replace(fit.recording, markers=markers), fit.simulated, _NOISE)
     assert found is not None
     assert found.amplitude.max() < found.limit
 
@@ -102,7 +103,7 @@ def test_a_marker_that_is_off_shows_in_its_cell() -> None:
 
 def test_columns_are_what_was_measured_and_pooled_where_there_are_many() -> None:
     fit = elbow_fit()
-    shown = [each for each in fit.recordings if each.replay is not None]
+    shown = [each for each in fit.recordings if each.simulated is not None]
     names = [column.name for column in columns(fit.model.rig, shown, 14)]
     assert names == [f"upper.m{k}.{axis}" for k in (1, 2, 3) for axis in "xy"] + [f"fore.m{k}.y" for k in (1, 2, 3, 4)]
     pooled = columns(fit.model.rig, shown, 9)
@@ -155,4 +156,4 @@ def test_spectra_mark_the_natural_frequencies_that_the_camera_sees() -> None:
 
 def test_nothing_replayed_has_no_spectra() -> None:
     fit = demo_fit()
-    assert residual_spectra(fit.model, [replace(each, replay=None) for each in fit.recordings]) is None
+    assert residual_spectra(fit.model, [replace(each, simulated=None) for each in fit.recordings]) is None

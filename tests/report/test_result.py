@@ -58,8 +58,8 @@ def test_trajectory_fit_beside_the_torque_method() -> None:
     )
     assert result.mode_shape_mac == [0.9987, 0.9987, None]
     for each, shown in zip(fit.recordings, result.recordings, strict=True):
-        assert each.torque is not None
-        assert shown.torque_marker_rms_m == each.torque.marker_rms
+        assert each.alternative is not None
+        assert shown.torque_marker_rms_m == each.alternative.marker_rms
     assert [each.left_out for each in result.recordings] == [0, 1, 2, 3]
     white = {each.file: each.whiteness for each in result.recordings}
     assert white["both_modes.csv"] is None  # held out

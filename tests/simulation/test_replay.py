@@ -1,4 +1,4 @@
-"""Replay: the initial state, and nothing else, from a recording."""
+"""SimulatedRecording: the initial state, and nothing else, from a recording."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from tests.simulation.setups import DOWN, arm_of, end_load_shape, jerky_torque, 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
-from vjm.records import Recording
+from vjm.records import Recording, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import Replay, replay
+from vjm.simulation.initial_state import replay
 from vjm.simulation.integrate import rollout, simulate
 from vjm.simulation.measurement import Arcs
 
@@ -47,7 +47,7 @@ def fit_open_loop(n: int = 4, rate: float = 30.0, seconds: float = 4.0) -> tuple
     return chain, recording, end_load_shape(chain, 0.1) + rng.normal(0, 5e-3, n), rng.normal(0, 0.1, n)
 
 
-def found_state(chain: Chain, recording: Recording) -> tuple[Array, Array, Replay]:
+def found_state(chain: Chain, recording: Recording) -> tuple[Array, Array, SimulatedRecording]:
     result = replay(Arm(chain), rig_of(chain), recording, NOISE, ENCODER_NOISE)
     assert result.status == "converged"
     return result.simulation.q[0], result.simulation.v[0], result

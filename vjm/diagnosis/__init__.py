@@ -2,7 +2,8 @@
 
 from vjm.diagnosis.check_effect import check_effect
 from vjm.diagnosis.diagnose import diagnose
-from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Size
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Size
+from vjm.records import RecordingComparison
 
 __all__ = [
     "Alternative",
@@ -10,8 +11,8 @@ __all__ = [
     "Cause",
     "Diagnosis",
     "Gain",
+    "RecordingComparison",
     "Remaining",
-    "Replayed",
     "Size",
     "check_effect",
     "diagnose",

@@ -25,9 +25,9 @@ from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
 from vjm.model import dynamics
-from vjm.records import Array, Kind, Link, Recording, Rig
+from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import Simulation, default_step, rollouts, simulation
+from vjm.simulation.integrate import default_step, rollouts, simulation
 from vjm.simulation.integrators import Steps
 from vjm.simulation.measurement import Arcs, Observed
 from vjm.simulation.run import Start, run_all, transferred

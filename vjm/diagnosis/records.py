@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from vjm.effects.effect import Effect
-from vjm.records import Estimate, Experiment, Recording
-from vjm.simulation.initial_state import Replay
+from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording
 from vjm.simulation.model import Model
 from vjm.symptoms.find import Symptoms
 
@@ -54,6 +53,8 @@ class Cause:
         gain: by how much chi^2 of the training recordings falls with it.
         alternatives: effects that cannot be told from it.
         evidence: in words.
+        without: the recording in which the causes gain most, simulated with all effects but this one; None where it
+            cannot be simulated.
     """
 
     effect: Effect
@@ -62,6 +63,7 @@ class Cause:
     gain: float
     alternatives: tuple[Alternative, ...]
     evidence: str
+    without: SimulatedRecording | None = None
 
 
 @dataclass(frozen=True)
@@ -91,24 +93,6 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Replayed:
-    """A recording, replayed by the model without effects, by the extended one, and by the next best explanation.
-
-    Attributes:
-        recording: without coordinates that cannot be right.
-        before, after: replays; None where it cannot be simulated.
-        next_best: by the runner-up cause; None where there is none.
-        noise: of a marker coordinate [m].
-    """
-
-    recording: Recording
-    before: Replay | None
-    after: Replay | None
-    next_best: Replay | None
-    noise: float
-
-
-@dataclass(frozen=True)
 class Gain:
     """What the extended model gains on held-out recordings.
 
@@ -117,7 +101,7 @@ class Gain:
         noise: of a marker coordinate [m].
         reduction: 1 - after / before.
         interval: of the reduction, 95 %, by a block bootstrap.
-        runner_up: RMS of the markers with the runner-up cause [m]; None where there is none.
+        next_best: RMS of the markers with the next best explanation [m]; None where there is none.
     """
 
     before: float
@@ -171,7 +155,7 @@ class Diagnosis:
     model: Model
     base: Model
     parameters: tuple[Estimate, ...]
-    recordings: tuple[Replayed, ...]
+    recordings: tuple[RecordingComparison, ...]
     gain: Gain | None
     remaining: Remaining
     symptoms: Symptoms | None

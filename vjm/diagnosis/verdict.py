@@ -13,8 +13,8 @@ from vjm.diagnosis.baseline import Base
 from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.fit_cache import OFF
 from vjm.diagnosis.next_experiment import Proposal, next_experiment, proposals
-from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Replayed, Size, Verdict
-from vjm.diagnosis.replays import follow, found_symptoms
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Size, Verdict
+from vjm.diagnosis.replays import follow, found_symptoms, without_cause
 from vjm.diagnosis.residual_tests import (
     Repeated,
     ResidualTest,
@@ -28,7 +28,7 @@ from vjm.diagnosis.selection import Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.identification.uncertainty import Information, covariance, estimates, of_trajectory, to_physical
-from vjm.records import REFERENCE, Array, Estimate, Experiment, Recording
+from vjm.records import REFERENCE, Array, Estimate, Experiment, Recording, RecordingComparison
 from vjm.simulation.model import Model
 
 _SLOPE_STEP = 1e-5
@@ -96,14 +96,14 @@ _BLOCK = 0.25  # s; residuals farther apart are taken to be independent
 _DRAWS = 2000
 
 
-def gain(followed: Sequence[Replayed], seed: int) -> Gain | None:
+def gain(followed: Sequence[RecordingComparison], seed: int) -> Gain | None:
     """On the held-out ones among the recordings; None where none can be simulated by both models.
 
     Args:
         followed: recordings, replayed before and after.
         seed: of the block bootstrap.
     """
-    held_out = [each for each in followed if each.recording.role == "holdout" and each.before and each.after]
+    held_out = [each for each in followed if each.recording.role == "holdout" and each.reference and each.simulated]
     changed = [each for each in held_out if each.recording.condition != REFERENCE]
     held_out = changed or held_out  # nothing is to be gained where nothing has changed
     if not held_out:
@@ -117,19 +117,19 @@ def gain(followed: Sequence[Replayed], seed: int) -> Gain | None:
     return Gain(
         before=float(np.sqrt(before / count)),
         after=float(np.sqrt(after / count)),
-        noise=held_out[0].noise,
+        noise=held_out[0].noise[0],
         reduction=float(1 - np.sqrt(after / before)),
         interval=(low, high),
         next_best=float(np.sqrt(next_best / count)) if np.isfinite(next_best) else None,
     )
 
 
-def _blocks(each: Replayed) -> Array:
+def _blocks(each: RecordingComparison) -> Array:
     """(B, 4) sums over stretches of time: squares before, after [m^2], number of values, squares of the runner-up."""
     recording = each.recording
     known = np.isfinite(recording.markers)
     columns = []
-    for replay in (each.before, each.after, each.next_best):
+    for replay in (each.reference, each.simulated, each.alternative):
         if replay is None:
             columns.append(np.full(len(known), np.nan))
             continue
@@ -238,6 +238,8 @@ def conclude(
     )
     next_best = search.trials.next_best(best) or found.next_best
     followed = follow(experiment, base, search.search_start.before, best, next_best)
+    effects = [cause.effect for cause in causes]
+    causes = tuple(replace(cause, without=without_cause(model, cause.effect, effects, followed)) for cause in causes)
     gained = gain(followed, search.rules.seed)
     left, again = residual_test(best.point.runs), repeated(best.point.runs)
     needed = _still_needed(best, search, found)
@@ -271,7 +273,7 @@ def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
     """The diagnosis where what is significant is small, and of no use."""
     named = ", ".join(cause.effect.id for cause in diagnosis.causes)
     warning = f"{named} would explain a little of the training recordings and nothing of those held out: not a cause"
-    followed = tuple(replace(each, after=each.before, next_best=None) for each in diagnosis.recordings)
+    followed = tuple(replace(each, simulated=each.reference, alternative=None) for each in diagnosis.recordings)
     return replace(
         diagnosis,
         verdict="none",

@@ -3,8 +3,9 @@
 from vjm.identification.assess import fit_recordings
 from vjm.identification.identify import identify
 from vjm.identification.parameters import PARAMETRISATIONS
-from vjm.identification.records import METHODS, Identification, ModeComparison, RecordingFit, TorqueData
+from vjm.identification.records import METHODS, Identification, ModeComparison, TorqueData
 from vjm.identification.resampling import ProfileInterval, Resampled, bootstrap, profile_interval
+from vjm.records import RecordingComparison
 
 __all__ = [
     "METHODS",
@@ -12,7 +13,7 @@ __all__ = [
     "Identification",
     "ModeComparison",
     "ProfileInterval",
-    "RecordingFit",
+    "RecordingComparison",
     "Resampled",
     "TorqueData",
     "bootstrap",

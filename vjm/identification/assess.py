@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, partial
 
 import numpy as np
 
@@ -15,12 +14,11 @@ from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
 from vjm.identification.outliers import without_outliers
 from vjm.identification.parameters import layouts_of
 from vjm.identification.prepare import Data, Prepared, driving_torque, prepare
-from vjm.identification.records import ModeComparison, RecordingFit, TorqueData
+from vjm.identification.records import ModeComparison, TorqueData
 from vjm.identification.torque_method import MATCH_TOLERANCE, noise_factor, seen_errors, whiten
 from vjm.model.modes import modes
 from vjm.model.torque import torque_errors
-from vjm.records import Array, Complex, Experiment, Progress, Recording, Rig
-from vjm.simulation.initial_state import Replay
+from vjm.records import Array, Complex, Experiment, Progress, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.simulation.model import Model
 
 
@@ -140,7 +138,7 @@ def fit_recordings(
     others: Sequence[Model | None],
     progress: Progress | None = None,
     states: Mapping[str, Array] | None = None,
-) -> tuple[RecordingFit, ...]:
+) -> tuple[RecordingComparison, ...]:
     """Open-loop replay of every recording by the model and, when they are asked for, by others to compare it with.
 
     Coordinates that cannot be right, and outliers, are left out of the recordings and counted.
@@ -165,18 +163,19 @@ def fit_recordings(
     for k, repeated in zip(again, _replayed(model, [kept[k] for k in again], states or {}), strict=True):
         replayed[k] = repeated
     tell("replaying recordings", 2, 2)
-    compared = _Compared(kept, others)
+    reference, alternative = (_simulated_by(other, kept) for other in others)
+    noise = (model.marker_noise, model.encoder_noise)
     return tuple(
-        RecordingFit(
-            kept[k],
-            replayed[k][0],
-            partial(compared.of, k),
-            model.marker_noise,
-            model.encoder_noise,
-            replayed[k][1],
-            _measured(experiment.recordings[k]) - _measured(kept[k]),
+        RecordingComparison(
+            recording=recording,
+            noise=noise,
+            simulated=simulated,
+            reference=reference[k],
+            alternative=alternative[k],
+            left_out=_measured(experiment.recordings[k]) - _measured(recording),
+            problem=problem,
         )
-        for k in range(len(kept))
+        for k, (recording, (simulated, problem)) in enumerate(zip(kept, replayed, strict=True))
     )
 
 
@@ -185,31 +184,16 @@ def _measured(recording: Recording) -> int:
     return int(np.isfinite(recording.markers).sum())
 
 
-class _Compared:
-    """Replays of the same recordings by other models, all made when the first is asked for."""
-
-    def __init__(self, recordings: Sequence[Recording], models: Sequence[Model | None]) -> None:
-        self.recordings = recordings
-        self.models = models
-
-    def of(self, k: int) -> tuple[Replay | None, Replay | None]:
-        """The nominal and the torque method's replay of recording k."""
-        nominal, torque = self._all
-        return nominal[k], torque[k]
-
-    @cached_property
-    def _all(self) -> list[list[Replay | None]]:
-        return [
-            [None] * len(self.recordings)
-            if model is None
-            else [found for found, _ in _replayed(model, self.recordings, {}, _COARSE)]
-            for model in self.models
-        ]
+def _simulated_by(model: Model | None, recordings: Sequence[Recording]) -> list[SimulatedRecording | None]:
+    """Simulations by a model to compare with; None where there is no model, or it cannot simulate a recording."""
+    if model is None:
+        return [None] * len(recordings)
+    return [simulated for simulated, _ in _replayed(model, recordings, {}, _COARSE)]
 
 
 def _replayed(
     model: Model, recordings: Sequence[Recording], states: Mapping[str, Array], step_multiple: float = 1.0
-) -> list[tuple[Replay | None, str]]:
+) -> list[tuple[SimulatedRecording | None, str]]:
     """Each recording's replay, or why there is none."""
     if not recordings:
         return []

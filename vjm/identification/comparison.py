@@ -11,10 +11,9 @@ import numpy as np
 from vjm.errors import ShapeError
 from vjm.identification.assess import fit_recordings
 from vjm.identification.parameters import layouts_of
-from vjm.identification.records import RecordingFit
 from vjm.identification.virtual_joints import nominal_chain
 from vjm.identification.warn import result_warnings
-from vjm.records import Array, Experiment, Progress
+from vjm.records import Array, Experiment, Progress, RecordingComparison
 from vjm.simulation.model import Model
 
 _SAME_LENGTH = 1e-3  # relative
@@ -39,7 +38,7 @@ class Comparison:
     nominal: Model
     covariance: Array
     extra: Mapping[str, Any]
-    recordings: tuple[RecordingFit, ...]
+    recordings: tuple[RecordingComparison, ...]
     warnings: tuple[str, ...]
 
 
@@ -50,7 +49,7 @@ def compare(
     extra: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Replay every recording with a model, and with the nominal one.
+    """SimulatedRecording every recording with a model, and with the nominal one.
 
     Args:
         experiment: the recordings.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -10,8 +9,7 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import Angles
 from vjm.markers.smoothing import Derivatives
-from vjm.records import Array, Estimate, Experiment, Recording
-from vjm.simulation.initial_state import Replay
+from vjm.records import Array, Estimate, Experiment, Recording, RecordingComparison
 from vjm.simulation.model import Model
 
 Method = Literal["torque", "torque+frequency", "trajectory"]
@@ -58,39 +56,6 @@ class TorqueData:
     torque: Array
     errors_before: Array
     errors_after: Array
-
-
-@dataclass(frozen=True)
-class RecordingFit:
-    """How well the model follows one recording, open loop over its whole length.
-
-    Attributes:
-        recording: which, without coordinates that cannot be right.
-        replay: the simulation from its most likely initial state; None where it cannot be simulated.
-        others: replays by the nominal model and by what the torque method found, made when first asked for.
-        marker_noise: 1-sigma of a marker coordinate [m].
-        encoder_noise: 1-sigma [rad].
-        problem: why there is no replay; empty otherwise.
-        left_out: number of marker coordinates, impossible or outlying, that are not in `recording` any more.
-    """
-
-    recording: Recording
-    replay: Replay | None
-    others: Callable[[], tuple[Replay | None, Replay | None]]
-    marker_noise: float
-    encoder_noise: float
-    problem: str = ""
-    left_out: int = 0
-
-    @property
-    def nominal(self) -> Replay | None:
-        """The replay of the nominal model of the experiment file; None where it cannot be simulated."""
-        return self.others()[0]
-
-    @property
-    def torque(self) -> Replay | None:
-        """The replay of what the torque method found; None where that is the model itself."""
-        return self.others()[1]
 
 
 @dataclass(frozen=True)
@@ -150,7 +115,7 @@ class Identification:
     objective_nominal: float | None
     trajectory: TrajectorySummary | None
     torque_data: tuple[TorqueData, ...]
-    recordings: tuple[RecordingFit, ...]
+    recordings: tuple[RecordingComparison, ...]
     status: Literal["converged", "not converged"]
     remedy: str
     warnings: tuple[str, ...]

@@ -9,11 +9,11 @@ import numpy as np
 from vjm.experiment.checks import camera_rate
 from vjm.experiment.spectrum import MeasuredModes
 from vjm.identification.prepare import Prepared
-from vjm.identification.records import ModeComparison, RecordingFit
+from vjm.identification.records import ModeComparison
 from vjm.identification.uncertainty import Whiteness
 from vjm.identification.virtual_joints import FREQUENCY_TOLERANCE, JointChoice
 from vjm.markers.shape import required_markers, visible_modes
-from vjm.records import Estimate, Experiment, Link, Recording, Rig
+from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig
 
 _LEAST_SAMPLES_A_PERIOD = 2.5
 _MANY_NOISES = 1.5  # a training replay this many times the noise is not followed
@@ -172,7 +172,7 @@ def scale_notes(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def result_warnings(recordings: Sequence[RecordingFit], parameters: Sequence[Estimate]) -> list[str]:
+def result_warnings(recordings: Sequence[RecordingComparison], parameters: Sequence[Estimate]) -> list[str]:
     """About the fit."""
     found = [f"{fit.recording.file}: {fit.problem}" for fit in recordings if fit.problem]
     for fit in recordings:
@@ -183,12 +183,12 @@ def result_warnings(recordings: Sequence[RecordingFit], parameters: Sequence[Est
                 "markers, clipped, or far from the frames around"
             )
     for fit in recordings:
-        if fit.replay is not None and fit.replay.marker_rms > _MANY_NOISES * fit.marker_noise:
+        if fit.simulated is not None and fit.simulated.marker_rms > _MANY_NOISES * fit.noise[0]:
             found.append(
-                f"{fit.recording.file}: the model misses the markers by {1e3 * fit.replay.marker_rms:.3g} mm rms, "
-                f"{fit.replay.marker_rms / fit.marker_noise:.3g} times their noise"
+                f"{fit.recording.file}: the model misses the markers by {1e3 * fit.simulated.marker_rms:.3g} mm rms, "
+                f"{fit.simulated.marker_rms / fit.noise[0]:.3g} times their noise"
             )
-        if fit.replay is not None and fit.replay.status != "converged":
+        if fit.simulated is not None and fit.simulated.status != "converged":
             found.append(f"{fit.recording.file}: no initial state was found that follows the recording")
     missing = [e.name for e in parameters if not e.identifiable]
     if missing:

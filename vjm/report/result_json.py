@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.identification.records import Identification, ModeComparison, RecordingFit
-from vjm.records import Array, Estimate
+from vjm.identification.records import Identification, ModeComparison
+from vjm.records import Array, Estimate, RecordingComparison
 from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain, Replayed
+    from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain
     from vjm.effects.effect import Effect
     from vjm.identification.check import Check
     from vjm.identification.comparison import Comparison
@@ -207,8 +207,8 @@ def _candidate(candidate: Candidate, model: Model) -> Result:
     }
 
 
-def _followed(followed: Replayed) -> Result:
-    replays = followed.before, followed.after, followed.next_best
+def _followed(followed: RecordingComparison) -> Result:
+    replays = followed.reference, followed.simulated, followed.alternative
     before, after, next_best = (finite(None if each is None else each.marker_rms) for each in replays)
     return {
         "file": followed.recording.file,
@@ -216,7 +216,7 @@ def _followed(followed: Replayed) -> Result:
         "marker_rms_before_m": before,
         "marker_rms_after_m": after,
         "marker_rms_runner_up_m": next_best,
-        "noise_m": finite(followed.noise),
+        "noise_m": finite(followed.noise[0]),
     }
 
 
@@ -258,17 +258,17 @@ def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
     }
 
 
-def recording_result(fit: RecordingFit) -> Result:
+def recording_result(fit: RecordingComparison) -> Result:
     """How well one recording is followed."""
-    replay, nominal = fit.replay, fit.nominal
+    replay, nominal = fit.simulated, fit.reference
     return {
         "file": fit.recording.file,
         "role": fit.recording.role,
         "marker_rms_m": finite(replay.marker_rms if replay else None),
         "theta_rms_rad": finite(replay.theta_rms if replay else None),
-        "noise_m": finite(fit.marker_noise),
+        "noise_m": finite(fit.noise[0]),
         "nominal_marker_rms_m": finite(nominal.marker_rms if nominal else None),
-        "torque_marker_rms_m": finite(fit.torque.marker_rms if fit.torque else None),
+        "torque_marker_rms_m": finite(fit.alternative.marker_rms if fit.alternative else None),
         "left_out": fit.left_out,
         "problem": fit.problem,
     }
@@ -292,7 +292,7 @@ def _frequency(mode: ModeComparison) -> Result:
     }
 
 
-def _whiteness(fit: Identification, recording: RecordingFit) -> Result | None:
+def _whiteness(fit: Identification, recording: RecordingComparison) -> Result | None:
     """Whether what is left of a recording is noise; None for one that whole trajectories were not fitted to."""
     known = () if fit.trajectory is None else fit.trajectory.whiteness
     found = next((each for each in known if each.file == recording.recording.file), None)

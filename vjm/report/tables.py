@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from vjm.chain.virtual_links import Chain
-from vjm.identification.records import ModeComparison, RecordingFit
+from vjm.identification.records import ModeComparison
 from vjm.identification.uncertainty import Whiteness
-from vjm.records import Estimate
+from vjm.records import Estimate, RecordingComparison
 from vjm.report.diagnosis_text import differences_text, named, place, probability, quantity, sizes_text
 from vjm.report.text import (
     UNKNOWN,
@@ -24,7 +24,8 @@ from vjm.report.text import (
 )
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Candidate, Diagnosis, Replayed
+    from vjm.records import RecordingComparison
+from vjm.diagnosis.records import Candidate, Diagnosis
 
 
 @dataclass(frozen=True)
@@ -134,12 +135,12 @@ def mode_table(modes: Sequence[ModeComparison]) -> Table:
     return Table("Table 2. Natural frequencies and damping", headers, tuple(rows))
 
 
-def recording_table(fits: Sequence[RecordingFit], name: str = "identified") -> Table:
+def recording_table(fits: Sequence[RecordingComparison], name: str = "identified") -> Table:
     """How closely each recording is followed, open loop over its whole length."""
     rows: list[tuple[str, ...]] = []
     notes = []
     for fit in fits:
-        recording, replay, nominal, torque = fit.recording, fit.replay, fit.nominal, fit.torque
+        recording, replay, nominal, torque = fit.recording, fit.simulated, fit.reference, fit.alternative
         theta = None if replay is None or replay.theta_rms is None else 1e3 * replay.theta_rms
         rows.append(
             (
@@ -149,8 +150,8 @@ def recording_table(fits: Sequence[RecordingFit], name: str = "identified") -> T
                 millimetres(nominal.marker_rms if nominal else None),
                 millimetres(torque.marker_rms if torque else None),
                 millimetres(replay.marker_rms if replay else None),
-                millimetres(fit.marker_noise),
-                number(replay.marker_rms / fit.marker_noise if replay else None, 2),
+                millimetres(fit.noise[0]),
+                number(replay.marker_rms / fit.noise[0] if replay else None, 2),
                 number(theta, 2),
             )
         )
@@ -178,12 +179,12 @@ def _without(row: tuple[str, ...], at: int) -> tuple[str, ...]:
     return (*row[:at], *row[at + 1 :])
 
 
-def _remarks(fit: RecordingFit) -> list[str]:
+def _remarks(fit: RecordingComparison) -> list[str]:
     """What a reader of a recording's row should know."""
-    if fit.replay is None:
+    if fit.simulated is None:
         return [f"not simulated: {fit.problem}"]
     found = []
-    if fit.replay.status != "converged":
+    if fit.simulated.status != "converged":
         found.append("the search for the initial state has not converged: the residual may be too large")
     if fit.left_out:
         found.append(f"{counted(fit.left_out, 'marker coordinate')} left out")
@@ -243,14 +244,14 @@ def followed_table(diagnosis: Diagnosis) -> Table:
                 each.recording.file,
                 "held out" if each.recording.role == "holdout" else "train",
                 each.recording.kind,
-                *(millimetres(_rms(each, name)) for name in ("before", "next_best", "after")),
-                millimetres(each.noise),
+                *(millimetres(_rms(each, name)) for name in ("reference", "alternative", "simulated")),
+                millimetres(each.noise[0]),
                 number(_ratio(each), 2),
             )
         )
     names = ("without", "next best", "with", "noise", "with / noise")
     headers: tuple[str, ...] = ("recording", "role", "kind", *names)
-    if all(each.next_best is None for each in diagnosis.recordings):
+    if all(each.alternative is None for each in diagnosis.recordings):
         headers, rows = (*headers[:4], *headers[5:]), [(*row[:4], *row[5:]) for row in rows]
     if not diagnosis.causes:
         headers, rows = _without_diagnosis_tables(headers, "with"), [(*row[:4], *row[5:6]) for row in rows]
@@ -263,10 +264,10 @@ def _without_diagnosis_tables(headers: tuple[str, ...], first: str) -> tuple[str
     return (*headers[: headers.index(first)], "noise")
 
 
-def _rms(each: Replayed, name: str) -> float | None:
+def _rms(each: RecordingComparison, name: str) -> float | None:
     replay = getattr(each, name)
     return None if replay is None else float(replay.marker_rms)
 
 
-def _ratio(each: Replayed) -> float | None:
-    return None if each.after is None else each.after.marker_rms / each.noise
+def _ratio(each: RecordingComparison) -> float | None:
+    return None if each.simulated is None else each.simulated.marker_rms / each.noise[0]

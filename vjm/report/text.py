@@ -11,7 +11,8 @@ import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification, RecordingFit, TrajectorySummary
+from vjm.identification.records import Identification, TrajectorySummary
+from vjm.records import RecordingComparison
 from vjm.report.result_json import bending_stiffness
 from vjm.simulation.model import Model
 
@@ -134,13 +135,13 @@ def comparison_verdict(comparison: Comparison) -> Verdict:
     return Verdict(headline, grade, tuple(points))
 
 
-def _ratio(fit: RecordingFit) -> float:
-    return 0.0 if fit.replay is None else fit.replay.marker_rms / fit.marker_noise
+def _ratio(fit: RecordingComparison) -> float:
+    return 0.0 if fit.simulated is None else fit.simulated.marker_rms / fit.noise[0]
 
 
-def _how_close(fits: Sequence[RecordingFit], name: str) -> tuple[str, Grade]:
+def _how_close(fits: Sequence[RecordingComparison], name: str) -> tuple[str, Grade]:
     """One sentence on the worst held-out recording; on the training ones where none was held out."""
-    replayed = [fit for fit in fits if fit.replay is not None]
+    replayed = [fit for fit in fits if fit.simulated is not None]
     held_out = [fit for fit in replayed if fit.recording.role == "holdout"]
     if not replayed:
         return "No recording could be simulated.", "poor"
@@ -158,29 +159,30 @@ def _how_close(fits: Sequence[RecordingFit], name: str) -> tuple[str, Grade]:
     return f"The {name} model {missed}: something is missing from it.{ending}", "poor"
 
 
-def _closeness(fits: Sequence[RecordingFit]) -> list[str]:
+def _closeness(fits: Sequence[RecordingComparison]) -> list[str]:
     """The worst of the held-out recordings, in millimetres; then of the others."""
     points = []
     for role, words in (("holdout", "held out"), ("train", "train")):
-        group = [fit for fit in fits if fit.replay is not None and fit.recording.role == role]
+        group = [fit for fit in fits if fit.simulated is not None and fit.recording.role == role]
         for fit in sorted(group, key=_ratio, reverse=True)[: _MOST_NAMED if role == "holdout" else 1]:
             points.append(_one_recording(fit, words if len(group) == 1 or role == "holdout" else f"worst of {words}"))
     return points
 
 
-def _one_recording(fit: RecordingFit, words: str) -> str:
+def _one_recording(fit: RecordingComparison, words: str) -> str:
     seconds = float(fit.recording.time[-1] - fit.recording.time[0])
+    rms = millimetres(fit.simulated.marker_rms if fit.simulated else None)
     text = (
-        f"{short(fit.recording.file)} ({words}): {millimetres(fit.replay.marker_rms if fit.replay else None)} RMS "
+        f"{short(fit.recording.file)} ({words}): {rms} RMS "
         f"over its whole {number(seconds, 2)}\N{NO-BREAK SPACE}s, open loop"
     )
-    if fit.torque is not None:
-        others = [("torque method", fit.torque), ("nominal values", fit.nominal)]
+    if fit.alternative is not None:
+        others = [("torque method", fit.alternative), ("nominal values", fit.reference)]
         named = [f"{words}: {millimetres(each.marker_rms)}" for words, each in others if each is not None]
         text += f" ({', '.join(named)})"
-    elif fit.nominal is not None:
-        text += f"; {millimetres(fit.nominal.marker_rms)} with nominal values"
-    return f"{text}; the camera's noise is {millimetres(fit.marker_noise)}."
+    elif fit.reference is not None:
+        text += f"; {millimetres(fit.reference.marker_rms)} with nominal values"
+    return f"{text}; the camera's noise is {millimetres(fit.noise[0])}."
 
 
 def _stiffnesses(fit: Identification) -> list[str]:
@@ -210,8 +212,8 @@ def _undetermined(fit: Identification) -> list[str]:
     return [f"{len(missing)} of {len(fit.parameters)} parameters are not determined by these recordings: {names} …"]
 
 
-def _unsimulated(fits: Sequence[RecordingFit]) -> list[str]:
-    missing = [fit for fit in fits if fit.replay is None]
+def _unsimulated(fits: Sequence[RecordingComparison]) -> list[str]:
+    missing = [fit for fit in fits if fit.simulated is None]
     shown = [f"{short(fit.recording.file)} ({fit.problem})" for fit in missing[:_MOST_NAMED]]
     return [f"Not simulated: {listed(shown)}."] if missing else []
 

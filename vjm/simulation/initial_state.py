@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
-from vjm.records import Array, Recording, Rig
+from vjm.records import Array, Recording, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import Simulation, simulation
+from vjm.simulation.integrate import simulation
 from vjm.simulation.integrators import still
 from vjm.simulation.least_squares import Damping, SquareRootInformation
 from vjm.simulation.measurement import Observed
@@ -104,27 +102,6 @@ _IN_VAIN = 4  # steps that gain no more than that, after which none does where s
 _NEGLIGIBLE = 1e-2  # decrease of chi^2: what is left is a tenth of a standard deviation of the state
 
 
-@dataclass(frozen=True)
-class Replay:
-    """An open-loop simulation from the most likely initial state.
-
-    Attributes:
-        simulation: the trajectory.
-        chi2: weighted sum of squared residuals.
-        count: number of measured values behind it.
-        marker_rms: of the residuals of all measured marker coordinates [m].
-        theta_rms: of the active joints' residuals [rad]; None without active joints.
-        status: `converged`, or `not converged` (the remedy is a better model: the state alone cannot follow the data).
-    """
-
-    simulation: Simulation
-    chi2: float
-    count: int
-    marker_rms: float
-    theta_rms: float | None
-    status: Literal["converged", "not converged"]
-
-
 def replays(
     arms: Sequence[Arm],
     rig: Rig,
@@ -133,7 +110,7 @@ def replays(
     encoder_noise: float,
     states: Sequence[Array | None] | None = None,
     step_multiple: float = 1.0,
-) -> list[Replay]:
+) -> list[SimulatedRecording]:
     """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
 
     Args:
@@ -150,10 +127,12 @@ def replays(
         SimulationDivergedError: the chain's simulation diverges even from rest.
     """
     observed = [Observed.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
-    return [report(run, converged) for run, converged in most_likely(arms, observed, states, step_multiple)]
+    return [
+        simulated_recording(run, converged) for run, converged in most_likely(arms, observed, states, step_multiple)
+    ]
 
 
-def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> Replay:
+def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> SimulatedRecording:
     """The same of a single recording."""
     return replays([arm], rig, [recording], marker_noise, encoder_noise)[0]
 
@@ -242,17 +221,14 @@ def _attempts(pending: Sequence[tuple[_Search, Array]], step_multiple: float) ->
         return [_attempts([each], step_multiple)[0] for each in pending]
 
 
-def report(run: Run, converged: bool) -> Replay:
-    """A run as its user sees it."""
-    seen = run.observed
-    split = seen.markers.size
-    off = seen.values - seen.predicted(run.arm, run.steps)
-    markers, angles = off[:split], off[split:]
-    return Replay(
-        simulation=simulation(run.arm, seen.arcs, seen.recording, run.steps),
+def simulated_recording(run: Run, converged: bool) -> SimulatedRecording:
+    """Return a run as its user sees it; `converged` says whether its initial state was found."""
+    observed = run.observed
+    return SimulatedRecording(
+        recording=observed.recording,
+        simulation=simulation(run.arm, observed.arcs, observed.recording, run.steps),
+        noise=observed.noise,
         chi2=run.chi2,
-        count=seen.count,
-        marker_rms=float(np.sqrt(np.mean(markers**2))) if markers.size else float("nan"),
-        theta_rms=float(np.sqrt(np.mean(angles**2))) if angles.size else None,
+        count=observed.count,
         status="converged" if converged else "not converged",
     )

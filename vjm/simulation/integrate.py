@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array, Recording, Rig
+from vjm.records import Array, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.exponential import exponential
 from vjm.simulation.integrators import Drive, Steps, System, runge_kutta, sample
@@ -35,24 +34,6 @@ _HALF_INTERVAL_ELBOW = 1 / 600  # where the arm changes its shape altogether
 _ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
 _MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 10 GB for 432
 _MOST_COARSE = 2.0  # times the step that effects ask for
-
-
-@dataclass(frozen=True)
-class Simulation:
-    """An open-loop trajectory at a recording's instants.
-
-    Attributes:
-        time: (T,) [s].
-        q, v: (T, nv) joint angles [rad] and rates [rad/s].
-        theta: (T, number of active joints) active joint angles [rad].
-        markers: (T, k, 2) marker positions, each in its link's `markers_frame` [m].
-    """
-
-    time: Array
-    q: Array
-    v: Array
-    theta: Array
-    markers: Array
 
 
 def default_step(chain: Chain, payload: float = 0.0) -> float:

@@ -16,10 +16,9 @@ from vjm.files import write_text_atomic
 from vjm.model import dynamics
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import chain_to_urdf
-from vjm.records import REFERENCE, Array, Estimate, Recording, Rig
+from vjm.records import REFERENCE, Array, Estimate, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import Replay, replays
-from vjm.simulation.integrate import Simulation
+from vjm.simulation.initial_state import replays
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -92,13 +91,13 @@ class Model:
         """
         return self.replay(recording).simulation
 
-    def replay(self, recording: Recording) -> Replay:
+    def replay(self, recording: Recording) -> SimulatedRecording:
         """The same as `simulate`, with the residuals' statistics."""
         return self.replays([recording])[0]
 
     def replays(
         self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, step_multiple: float = 1.0
-    ) -> list[Replay]:
+    ) -> list[SimulatedRecording]:
         """Replays of several recordings, advanced together; each is of the arm that moved in it.
 
         Args:

@@ -13,9 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from vjm.diagnosis.replays import most_improved
 from vjm.effects.effect import Effect
-from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.records import REFERENCE, Array, Recording
+from vjm.errors import InsufficientDataError
+from vjm.records import REFERENCE, Array, Recording, SimulatedRecording
 from vjm.report.diagnosis_text import capital, clause, named, place
 from vjm.report.figures.motion import drawn, label, simulated
 from vjm.report.figures.residuals import spectrum
@@ -43,7 +44,6 @@ from vjm.report.figures.windows import (
     tip_signal,
 )
 from vjm.report.text import millimetres, short
-from vjm.simulation.initial_state import Replay
 from vjm.simulation.model import Model
 from vjm.symptoms.joints import profiles
 from vjm.symptoms.profiles import Profile, joined
@@ -51,8 +51,8 @@ from vjm.symptoms.records import Followed
 from vjm.symptoms.signals import observe
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Cause, Diagnosis, Replayed
-
+    from vjm.records import RecordingComparison
+from vjm.diagnosis.records import Cause, Diagnosis
 
 Abscissa = Literal["time", "amplitude", "velocity", "position", "radius", "turn", "marker", "frequency", "joint"]
 
@@ -77,7 +77,6 @@ _OF: dict[str, Abscissa] = {
     "camera_rotation": "turn",
 }
 _WINDOW = 0.08  # of a recording, over which a local size is taken
-_LEAST_FRAMES = 40
 
 
 class Cloud(NamedTuple):
@@ -102,20 +101,7 @@ def abscissa_of(effect: Effect) -> Abscissa:
     return _OF.get(effect.id, "time")
 
 
-def most_improved(diagnosis: Diagnosis) -> Replayed | None:
-    """The recording in which the causes gain most; a held-out one where that gains about as much. None: nowhere."""
-    known = [each for each in diagnosis.recordings if each.before is not None and each.after is not None]
-    known = [each for each in known if each.recording.kind != "quiet" and each.recording.frames.size >= _LEAST_FRAMES]
-    known = known or [each for each in diagnosis.recordings if each.before is not None and each.after is not None]
-
-    def gained(each: Replayed) -> float:
-        before, after = (0.0 if replay is None else replay.marker_rms for replay in (each.before, each.after))
-        return (before**2 - after**2) / each.noise**2 * (2.0 if each.recording.role == "holdout" else 1.0)
-
-    return max(known, key=gained, default=None)
-
-
-def cloud(effect: Effect, recording: Recording, before: Replay, after: Replay) -> Cloud:
+def cloud(effect: Effect, recording: Recording, before: SimulatedRecording, after: SimulatedRecording) -> Cloud:
     """What two models leave of a recording against the abscissa of an effect (never `joint` or `frequency`)."""
     frames = recording.frames
     measured = recording.markers[frames]
@@ -138,7 +124,7 @@ def cloud(effect: Effect, recording: Recording, before: Replay, after: Replay) -
     return _cloud(whole, left, "time since the start [s]", True)
 
 
-def added(recording: Recording, before: Replay, after: Replay) -> tuple[Array, Array]:
+def added(recording: Recording, before: SimulatedRecording, after: SimulatedRecording) -> tuple[Array, Array]:
     """What the causes add to the simulated marker coordinates, and what was missing: (P,), (P,) [m]."""
     frames = recording.frames
     first = before.simulation.markers[frames]
@@ -174,13 +160,13 @@ def _local(values: Array) -> Array:
 
 
 _BINS = 24
-_BOTH = ("before", "after")
+_BOTH = ("reference", "simulated")
 _MOST_DOTS = 1500
 _PALE_BEFORE, _PALE_AFTER = "#f3c793", "#8fa5c4"
 
 
 @styled
-def evidence(cause: Cause, diagnosis: Diagnosis, followed: Sequence[Replayed]) -> Figure:
+def evidence(cause: Cause, diagnosis: Diagnosis, followed: Sequence[RecordingComparison]) -> Figure:
     """Residual without and with a cause against what makes it plain; beside it, what was missing against what it adds.
 
     Args:
@@ -192,9 +178,9 @@ def evidence(cause: Cause, diagnosis: Diagnosis, followed: Sequence[Replayed]) -
     page = sheet(f"{words}: {short(followed[0].recording.file)} without and with it", [Row(2.9, 2)])
     left, right = page.axes[0]
     first = followed[0]
-    if first.before is not None and first.after is not None:
-        _draw_left(left, cause.effect, diagnosis.model, followed, (first.before, first.after))
-        _draw_added(right, first, first.before, first.after)
+    if first.reference is not None and first.simulated is not None:
+        _draw_left(left, cause.effect, diagnosis.model, followed, (first.reference, first.simulated))
+        _draw_added(right, first, first.reference, first.simulated)
     _legend(page)
     return page.figure
 
@@ -211,7 +197,11 @@ def _legend(page: Sheet) -> None:
 
 
 def _draw_left(
-    axes: Axes, effect: Effect, model: Model, followed: Sequence[Replayed], replays: tuple[Replay, Replay]
+    axes: Axes,
+    effect: Effect,
+    model: Model,
+    followed: Sequence[RecordingComparison],
+    replays: tuple[SimulatedRecording, SimulatedRecording],
 ) -> None:
     kind, first = abscissa_of(effect), followed[0]
     if kind == "joint":
@@ -221,7 +211,7 @@ def _draw_left(
             return
     if kind == "frequency" and _draw_spectrum(axes, first, replays):
         return
-    _draw_cloud(axes, cloud(effect, first.recording, *replays), first.noise)
+    _draw_cloud(axes, cloud(effect, first.recording, *replays), first.noise[0])
 
 
 def _draw_cloud(axes: Axes, found: Cloud, noise: float) -> None:
@@ -282,12 +272,14 @@ def _some(count: int) -> NDArray[np.intp]:
     return np.sort(np.random.default_rng(0).permutation(count)[:_MOST_DOTS])
 
 
-def _draw_added(axes: Axes, followed: Replayed, before: Replay, after: Replay) -> None:
+def _draw_added(
+    axes: Axes, followed: RecordingComparison, before: SimulatedRecording, after: SimulatedRecording
+) -> None:
     x, y = (1e3 * each for each in added(followed.recording, before, after))
     some = _some(x.size)
-    reach = max(float(np.percentile(np.abs(x), 99.5)), 3e3 * followed.noise) * 1.15
+    reach = max(float(np.percentile(np.abs(x), 99.5)), 3e3 * followed.noise[0]) * 1.15
     ends = np.array([-reach, reach])
-    noise = 2e3 * followed.noise
+    noise = 2e3 * followed.noise[0]
     axes.fill_between(ends, ends - noise, ends + noise, color=BAND, linewidth=0)
     axes.plot(ends, ends, color=MEASURED, linestyle="--", linewidth=1.2, zorder=2)
     axes.plot(x[some], y[some], ".", color=IDENTIFIED, markersize=2.2, zorder=3)
@@ -300,7 +292,7 @@ def _draw_added(axes: Axes, followed: Replayed, before: Replay, after: Replay) -
 
 
 def _missing_torque(
-    effect: Effect, model: Model, replayed: Sequence[tuple[Recording, Replay | None]]
+    effect: Effect, model: Model, replayed: Sequence[tuple[Recording, SimulatedRecording | None]]
 ) -> Profile | None:
     """Torque at the joint that replays lack; None where the recordings do not show it."""
     noise, name, found = (model.marker_noise, model.encoder_noise), f"{place(effect, model)}.theta", []
@@ -333,9 +325,11 @@ def _draw_joint(axes: Axes, effect: Effect, found: Sequence[Profile]) -> None:
     panel_title(axes, "Torque that the model misses at the joint")
 
 
-def _draw_spectrum(axes: Axes, followed: Replayed, replays: tuple[Replay, Replay]) -> bool:
+def _draw_spectrum(
+    axes: Axes, followed: RecordingComparison, replays: tuple[SimulatedRecording, SimulatedRecording]
+) -> bool:
     """Amplitude of the residual against frequency; false where there is too little to show."""
-    found = [spectrum(followed.recording, each, followed.noise) for each in replays]
+    found = [spectrum(followed.recording, each, followed.noise[0]) for each in replays]
     if found[0] is None or found[1] is None:
         return False
     for each, color in zip(found, (NOMINAL, IDENTIFIED), strict=True):
@@ -353,11 +347,11 @@ def _draw_spectrum(axes: Axes, followed: Replayed, replays: tuple[Replay, Replay
 MOST_RECORDINGS = 40
 _ROW = 0.3  # inches a recording
 _LOOKS: dict[str, dict[str, Any]] = {
-    "before": {"linestyle": "", "marker": "s", "color": NOMINAL, "markerfacecolor": "white", "zorder": 2},
-    "next_best": {"linestyle": "", "marker": "D", "color": TORQUE, "markersize": 6, "zorder": 3},
-    "after": {"linestyle": "", "marker": "o", "color": IDENTIFIED, "zorder": 4},
+    "reference": {"linestyle": "", "marker": "s", "color": NOMINAL, "markerfacecolor": "white", "zorder": 2},
+    "alternative": {"linestyle": "", "marker": "D", "color": TORQUE, "markersize": 6, "zorder": 3},
+    "simulated": {"linestyle": "", "marker": "o", "color": IDENTIFIED, "zorder": 4},
 }
-_NAMES = {"before": "without the causes", "next_best": "next best explanation", "after": "with the causes"}
+_NAMES = {"reference": "without the causes", "alternative": "next best explanation", "simulated": "with the causes"}
 _NOISE: dict[str, Any] = {"linestyle": "", "marker": "|", "markeredgewidth": 2, "color": MEASURED}
 _MEASURED: dict[str, Any] = {"color": "#bdbdbd", "linewidth": 4.0, "solid_capstyle": "round"}
 
@@ -371,19 +365,19 @@ def gain_of_recordings(diagnosis: Diagnosis) -> Figure:
     """
     # Held-out recordings first: they are what counts.
     ordered = sorted(diagnosis.recordings, key=lambda each: each.recording.role != "holdout")
-    shown = [each for each in ordered if each.before is not None][:MOST_RECORDINGS]
+    shown = [each for each in ordered if each.reference is not None][:MOST_RECORDINGS]
     page = sheet(_title(diagnosis), [Row(max(_ROW * len(shown), 0.7))], left=2.75)
     axes = page.axes[0][0]
     places = np.arange(len(shown))[::-1]
-    kept = [name for name in _LOOKS if name == "before" or (diagnosis.causes and _any(shown, name))]
+    kept = [name for name in _LOOKS if name == "reference" or (diagnosis.causes and _any(shown, name))]
     for row, each in zip(places.tolist(), shown, strict=True):
         sizes = {name: replay.marker_rms for name in kept if (replay := getattr(each, name)) is not None}
-        if "after" in sizes:
-            ends = [1e3 * sizes["before"], 1e3 * sizes["after"]]
+        if "simulated" in sizes:
+            ends = [1e3 * sizes["reference"], 1e3 * sizes["simulated"]]
             axes.plot(ends, [row, row], color="#bbbbbb", linewidth=1.0, zorder=1)
         for name, size in sizes.items():
             axes.plot(1e3 * size, row, **_LOOKS[name])
-        axes.plot(1e3 * each.noise, row, **_NOISE, markersize=15, zorder=1)
+        axes.plot(1e3 * each.noise[0], row, **_NOISE, markersize=15, zorder=1)
     axes.set_xscale("log")
     low, high = axes.get_xlim()
     axes.set_xlim(low / 1.15, high * 1.15)
@@ -398,7 +392,7 @@ def gain_of_recordings(diagnosis: Diagnosis) -> Figure:
     return page.figure
 
 
-def _any(shown: Sequence[Replayed], name: str) -> bool:
+def _any(shown: Sequence[RecordingComparison], name: str) -> bool:
     return any(getattr(each, name) is not None for each in shown)
 
 
@@ -412,13 +406,13 @@ def _title(diagnosis: Diagnosis) -> str:
     return f"{text}; noise {millimetres(gain.noise)}"
 
 
-def _label(each: Replayed) -> str:
+def _label(each: RecordingComparison) -> str:
     role = "held out" if each.recording.role == "holdout" else "train"
     return printable(f"{short(each.recording.file, 24)} ({role})")
 
 
 @styled
-def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
+def before_and_after(followed: RecordingComparison, diagnosis: Diagnosis) -> Figure:
     """Tip of one recording, measured and by the models without and with the causes; residuals underneath.
 
     Args:
@@ -430,34 +424,34 @@ def before_and_after(followed: Replayed, diagnosis: Diagnosis) -> Figure:
     """
     recording, model = followed.recording, diagnosis.model
     signal = tip_signal(model.rig, recording)
-    if signal is None or followed.before is None or followed.after is None:
+    if signal is None or followed.reference is None or followed.simulated is None:
         raise InsufficientDataError(f"tip of {recording.file}", "no marker or no replay", "choose another recording")
     left = {
         name: signal.value - simulated(replay, recording, signal)
-        for name in ("before", "next_best", "after")
+        for name in ("reference", "alternative", "simulated")
         if (replay := getattr(followed, name)) is not None
     }
     role = "held out" if recording.role == "holdout" else "train"
-    sizes = [millimetres(float(np.sqrt(np.mean(left[name] ** 2)))) for name in ("before", "after")]
+    sizes = [millimetres(float(np.sqrt(np.mean(left[name] ** 2)))) for name in ("reference", "simulated")]
     title = (
         f"Tip of {short(recording.file)} ({role}): off by {sizes[0]} RMS without the causes, by {sizes[1]} with them"
     )
     page = sheet(title, [Row(1.8), Row(1.8, gap=0.75)])
-    start, stop = liveliest_window(signal.time, left["before"])
+    start, stop = liveliest_window(signal.time, left["reference"])
     _draw_motion(page.axes[0][0], followed, diagnosis, signal, (start, stop))
     _draw_residuals(page.axes[1][0], followed, signal, left)
-    page.legend(_handles("next_best" in left))
+    page.legend(_handles("alternative" in left))
     return page.figure
 
 
 def _draw_motion(
-    axes: Axes, followed: Replayed, diagnosis: Diagnosis, signal: Signal, window: tuple[float, float]
+    axes: Axes, followed: RecordingComparison, diagnosis: Diagnosis, signal: Signal, window: tuple[float, float]
 ) -> None:
     rows = (signal.time >= window[0]) & (signal.time <= window[1])
     axes.plot(signal.time[rows], 1e3 * signal.value[rows], **_MEASURED)
-    shown: list[tuple[Replay | None, Model, dict[str, Any]]] = [
-        (followed.before, diagnosis.base, {"color": NOMINAL, "linestyle": NOMINAL_STYLE, "linewidth": 1.3}),
-        (followed.after, diagnosis.model, {"color": IDENTIFIED, "linewidth": 1.3}),
+    shown: list[tuple[SimulatedRecording | None, Model, dict[str, Any]]] = [
+        (followed.reference, diagnosis.base, {"color": NOMINAL, "linestyle": NOMINAL_STYLE, "linewidth": 1.3}),
+        (followed.simulated, diagnosis.model, {"color": IDENTIFIED, "linewidth": 1.3}),
     ]
     for replay, model, look in shown:
         if replay is not None:
@@ -469,15 +463,15 @@ def _draw_motion(
     panel_title(axes, "" if whole else "Where the model without the causes is off most")
 
 
-def _draw_residuals(axes: Axes, followed: Replayed, signal: Signal, left: dict[str, Array]) -> None:
-    noise = 1e3 * followed.noise
+def _draw_residuals(axes: Axes, followed: RecordingComparison, signal: Signal, left: dict[str, Array]) -> None:
+    noise = 1e3 * followed.noise[0]
     axes.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
     axes.axhline(0.0, color="#444444", linewidth=0.6)
-    colors = {"before": NOMINAL, "next_best": TORQUE, "after": IDENTIFIED}
+    colors = {"reference": NOMINAL, "alternative": TORQUE, "simulated": IDENTIFIED}
     largest = 4 * noise
     for name, values in left.items():
         axes.plot(signal.time, 1e3 * values, color=colors[name], linewidth=0.9, alpha=0.95)
-        if name != "next_best":
+        if name != "alternative":
             largest = max(largest, 1.08e3 * float(np.abs(values).max()))
     axes.set_ylim(-largest, largest)
     axes.set_xlabel("time [s]")
@@ -488,11 +482,11 @@ def _draw_residuals(axes: Axes, followed: Replayed, signal: Signal, left: dict[s
 def _handles(next_best: bool) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
         Line2D([], [], label="measured", **_MEASURED),
-        Line2D([], [], color=NOMINAL, linestyle=NOMINAL_STYLE, label=_NAMES["before"]),
-        Line2D([], [], color=IDENTIFIED, label=_NAMES["after"]),
+        Line2D([], [], color=NOMINAL, linestyle=NOMINAL_STYLE, label=_NAMES["reference"]),
+        Line2D([], [], color=IDENTIFIED, label=_NAMES["simulated"]),
     ]
     if next_best:
-        handles.append(Line2D([], [], color=TORQUE, label=f"{_NAMES['next_best']} (residual)"))
+        handles.append(Line2D([], [], color=TORQUE, label=f"{_NAMES['alternative']} (residual)"))
     return [*handles, Patch(color=BAND, label="±2σ noise")]
 
 
@@ -526,23 +520,18 @@ def _causes(diagnosis: Diagnosis) -> Iterator[Picture]:
         yield _picture(f"cause_{k + 1}", caption, evidence(cause, diagnosis, shown))
 
 
-def _without(cause: Cause, diagnosis: Diagnosis) -> list[Replayed]:
-    """Recordings followed without this cause but with the others, the one in which all causes gain most first."""
-    first = most_improved(diagnosis)
+def _without(cause: Cause, diagnosis: Diagnosis) -> list[RecordingComparison]:
+    """Recordings simulated without this cause but with the others, the one in which all causes gain most first."""
+    first = most_improved(diagnosis.recordings)
     if first is None:
         return []
     if len(diagnosis.causes) == 1:
         return [first, *(each for each in diagnosis.recordings if each is not first)]
-    others = tuple(each.effect for each in diagnosis.causes if each is not cause)
-    try:
-        before = replace(diagnosis.model, effects=others).replay(first.recording)
-    except (InsufficientDataError, SimulationDivergedError):
-        return [first]
-    return [replace(first, before=before)]
+    return [first if cause.without is None else replace(first, reference=cause.without)]
 
 
 def _gained(diagnosis: Diagnosis) -> Iterator[Picture]:
-    if any(each.before is not None for each in diagnosis.recordings):
+    if any(each.reference is not None for each in diagnosis.recordings):
         caption = "Open-loop simulation of each whole recording; a model that misses nothing lies on the noise mark."
         yield _picture("gain", caption, gain_of_recordings(diagnosis))
     if not diagnosis.causes:
@@ -552,18 +541,18 @@ def _gained(diagnosis: Diagnosis) -> Iterator[Picture]:
         yield _picture(f"held_out_{k + 1}", caption, before_and_after(each, diagnosis))
 
 
-def _held_out(diagnosis: Diagnosis) -> list[Replayed]:
+def _held_out(diagnosis: Diagnosis) -> list[RecordingComparison]:
     """Held-out recordings, the one that gains most first; a training one where none is held out."""
     rig = diagnosis.model.rig
     usable = [
         each
         for each in diagnosis.recordings
-        if each.before is not None
-        and each.after is not None
+        if each.reference is not None
+        and each.simulated is not None
         and each.recording.kind != "quiet"
         and tip_signal(rig, each.recording) is not None
     ]
-    usable.sort(key=lambda each: -each.before.marker_rms if each.before else 0.0)
+    usable.sort(key=lambda each: -each.reference.marker_rms if each.reference else 0.0)
     held_out = [each for each in usable if each.recording.role == "holdout"]
     changed = [each for each in held_out if each.recording.condition != REFERENCE]
     return (changed or held_out)[:_MOST_HELD_OUT] or usable[:1]

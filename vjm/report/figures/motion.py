@@ -16,8 +16,8 @@ from scipy.interpolate import CubicHermiteSpline
 from vjm.chain.curve import link_poses, rotate
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import InsufficientDataError
-from vjm.identification.records import RecordingFit, TorqueData
-from vjm.records import Array, Recording, Rig
+from vjm.identification.records import TorqueData
+from vjm.records import Array, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
@@ -36,7 +36,6 @@ from vjm.report.figures.style import (
 )
 from vjm.report.figures.windows import Signal, liveliest_window, marker_name, period, tip_signal, windows
 from vjm.report.text import counted, listed, millimetres, number, short
-from vjm.simulation.initial_state import Replay
 from vjm.simulation.measurement import Arcs
 from vjm.simulation.model import Model
 
@@ -259,7 +258,7 @@ _DRAWN_POINTS = 800  # a camera takes few frames a period; the simulation is dra
 
 
 @styled
-def tip_motion(fit: RecordingFit, model: Model, nominal: Model, name: str = "identified") -> Figure:
+def tip_motion(fit: RecordingComparison, model: Model, nominal: Model, name: str = "identified") -> Figure:
     """Tip of one recording: measured, simulated by the model and by the nominal one; residual underneath.
 
     Args:
@@ -272,9 +271,9 @@ def tip_motion(fit: RecordingFit, model: Model, nominal: Model, name: str = "ide
         InsufficientDataError: a recording without replay or marker.
     """
     signal = tip_signal(model.rig, fit.recording)
-    if fit.replay is None or signal is None:
+    if fit.simulated is None or signal is None:
         raise InsufficientDataError(f"tip of {fit.recording.file}", fit.problem or "no marker", "choose another")
-    residual = signal.value - simulated(fit.replay, fit.recording, signal)
+    residual = signal.value - simulated(fit.simulated, fit.recording, signal)
     parts = windows(signal.time, signal.value)
     page = sheet(_title_tips(fit, signal, residual, name), [Row(2.2, len(parts)), Row(1.2, gap=0.75)])
     _draw_tips(page, fit, model, nominal, signal, parts)
@@ -283,20 +282,20 @@ def tip_motion(fit: RecordingFit, model: Model, nominal: Model, name: str = "ide
     return page.figure
 
 
-def _title_tips(fit: RecordingFit, signal: Signal, residual: Array, name: str) -> str:
+def _title_tips(fit: RecordingComparison, signal: Signal, residual: Array, name: str) -> str:
     role = "held out" if fit.recording.role == "holdout" else "train"
     text = f"Tip of {short(fit.recording.file)} ({role}): {name} model within {millimetres(_rms(residual))} RMS"
-    for other, words in ((fit.torque, "torque method"), (fit.nominal, "nominal")):
+    for other, words in ((fit.alternative, "torque method"), (fit.reference, "nominal")):
         if other is not None:
             text += f", {words} {millimetres(_rms(signal.value - simulated(other, fit.recording, signal)))}"
-    return f"{text}; noise {millimetres(fit.marker_noise)}"
+    return f"{text}; noise {millimetres(fit.noise[0])}"
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def simulated(replay: Replay, recording: Recording, signal: Signal) -> Array:
+def simulated(replay: SimulatedRecording, recording: Recording, signal: Signal) -> Array:
     """The simulated coordinate at the instants at which it was measured [m]."""
     rows = np.isfinite(recording.markers[:, signal.marker, signal.axis])
     values: Array = replay.simulation.markers[rows, signal.marker, signal.axis]
@@ -304,7 +303,7 @@ def simulated(replay: Replay, recording: Recording, signal: Signal) -> Array:
 
 
 def drawn(
-    replay: Replay, model: Model, recording: Recording, signal: Signal, window: tuple[float, float]
+    replay: SimulatedRecording, model: Model, recording: Recording, signal: Signal, window: tuple[float, float]
 ) -> tuple[Array, Array]:
     """The simulated coordinate, as the camera would show it, at closely spaced instants of a window [s, m]."""
     simulation, arm, arcs = replay.simulation, model.arm_in(recording), Arcs.of(model.rig)
@@ -318,17 +317,22 @@ def drawn(
 
 
 def _draw_tips(
-    page: Sheet, fit: RecordingFit, model: Model, nominal: Model, signal: Signal, parts: list[tuple[float, float]]
+    page: Sheet,
+    fit: RecordingComparison,
+    model: Model,
+    nominal: Model,
+    signal: Signal,
+    parts: list[tuple[float, float]],
 ) -> None:
     limits = []
     for axes, window in zip(page.axes[0], parts, strict=True):
         rows = (signal.time >= window[0]) & (signal.time <= window[1])
         axes.plot(signal.time[rows], 1e3 * signal.value[rows], **_measured_look(_crowded(signal, parts)))
-        if fit.replay is not None:
-            time, value = drawn(fit.replay, model, fit.recording, signal, window)
+        if fit.simulated is not None:
+            time, value = drawn(fit.simulated, model, fit.recording, signal, window)
             axes.plot(time, 1e3 * value, color=IDENTIFIED, linewidth=1.3)
-        if fit.nominal is not None:
-            time, value = drawn(fit.nominal, nominal, fit.recording, signal, window)
+        if fit.reference is not None:
+            time, value = drawn(fit.reference, nominal, fit.recording, signal, window)
             axes.plot(time, 1e3 * value, color=NOMINAL, linestyle=NOMINAL_STYLE, linewidth=1.2)
         axes.set_xlabel("time [s]")
         axes.set_ylabel(label(model.rig, signal))
@@ -367,8 +371,8 @@ def label(rig: Rig, signal: Signal) -> str:
     return f"{short(marker_name(rig, signal.marker), 20)}.{'xy'[signal.axis]} [mm]"
 
 
-def _draw_residual(axes: Axes, fit: RecordingFit, signal: Signal, residual: Array, name: str) -> None:
-    noise = 1e3 * fit.marker_noise
+def _draw_residual(axes: Axes, fit: RecordingComparison, signal: Signal, residual: Array, name: str) -> None:
+    noise = 1e3 * fit.noise[0]
     axes.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
     axes.axhline(0.0, color="#444444", linewidth=0.6)
     drawn, largest = "", max(4 * noise, 1.08e3 * float(np.abs(residual).max()))
@@ -391,29 +395,29 @@ class _Before(NamedTuple):
     residual: Array
 
 
-def _before(fit: RecordingFit, signal: Signal, residual: Array) -> _Before | None:
+def _before(fit: RecordingComparison, signal: Signal, residual: Array) -> _Before | None:
     """The torque method's residual or, where that is as good, the nominal one's; None where it would hide the other."""
-    if fit.torque is not None:
-        other = signal.value - simulated(fit.torque, fit.recording, signal)
+    if fit.alternative is not None:
+        other = signal.value - simulated(fit.alternative, fit.recording, signal)
         if _WORTH_A_LINE * _rms(residual) < _rms(other) <= _LEGIBLE * _rms(residual):
             return _Before("torque method's", TORQUE, other)
-    if fit.nominal is not None:
-        other = signal.value - simulated(fit.nominal, fit.recording, signal)
+    if fit.reference is not None:
+        other = signal.value - simulated(fit.reference, fit.recording, signal)
         if _rms(other) <= _LEGIBLE * _rms(residual):
             return _Before("nominal", NOMINAL, other)
     return None
 
 
-def _handles(fit: RecordingFit, signal: Signal, name: str, crowded: bool) -> list[Line2D | Patch]:
+def _handles(fit: RecordingComparison, signal: Signal, name: str, crowded: bool) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = [
         Line2D([], [], label="measured", **_measured_look(crowded)),
         Line2D([], [], color=IDENTIFIED, label=f"{name} model"),
     ]
-    if fit.nominal is not None:
+    if fit.reference is not None:
         handles.append(Line2D([], [], color=NOMINAL, linestyle=NOMINAL_STYLE, label="nominal model"))
     other = (
-        _before(fit, signal, signal.value - simulated(fit.replay, fit.recording, signal))
-        if fit.replay is not None
+        _before(fit, signal, signal.value - simulated(fit.simulated, fit.recording, signal))
+        if fit.simulated is not None
         else None
     )
     if other is not None and other.color == TORQUE:
@@ -432,7 +436,7 @@ _NOISE: dict[str, Any] = {"linestyle": "", "marker": "|", "markeredgewidth": 2, 
 
 
 @styled
-def fit_of_recordings(fits: Sequence[RecordingFit], name: str = "identified") -> Figure:
+def fit_of_recordings(fits: Sequence[RecordingComparison], name: str = "identified") -> Figure:
     """Root mean square marker residual of every recording beside the noise, on a logarithmic axis.
 
     In millimetres; in units of the noise where the torque method stands beside the trajectory method.
@@ -442,14 +446,14 @@ def fit_of_recordings(fits: Sequence[RecordingFit], name: str = "identified") ->
         name: what to call the model.
     """
     shown = list(fits)[:MOST_RECORDINGS]
-    compared = any(fit.torque is not None for fit in shown)
+    compared = any(fit.alternative is not None for fit in shown)
     page = sheet(
         _compared(shown, name) if compared else _title_fits(shown, name), [Row(max(_ROW * len(shown), 0.7))], left=2.75
     )
     axes = page.axes[0][0]
     places = np.arange(len(shown))[::-1]
     for place, fit in zip(places.tolist(), shown, strict=True):
-        unit = fit.marker_noise if compared else 1e-3
+        unit = fit.noise[0] if compared else 1e-3
         drawn = [(each, look) for each, look in zip(_replays(fit), _LOOKS, strict=True) if each is not None]
         if len(drawn) > 1:
             ends = [drawn[0][0].marker_rms / unit, drawn[-1][0].marker_rms / unit]
@@ -457,7 +461,7 @@ def fit_of_recordings(fits: Sequence[RecordingFit], name: str = "identified") ->
         for replay, look in drawn:
             axes.plot(replay.marker_rms / unit, place, **look)
         if not compared:
-            axes.plot(fit.marker_noise / unit, place, **_NOISE, markersize=15, zorder=1)
+            axes.plot(fit.noise[0] / unit, place, **_NOISE, markersize=15, zorder=1)
     axes.set_xscale("log")
     if compared:
         axes.axvline(1.0, color=MEASURED, linewidth=2, zorder=1)
@@ -476,18 +480,20 @@ def fit_of_recordings(fits: Sequence[RecordingFit], name: str = "identified") ->
     return page.figure
 
 
-def _replays(fit: RecordingFit) -> tuple[Replay | None, Replay | None, Replay | None]:
-    return fit.nominal, fit.torque, fit.replay
+def _replays(
+    fit: RecordingComparison,
+) -> tuple[SimulatedRecording | None, SimulatedRecording | None, SimulatedRecording | None]:
+    return fit.reference, fit.alternative, fit.simulated
 
 
-def _compared(fits: Sequence[RecordingFit], name: str) -> str:
+def _compared(fits: Sequence[RecordingComparison], name: str) -> str:
     """The held-out recordings by all three models; the training ones where none was held out."""
-    replayed = [fit for fit in fits if fit.replay is not None]
+    replayed = [fit for fit in fits if fit.simulated is not None]
     held_out = [fit for fit in replayed if fit.recording.role == "holdout"]
     parts = []
     for k, words in enumerate((f"{name} model", "torque method", "nominal model")):
         known = [(fit, _replays(fit)[2 - k]) for fit in held_out or replayed]
-        ratios = [replay.marker_rms / fit.marker_noise for fit, replay in known if replay is not None]
+        ratios = [replay.marker_rms / fit.noise[0] for fit, replay in known if replay is not None]
         if ratios:
             parts.append(f"{words} {_range(ratios)}")
     return f"Residual over noise in {'held-out' if held_out else 'training'} recordings: {', '.join(parts)}"
@@ -498,16 +504,18 @@ def _range(ratios: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _label(fit: RecordingFit) -> str:
+def _label(fit: RecordingComparison) -> str:
     role = "held out" if fit.recording.role == "holdout" else "train"
-    missing = "" if fit.replay is not None else ", not simulated"
+    missing = "" if fit.simulated is not None else ", not simulated"
     return printable(f"{short(fit.recording.file, 24)} ({role}{missing})")
 
 
-def _title_fits(fits: Sequence[RecordingFit], name: str) -> str:
+def _title_fits(fits: Sequence[RecordingComparison], name: str) -> str:
     parts = []
     for role, words in (("train", "train"), ("holdout", "held-out")):
-        ratios = [fit.replay.marker_rms / fit.marker_noise for fit in fits if fit.replay and fit.recording.role == role]
+        ratios = [
+            fit.simulated.marker_rms / fit.noise[0] for fit in fits if fit.simulated and fit.recording.role == role
+        ]
         if ratios:
             parts.append(f"{_range(ratios)} times the noise in {words} recordings")
     return f"Residual of the {name} model: {listed(parts)}" if parts else "No recording could be simulated"

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 from matplotlib.figure import Figure
 
-from vjm.identification.records import Identification, RecordingFit
-from vjm.records import Experiment
+from vjm.identification.records import Identification
+from vjm.records import Experiment, RecordingComparison
 from vjm.report.figures.joints import joint_angles, torque_error_figure
 from vjm.report.figures.motion import (
     MOST_RECORDINGS,
@@ -48,12 +48,12 @@ def identification_pictures(fit: Identification) -> list[Picture]:
     ]
 
 
-def replay_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model) -> list[Picture]:
+def replay_pictures(fits: Sequence[RecordingComparison], model: Model, nominal: Model) -> list[Picture]:
     """The figures of a comparison of a model with recordings."""
     return list(_fit_pictures(fits, model, nominal, "given"))
 
 
-def _fit_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model, name: str) -> Iterator[Picture]:
+def _fit_pictures(fits: Sequence[RecordingComparison], model: Model, nominal: Model, name: str) -> Iterator[Picture]:
     more = f" The first {MOST_RECORDINGS} recordings of {len(fits)}." if len(fits) > MOST_RECORDINGS else ""
     caption = (
         "Open-loop simulation of each whole recording: only its initial state is estimated from it. "
@@ -68,7 +68,7 @@ def _fit_pictures(fits: Sequence[RecordingFit], model: Model, nominal: Model, na
 
 
 def _residual_pictures(fit: Identification) -> Iterator[Picture]:
-    replayed = [each for each in fit.recordings if each.replay is not None and each.recording.frames.size]
+    replayed = [each for each in fit.recordings if each.simulated is not None and each.recording.frames.size]
     if not replayed:
         return
     more = f" The first {MOST_ROWS} recordings of {len(replayed)}." if len(replayed) > MOST_ROWS else ""

@@ -14,8 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy import stats
 
-from vjm.identification.records import RecordingFit
-from vjm.records import Array, Estimate, Recording, Rig
+from vjm.records import Array, Estimate, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.report.figures.style import (
     BAND,
     IDENTIFIED,
@@ -31,7 +30,6 @@ from vjm.report.figures.style import (
 )
 from vjm.report.figures.windows import marker_name, tips
 from vjm.report.text import number, short
-from vjm.simulation.initial_state import Replay
 from vjm.simulation.model import Model
 
 _LEAST_VALUES = 8  # of a coordinate, for a spectrum
@@ -52,13 +50,13 @@ class Column(NamedTuple):
     axes: tuple[int, ...]
 
 
-def residual(recording: Recording, replay: Replay) -> Array:
+def residual(recording: Recording, replay: SimulatedRecording) -> Array:
     """(T, k, 2) measured less simulated marker coordinates [m]; NaN where not measured."""
     difference: Array = recording.markers - replay.simulation.markers
     return difference
 
 
-def columns(rig: Rig, fits: list[RecordingFit], most: int) -> list[Column]:
+def columns(rig: Rig, fits: list[RecordingComparison], most: int) -> list[Column]:
     """The coordinates measured in any of the recordings, pooled marker by marker where there are too many."""
     measured = np.any([np.isfinite(fit.recording.markers).any(axis=0) for fit in fits], axis=0)
     seen = [(marker, tuple(np.flatnonzero(axes).tolist())) for marker, axes in enumerate(measured) if axes.any()]
@@ -68,7 +66,7 @@ def columns(rig: Rig, fits: list[RecordingFit], most: int) -> list[Column]:
     return [Column(marker_name(rig, marker), marker, axes) for marker, axes in seen]
 
 
-def misfit(fits: list[RecordingFit], shown: list[Column]) -> tuple[Array, Array]:
+def misfit(fits: list[RecordingComparison], shown: list[Column]) -> tuple[Array, Array]:
     """RMS residual in units of the noise, and what white noise would pass anywhere in one report of a thousand.
 
     Both (recordings, columns); NaN where nothing was measured or simulated.
@@ -76,9 +74,9 @@ def misfit(fits: list[RecordingFit], shown: list[Column]) -> tuple[Array, Array]
     table = np.full((len(fits), len(shown)), np.nan)
     limit = table.copy()
     for row, fit in enumerate(fits):
-        if fit.replay is None:
+        if fit.simulated is None:
             continue
-        left = residual(fit.recording, fit.replay) / fit.marker_noise
+        left = residual(fit.recording, fit.simulated) / fit.noise[0]
         for k, column in enumerate(shown):
             values = left[:, column.marker, list(column.axes)]
             known = np.isfinite(values)
@@ -107,7 +105,7 @@ class Spectrum(NamedTuple):
     limit: float
 
 
-def spectrum(recording: Recording, replay: Replay, noise: float) -> Spectrum | None:
+def spectrum(recording: Recording, replay: SimulatedRecording, noise: float) -> Spectrum | None:
     """Amplitude spectrum of what the model leaves of a recording.
 
     Values lost for a moment count as zeros, and amplitudes are scaled by the number of those there are.
@@ -156,14 +154,14 @@ _NEGLIGIBLE = 1.1  # residual over noise that is nothing to look for
 
 
 @styled
-def residual_map(model: Model, fits: Sequence[RecordingFit]) -> Figure:
+def residual_map(model: Model, fits: Sequence[RecordingComparison]) -> Figure:
     """RMS residual of every marker coordinate in every recording, in units of the noise.
 
     Args:
         model: the identified one.
         fits: of the recordings, at least one with a replay and a marker.
     """
-    shown = [fit for fit in fits if fit.replay is not None][:MOST_ROWS]
+    shown = [fit for fit in fits if fit.simulated is not None][:MOST_ROWS]
     heads = columns(model.rig, shown, _MOST_COLUMNS)
     table, limit = misfit(shown, heads)
     page = sheet(_map_title(shown, [head.name for head in heads], table, limit), [Row(_ROW * len(shown))], left=2.75)
@@ -205,12 +203,12 @@ def _write_cells(axes: Axes, table: Array, colors: Colormap, norm: LogNorm) -> N
             axes.text(column + 0.5, row + 0.5, text, ha="center", va="center", fontsize=size, color=color)
 
 
-def _label(fit: RecordingFit) -> str:
+def _label(fit: RecordingComparison) -> str:
     role = "held out" if fit.recording.role == "holdout" else "train"
     return printable(f"{short(fit.recording.file, 24)} ({role})")
 
 
-def _map_title(fits: Sequence[RecordingFit], names: Sequence[str], table: Array, limit: Array) -> str:
+def _map_title(fits: Sequence[RecordingComparison], names: Sequence[str], table: Array, limit: Array) -> str:
     row, column = divmod(int(np.nanargmax(table)), table.shape[1])
     worst = float(table[row, column])
     noise = bool(np.nanmax(table / np.maximum(limit, _NEGLIGIBLE)) <= 1)
@@ -220,7 +218,7 @@ def _map_title(fits: Sequence[RecordingFit], names: Sequence[str], table: Array,
     return f"Residual marker by marker: at most {number(worst, 3)} times the noise, {where}"
 
 
-def residual_spectra(model: Model, fits: Sequence[RecordingFit]) -> Figure | None:
+def residual_spectra(model: Model, fits: Sequence[RecordingComparison]) -> Figure | None:
     """Amplitude spectra of what the model leaves of the held-out and the worst recordings, beside white noise.
 
     Args:
@@ -232,14 +230,14 @@ def residual_spectra(model: Model, fits: Sequence[RecordingFit]) -> Figure | Non
     """
     found = []
     for fit in tips(model.rig, fits, _MOST_SPECTRA):
-        left = None if fit.replay is None else spectrum(fit.recording, fit.replay, fit.marker_noise)
+        left = None if fit.simulated is None else spectrum(fit.recording, fit.simulated, fit.noise[0])
         if left is not None:
             found.append((fit, left))
     return _spectra(model, found) if found else None
 
 
 @styled
-def _spectra(model: Model, found: Sequence[tuple[RecordingFit, Spectrum]]) -> Figure:
+def _spectra(model: Model, found: Sequence[tuple[RecordingComparison, Spectrum]]) -> Figure:
     count = min(2, len(found))
     rows = -(-len(found) // count)
     page = sheet(_spectrum_title(model, found), [Row(1.7 if rows > 1 else 2.2, count, gap=0.8)] * rows)
@@ -254,14 +252,14 @@ def _spectra(model: Model, found: Sequence[tuple[RecordingFit, Spectrum]]) -> Fi
         Line2D([], [], color=MEASURED, linestyle=(0, (4, 2)), label="its limit (99.9 %)"),
         Line2D([], [], color=_MODES, linestyle=(0, (1, 1.5)), label="natural frequency of the model"),
     ]
-    if any(fit.torque is not None for fit, _ in found):
+    if any(fit.alternative is not None for fit, _ in found):
         handles.insert(1, Line2D([], [], color=TORQUE, linewidth=1.0, label="torque method"))
     page.legend(handles)
     return page.figure
 
 
-def _draw_spectrum(axes: Axes, model: Model, fit: RecordingFit, left: Spectrum) -> None:
-    before = None if fit.torque is None else spectrum(fit.recording, fit.torque, fit.marker_noise)
+def _draw_spectrum(axes: Axes, model: Model, fit: RecordingComparison, left: Spectrum) -> None:
+    before = None if fit.alternative is None else spectrum(fit.recording, fit.alternative, fit.noise[0])
     drawn = [left.amplitude]
     if before is not None:
         axes.plot(before.frequency, 1e6 * before.amplitude, color=TORQUE, linewidth=1.0)
@@ -286,14 +284,14 @@ def _draw_spectrum(axes: Axes, model: Model, fit: RecordingFit, left: Spectrum) 
     panel_title(axes, f"{short(fit.recording.file, 20)} ({role}): {_peak(model, fit, left)}")
 
 
-def _peak(model: Model, fit: RecordingFit, left: Spectrum) -> str:
+def _peak(model: Model, fit: RecordingComparison, left: Spectrum) -> str:
     at = int(np.argmax(left.amplitude))
     if left.amplitude[at] <= left.limit:
         return "nothing but noise"
     return f"most {_where(model, fit, left)}"
 
 
-def _where(model: Model, fit: RecordingFit, left: Spectrum) -> str:
+def _where(model: Model, fit: RecordingComparison, left: Spectrum) -> str:
     """The frequency at which most is missing, and the mode that is there."""
     at = int(np.argmax(left.amplitude))
     peak, line = float(left.frequency[at]), float(left.frequency[0])
@@ -305,7 +303,7 @@ def _where(model: Model, fit: RecordingFit, left: Spectrum) -> str:
     return f"at {number(peak, 3)} Hz{mode}"
 
 
-def _spectrum_title(model: Model, found: Sequence[tuple[RecordingFit, Spectrum]]) -> str:
+def _spectrum_title(model: Model, found: Sequence[tuple[RecordingComparison, Spectrum]]) -> str:
     beyond = [(fit, left) for fit, left in found if left.amplitude.max() > left.limit]
     if not beyond:
         return "Spectrum of the residual: no frequency at which the model misses more than noise"

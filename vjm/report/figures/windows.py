@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vjm.identification.records import RecordingFit, TorqueData
-from vjm.records import Array, Recording, Rig
+from vjm.identification.records import TorqueData
+from vjm.records import Array, Recording, RecordingComparison, Rig
 
 LEGIBLE_PERIODS = 14  # more oscillations than this across a panel are a black blob
 
@@ -135,9 +135,9 @@ def liveliest_window(time: Array, value: Array) -> tuple[float, float]:
     return float(time[best]), float(time[best] + length)
 
 
-def tips(rig: Rig, fits: Sequence[RecordingFit], most: int) -> list[RecordingFit]:
+def tips(rig: Rig, fits: Sequence[RecordingComparison], most: int) -> list[RecordingComparison]:
     """Recordings to show tip motion of: held-out ones first, then the worst followed; repeats and rest left out."""
-    usable = [fit for fit in fits if fit.replay is not None and fit.recording.kind != "quiet"]
+    usable = [fit for fit in fits if fit.simulated is not None and fit.recording.kind != "quiet"]
     usable = [fit for fit in usable if tip_signal(rig, fit.recording) is not None]
     holdout = _worst_first([fit for fit in usable if fit.recording.role == "holdout"])
     rest = _worst_first([fit for fit in usable if fit.recording.role == "train"])
@@ -145,11 +145,11 @@ def tips(rig: Rig, fits: Sequence[RecordingFit], most: int) -> list[RecordingFit
     return [fit for fit in (*holdout, *rest) if any(fit is each for each in chosen)]
 
 
-def _worst_first(fits: list[RecordingFit]) -> list[RecordingFit]:
-    return sorted(fits, key=lambda fit: -fit.replay.marker_rms / fit.marker_noise if fit.replay else 0.0)
+def _worst_first(fits: list[RecordingComparison]) -> list[RecordingComparison]:
+    return sorted(fits, key=lambda fit: -fit.simulated.marker_rms / fit.noise[0] if fit.simulated else 0.0)
 
 
-def _one_of_each_repeat(fits: list[RecordingFit]) -> list[RecordingFit]:
+def _one_of_each_repeat(fits: list[RecordingComparison]) -> list[RecordingComparison]:
     seen: set[str] = set()
     kept = []
     for fit in fits:

@@ -1,0 +1,34 @@
+"""Simulations without one cause keep all else that acts on the arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tests.report.diagnoses import pair
+from vjm.diagnosis.replays import most_improved, without_cause
+from vjm.effects import ViscousFriction
+
+
+def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> None:
+    diagnosis = pair()
+    causes = [cause.effect for cause in diagnosis.causes]
+    friction = ViscousFriction(link=0, coefficient=0.05)
+    model = replace(diagnosis.model, effects=(friction, *causes), reference_effects=1)
+    first = most_improved(diagnosis.recordings)
+    assert first is not None
+    without = without_cause(model, causes[0], causes, diagnosis.recordings)
+    assert without is not None
+    expected = replace(model, effects=(friction, causes[1])).replay(first.recording)
+    np.testing.assert_allclose(without.simulation.markers, expected.simulation.markers, rtol=0, atol=1e-12)
+    frictionless = replace(model, effects=(causes[1],), reference_effects=0).replay(first.recording)
+    assert np.abs(without.simulation.markers - frictionless.simulation.markers).max() > 1e-4
+
+
+def test_a_single_cause_leaves_the_model_fitted_without_it() -> None:
+    diagnosis = pair()
+    cause = diagnosis.causes[0].effect
+    first = most_improved(diagnosis.recordings)
+    assert first is not None
+    assert without_cause(diagnosis.model, cause, [cause], diagnosis.recordings) is first.reference
