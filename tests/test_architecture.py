@@ -40,7 +40,6 @@ HOMES = {
     "matplotlib": ("report/figures",),
     "pandas": ("experiment",),
     "jinja2": ("model", "report"),
-    "yourdfpy": ("model",),
     "rich": ("cli",),
 }
 
@@ -179,7 +178,7 @@ def test_nothing_grows_too_long() -> None:
     ],
 )
 def test_heavy_libraries_wait_until_they_are_used(code: str) -> None:
-    heavy = {"pinocchio", "scipy", "matplotlib", "pandas", "pydantic", "jinja2", "yourdfpy", "rich"}
+    heavy = {"pinocchio", "scipy", "matplotlib", "pandas", "pydantic", "jinja2", "rich"}
     command = f"import sys\n{code}\nprint(*sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []

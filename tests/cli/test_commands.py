@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from tests.model.urdf_contents import extension_from, robot_from, springs_from
 from tests.report.diagnoses import nothing, undecided
 from tests.report.fits import DEMO, demo_fit, elbow_fit
 from tests.report.schema import CheckResult, DemoResult, DiagnoseResult, IdentifyResult, SimulateResult, UrdfResult
@@ -22,7 +23,6 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.model.urdf import chain_to_urdf
-from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report import save as saving
 from vjm.report.model_json import write_model
 
@@ -133,7 +133,7 @@ def test_diagnosed_model_is_simulated_and_written_as_urdf(tmp_path: Path, capsys
     assert run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", "-q")[0] == 0
     model = tmp_path / "out" / "model.json"
     assert run(capsys, "urdf", model, "-o", tmp_path / "arm.urdf")[0] == 0
-    assert chain_from_urdf(tmp_path / "arm.urdf").links[0].payload == 0.0133
+    assert robot_from(tmp_path / "arm.urdf").link_map["beam_payload"].inertial.mass == 0.0133
     assert (tmp_path / "arm.urdf").read_text() == (tmp_path / "out" / "model.urdf").read_text()
 
 
@@ -197,9 +197,11 @@ def test_urdf_of_a_model(tmp_path: Path, model: Path, capfdbinary: pytest.Captur
 
 def test_urdf_of_an_experiment_has_its_nominal_values(tmp_path: Path) -> None:
     assert main(["urdf", str(DEMO), "-o", str(tmp_path / "arm.urdf"), "-q"]) == 0
-    link = chain_from_urdf(tmp_path / "arm.urdf").links[0]
-    assert link.stiffness * link.cells == pytest.approx(demo_fit().experiment.rig.links[0].bending_stiffness)
-    assert link.damping.tolist() == [0.0] * link.virtual_joints
+    cells = [float(joint.attrib["cell"]) for joint in extension_from(tmp_path / "arm.urdf")[0]]
+    springs = [*springs_from(tmp_path / "arm.urdf").values()]
+    assert np.multiply(springs, cells) == pytest.approx(demo_fit().experiment.rig.links[0].bending_stiffness)
+    joints = robot_from(tmp_path / "arm.urdf").actuated_joints
+    assert [float(joint.dynamics.damping) for joint in joints] == [0.0] * len(springs)
 
 
 def test_experiment_without_suffix_and_model_without_suffix_are_told_apart(

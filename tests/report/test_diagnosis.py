@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.model.urdf_contents import robot_from
 from tests.report.diagnoses import (
     CLAMP,
     DIAGNOSES,
@@ -27,7 +28,6 @@ from tests.report.test_page import HOSTILE, Elements, assert_self_contained
 from vjm.diagnosis.records import Diagnosis, Remaining, Size
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
 from vjm.files import json_text
-from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report import save as saving
 from vjm.report.diagnosis_text import (
     carried_points,
@@ -251,8 +251,8 @@ def test_folder_holds_a_model_that_comes_back(name: str, tmp_path: Path, monkeyp
     assert model.effects == found.model.effects
     assert model.estimates == found.parameters
     assert extra["verdict"] == found.verdict
-    carried = chain_from_urdf(folder / "model.urdf")
-    assert carried.links[0].payload == found.model.arm.chain.links[0].payload
+    carried = robot_from(folder / "model.urdf").link_map.get("beam_payload")
+    assert (carried.inertial.mass if carried else 0.0) == found.model.arm.chain.links[0].payload
     assert ("effects" in json.loads((folder / "model.json").read_text())) == bool(found.model.effects)
     recording = found.experiment.recordings[1]
     assert model.replay(recording).marker_rms == pytest.approx(found.model.replay(recording).marker_rms, rel=1e-6)

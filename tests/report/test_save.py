@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.model.urdf_contents import robot_from
 from tests.report.fits import demo_fit, pictures_of
 from tests.report.schema import IdentifyResult, SimulateResult
 from vjm.files import FolderError, write_together
 from vjm.identification.comparison import Comparison, compare
-from vjm.model.urdf_reader import chain_from_urdf
 from vjm.report import save as saving
 from vjm.report.model_json import read_model, stored_model
 from vjm.report.save import save
@@ -37,7 +37,7 @@ def test_folder_holds_everything(tmp_path: Path) -> None:
     chain, extra = read_model(folder / "model.json")
     assert chain.stiffness.tolist() == fit.model.chain.stiffness.tolist()
     assert extra["method"] == "trajectory"
-    assert chain_from_urdf(folder / "model.urdf").joint_names == fit.model.chain.joint_names
+    assert tuple(robot_from(folder / "model.urdf").actuated_joint_names) == fit.model.chain.joint_names
     assert {path.stem for path in (folder / "figures").iterdir()} == {picture.name for picture in pictures_of(fit)}
 
 

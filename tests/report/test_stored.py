@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.model.urdf_contents import robot_from
 from tests.report.diagnoses import FRICTION, PAYLOAD, hub_experiment
 from tests.report.fits import _chain, two_link_experiment
 from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, magnitude
 from vjm.errors import ModelFileError
 from vjm.experiment import Experiment
-from vjm.model.urdf_reader import chain_from_urdf, friction_from_urdf
 from vjm.report.model_json import stored_chain, stored_effects, stored_model, write_model
 from vjm.simulation.model import Model
 
@@ -133,8 +133,9 @@ def test_urdf_has_payload_and_friction(tmp_path: Path) -> None:
     _, base = hub_experiment(())
     model = replace(base, effects=(PAYLOAD, FRICTION))
     file = model.to_urdf(tmp_path / "arm.urdf")
-    assert chain_from_urdf(file).links[0].payload == PAYLOAD.mass
-    assert friction_from_urdf(file) == {"beam": FRICTION.torque}
+    robot = robot_from(file)
+    assert robot.link_map["beam_payload"].inertial.mass == PAYLOAD.mass
+    assert float(robot.joint_map["beam_joint"].dynamics.friction) == FRICTION.torque
 
 
 def test_no_effect_is_present_in_reference_recordings() -> None:

@@ -103,6 +103,21 @@ class LinkChain:
         return float(self.lengths.sum())
 
     @property
+    def carried_inertia(self) -> float:
+        """Inertia of what turns with virtual link 0 [kg m^2]: the root's, and the hub's where no joint is between."""
+        return self.root_inertia + (self.hub_inertia if self.root_stiffness is None else 0.0)
+
+    @property
+    def bending_stiffness(self) -> float:
+        """Mean over the virtual joints of the bending stiffness EI = K times cell [N m^2]."""
+        return float(np.mean(self.stiffness * self.cells))
+
+    @property
+    def kelvin_voigt_time(self) -> float:
+        """Mean over the virtual joints of D / K, the ratio of viscous to elastic bending moment [s]."""
+        return float(np.mean(self.damping / np.maximum(self.stiffness, 1e-300)))
+
+    @property
     def joint_arcs(self) -> Array:
         """(n,) arc length s_j of each virtual joint from the proximal end [m]."""
         return np.cumsum(self.lengths)[:-1]

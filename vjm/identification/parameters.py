@@ -140,10 +140,9 @@ class Parametrisation:
     def scale(self, coordinate: Coordinate) -> float:
         """Physical size of one unit of a linear coordinate."""
         link = self.template.links[coordinate.link]
-        mean_stiffness = float(np.mean(link.stiffness * link.cells))
         if coordinate.group == "hub":
             return link.hub_inertia or float(link.masses.sum() * link.length**2) / 3
-        stiffness = mean_stiffness if coordinate.index < 0 else mean_stiffness / float(link.cells[coordinate.index])
+        stiffness = link.bending_stiffness / (1.0 if coordinate.index < 0 else float(link.cells[coordinate.index]))
         return stiffness if coordinate.group == "stiffness" else DAMPING_SCALE * stiffness
 
     def chain(self, x: Array) -> Chain:
@@ -247,7 +246,7 @@ def _read(coordinate: Coordinate, link: LinkChain, parametrisation: Parametrisat
     """The template's value of one coordinate."""
     j = coordinate.index
     if coordinate.group == "stiffness":
-        physical = float(np.mean(link.stiffness * link.cells)) if j < 0 else float(link.stiffness[j])
+        physical = link.bending_stiffness if j < 0 else float(link.stiffness[j])
         return physical / parametrisation.scale(coordinate)
     if coordinate.group == "damping":
         physical = float(np.mean(link.damping * link.cells)) if j < 0 else float(link.damping[j])

@@ -116,16 +116,11 @@ def _add_chain(model: pin.Model, chain: Chain, payload: float, suffix: str) -> N
             hub = pin.Inertia(0.0, np.zeros(3), np.diag([0.0, 0.0, link.hub_inertia]))
             model.appendBodyToJoint(joint, hub, _shift(offset))
             continue
-        model.appendBodyToJoint(joint, _rod(link, j, _root_inertia(link) if j == 0 else 0.0), _shift(offset))
+        model.appendBodyToJoint(joint, _rod(link, j, link.carried_inertia if j == 0 else 0.0), _shift(offset))
         if j == link.virtual_joints:
             tip_mass = link.payload + (payload if i == len(chain.links) - 1 else 0.0)
             tip = pin.Inertia(tip_mass, np.zeros(3), np.zeros((3, 3)))
             model.appendBodyToJoint(joint, tip, _shift(offset + float(link.lengths[j])))
-
-
-def _root_inertia(link: LinkChain) -> float:
-    """What turns with virtual link 0 [kg m^2]."""
-    return link.root_inertia + (link.hub_inertia if link.root_stiffness is None else 0.0)
 
 
 def _shift(x: float, turn: float = 0.0) -> pin.SE3:

@@ -287,9 +287,9 @@ def nominal_value(name: str, nominal: Chain) -> float | None:
     if link is None:
         return None
     if quantity == "bending_stiffness":
-        return float(np.mean(link.stiffness * link.cells))
+        return link.bending_stiffness
     if quantity == "kelvin_voigt_time":
-        return float(np.mean(link.damping / np.maximum(link.stiffness, 1e-300)))
+        return link.kelvin_voigt_time
     if quantity == "hub_inertia":
         return link.hub_inertia
     return _element(quantity, link)

@@ -55,7 +55,7 @@ class Start:
         theta = first_angles(recording)
         q = equilibrium(chain, recording.payload, recording.gravity, theta)
         M, _, _, _ = linearise(chain, recording.payload, recording.gravity, theta)
-        stiffness = min(float(np.mean(link.stiffness * link.cells)) for link in chain.links)
+        stiffness = min(link.bending_stiffness for link in chain.links)
         energy = 1.5 * stiffness * _USUAL_BEND**2 / sum(link.length for link in chain.links)
         n = chain.size
         root = np.zeros((2 * n, 2 * n))
@@ -219,8 +219,7 @@ def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
         if one.root_stiffness is not None:
             turn[there.start - 1, here.start - 1] = 1.0
         else:
-            stiffness = float(np.mean(one.stiffness * one.cells))
-            turn[there.start - 1, here] = stiffness / max(two.root_stiffness, 1e-300) * curvature(0.0)
+            turn[there.start - 1, here] = one.bending_stiffness / max(two.root_stiffness, 1e-300) * curvature(0.0)
     q, v = np.split(state, 2)
     return np.concatenate([turn @ q, turn @ v])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 from dataclasses import replace
 
@@ -15,11 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.model.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
+from tests.model.urdf_contents import NAMESPACE, extension_from, robot_from, springs_from
 from vjm.chain.virtual_links import Array, Chain
 from vjm.errors import ShapeError, VjmError
 from vjm.model import dynamics
 from vjm.model import urdf as templates
-from vjm.model.urdf import chain_to_urdf, inertial, section
+from vjm.model.urdf import chain_to_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -37,7 +37,14 @@ def pinocchio_at(chain: Chain, q: Array) -> tuple[pin.Model, pin.Data, Array]:
 
 
 def robot_of(chain: Chain) -> yourdfpy.URDF:
-    return yourdfpy.URDF.load(io.BytesIO(chain_to_urdf(chain).encode()), load_meshes=False)
+    return robot_from(chain_to_urdf(chain))
+
+
+def inertia_of(chain: Chain, body: str) -> Array:
+    """(3,) principal moments of inertia about x, y and z."""
+    tensor = robot_of(chain).link_map[body].inertial.inertia
+    assert np.array_equal(tensor, np.diag(np.diag(tensor)))
+    return np.diag(tensor)
 
 
 def assert_pose(rotation: Array, translation: Array, place: tuple[Array, float]) -> None:
@@ -99,19 +106,54 @@ def test_yourdfpy_finds_joints_frames_and_masses(chain: Chain, seed: int) -> Non
     for name, place in Plane(chain, q).places.items():
         pose = robot.get_transform(name, "base")
         assert_pose(pose[:3, :3], pose[:3, 3], place)
+    for name, damping in zip(chain.joint_names, chain.damping, strict=True):
+        dynamics = robot.joint_map[name].dynamics
+        assert (float(dynamics.damping) if dynamics else 0.0) == damping
     for link in chain.links:
-        found = [robot.link_map[f"{link.name}_virtual_{j}_link"].inertial.mass for j in range(link.masses.size)]
-        assert found == link.masses.tolist()
+        bodies = [robot.link_map[f"{link.name}_virtual_{j}_link"].inertial for j in range(link.masses.size)]
+        ends = [robot.joint_map[f"{link.name}_virtual_{j}"] for j in range(1, link.masses.size)]
+        ends.append(robot.joint_map[f"{link.name}_tip_mount"])
+        assert [body.mass for body in bodies] == link.masses.tolist()
+        assert [body.origin[0, 3] for body in bodies] == link.mass_centers.tolist()
+        assert [body.inertia[2, 2] for body in bodies[1:]] == link.inertias[1:].tolist()
+        assert [joint.origin[0, 3] for joint in ends] == link.lengths.tolist()
         assert (f"{link.name}_payload" in robot.link_map) == bool(link.payload)
+        if link.payload:
+            assert robot.link_map[f"{link.name}_payload"].inertial.mass == link.payload
+
+
+@settings(deadline=None)
+@given(chains())
+def test_extension_holds_the_rest_to_the_last_bit(chain: Chain) -> None:
+    text = chain_to_urdf(chain)
+    model = extension_from(text)
+    assert tuple(map(float, model.attrib["gravity"].split())) == chain.gravity
+    springs = springs_from(text)
+    for link, element in zip(chain.links, model, strict=True):
+        joints = [f"{link.name}_virtual_{j}" for j in range(1, link.virtual_joints + 1)]
+        assert [springs.pop(joint) for joint in joints] == link.stiffness.tolist()
+        assert springs.pop(f"{link.name}_root", None) == link.root_stiffness
+        cells = [float(joint.attrib["cell"]) for joint in element.iter(f"{NAMESPACE}virtual_joint")]
+        assert cells == link.cells.tolist()
+        assert element.attrib["distal"] == link.distal
+        numbers = {key: float(value) for key, value in element.attrib.items() if key not in ("name", "distal")}
+        assert numbers.pop("first_inertia") == link.inertias[0]
+        assert numbers.pop("hub_inertia") == link.hub_inertia
+        for field in ("joint_stiffness", "root_inertia", "rest_curvature"):
+            assert numbers.pop(field, 0.0) == getattr(link, field)
+        for field in ("width", "thickness"):
+            assert numbers.pop(field, None) == getattr(link, field)
+        assert numbers == {}
+    assert springs == {}
 
 
 @settings(deadline=None)
 @given(chains())
 def test_inertia_is_that_of_a_body_with_three_dimensions(chain: Chain) -> None:
+    links = robot_of(chain).link_map
     for link in chain.links:
         for j in range(link.masses.size):
-            body = inertial(link, j)
-            axes = sorted([body.ixx, body.iyy, body.izz])
+            axes = np.sort(np.diag(links[f"{link.name}_virtual_{j}_link"].inertial.inertia))
             assert axes[0] > 0
             assert axes[0] + axes[1] >= axes[2]
 
@@ -120,15 +162,18 @@ def test_inertia_of_a_uniform_rod_is_that_of_a_box() -> None:
     length, mass, width, thickness = 0.5, 0.4, 0.035, 0.002
     turning = mass * (length**2 + thickness**2) / 12
     link = plain_link(inertias=np.full(3, turning), masses=np.full(3, mass), width=width, thickness=thickness)
-    body = inertial(link, 1)
-    assert body.ixx == pytest.approx(mass * (width**2 + thickness**2) / 12)
-    assert body.iyy == pytest.approx(mass * (length**2 + width**2) / 12)
-    assert body.izz == turning
+    ixx, iyy, izz = inertia_of(Chain("arm", (link,)), "beam_virtual_1_link")
+    assert ixx == pytest.approx(mass * (width**2 + thickness**2) / 12)
+    assert iyy == pytest.approx(mass * (length**2 + width**2) / 12)
+    assert izz == turning
 
 
 def test_unknown_section_is_two_per_cent_of_the_length() -> None:
-    link = plain_link(width=None, thickness=None)
-    assert section(link) == pytest.approx((0.02 * link.length, 0.02 * link.length))
+    unknown = plain_link(width=None, thickness=None)
+    side = 0.02 * unknown.length
+    known = plain_link(width=side, thickness=side)
+    one, other = (inertia_of(Chain("arm", (link,)), "beam_virtual_1_link") for link in (unknown, known))
+    assert one == pytest.approx(other, rel=1e-12)
 
 
 def test_hub_turns_with_the_active_joint_only() -> None:
