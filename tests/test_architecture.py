@@ -11,6 +11,8 @@ from typing import NamedTuple, TypeVar
 
 import pytest
 
+from vjm.effects import BUILTIN
+
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "vjm"
 FRONT = PACKAGE / "__init__.py"  # the public names, imported when first used
@@ -118,6 +120,38 @@ def test_an_import_that_turns_back_is_found(tmp_path: Path) -> None:
     module.parent.mkdir()
     module.write_text("def f():\n    from vjm import model\n    from vjm.errors import ShapeError\n")
     assert turning_back(module, tmp_path) == ["chain/layout.py:2 imports vjm.model"]
+
+
+def named_effects(path: Path, package: Path = PACKAGE) -> list[str]:
+    """Imports of single effects: all that vjm.effects has beside what every effect is made of."""
+    common = {"BUILTIN", "Effect", "by_id", "effect"}
+    return [
+        f"{path.relative_to(package)}:{each.line} imports {each.name}"
+        for each in imports(path)
+        if each.name.startswith("vjm.effects.") and each.name.split(".")[2] not in common
+    ]
+
+
+def test_no_later_stage_knows_an_effect_by_name() -> None:
+    outside = [path for path in MODULES if path != FRONT and PACKAGE / "effects" not in path.parents]
+    assert [fault for path in outside for fault in named_effects(path)] == []
+
+
+def test_an_import_of_a_single_effect_is_found(tmp_path: Path) -> None:
+    module = tmp_path / "screen.py"
+    module.write_text("from vjm.effects import BUILTIN, TimeOffset\nfrom vjm.effects.tip import TipPayload\n")
+    faults = ["screen.py:1 imports vjm.effects.TimeOffset", "screen.py:2 imports vjm.effects.tip.TipPayload"]
+    assert named_effects(module, tmp_path) == faults
+
+
+def test_no_stage_after_the_simulation_names_an_effect_by_its_id() -> None:
+    ids = {effect.id for effect in BUILTIN}
+    named = [
+        f"{place(path, node)}: {node.value}"
+        for path, node in nodes(ast.Constant)
+        if node.value in ids and LEVEL.get(path.relative_to(PACKAGE).parts[0], 0) > LEVEL["simulation"]
+    ]
+    assert named == []
 
 
 @pytest.mark.parametrize("library", HOMES)

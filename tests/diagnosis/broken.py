@@ -92,7 +92,7 @@ class Camera(Effect):
     reference = "A. Author, A Book, 2001"
     sensor = True
 
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         return positions if self.is_null else positions + np.array([self.shift, 0.0])
 
 
@@ -121,7 +121,7 @@ class PushesWhenAbsent(CubicFriction):
 
 @dataclass(frozen=True)
 class RoundsWhenAbsent(Camera):
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         return (positions + 1.0) - 1.0 + np.array([self.shift, 0.0])
 
 
@@ -156,7 +156,7 @@ class OnlySmall(CubicFriction):
 
 @dataclass(frozen=True)
 class StateWithoutRates(CubicFriction):
-    def states(self, chain: Chain) -> int:
+    def state_count(self, chain: Chain) -> int:
         return 0 if self.is_null else 1
 
 
@@ -175,7 +175,7 @@ class Restless(StateWithoutRates):
     def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         return None if self.is_null else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
 
-    def smooth(self) -> Effect:
+    def smoothed(self) -> Effect:
         return CubicFriction(self.coefficient, link=self.link)
 
 
@@ -183,16 +183,16 @@ class Restless(StateWithoutRates):
 class SmoothedAway(CubicFriction):
     """Has derivatives of nothing."""
 
-    def smooth(self) -> Effect:
+    def smoothed(self) -> Effect:
         return self.at(np.zeros(1))
 
 
 @dataclass(frozen=True)
 class _WithState(CubicFriction):
-    def states(self, chain: Chain) -> int:
+    def state_count(self, chain: Chain) -> int:
         return 1
 
-    def rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> Motion | None:
         return lambda time, q, v, z: -z
 
 
@@ -200,13 +200,13 @@ class _WithState(CubicFriction):
 class SmoothWithStates(CubicFriction):
     """Where derivatives are taken it has an internal state that it has not otherwise."""
 
-    def smooth(self) -> Effect:
+    def smoothed(self) -> Effect:
         return _WithState(self.coefficient, link=self.link)
 
 
 @dataclass(frozen=True)
 class WritesIntoArrays(Camera):
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         if not self.is_null:
             positions[..., 0] += self.shift
         return positions
@@ -214,7 +214,7 @@ class WritesIntoArrays(Camera):
 
 @dataclass(frozen=True)
 class WritesIntoRecords(CubicFriction):
-    def inputs(self, recording: Recording) -> Recording:
+    def true_inputs(self, recording: Recording) -> Recording:
         if not self.is_null:
             object.__setattr__(recording, "payload", recording.payload + 0.01)
         return recording
@@ -268,7 +268,7 @@ class TakesDampingAway(JointEffect):
 class HiddenMotor(CubicFriction):
     """Called dissipative, and drives the joint behind the torque sensor's back."""
 
-    def inputs(self, recording: Recording) -> Recording:
+    def true_inputs(self, recording: Recording) -> Recording:
         return recording if self.is_null else replace(recording, tau=recording.tau + self.coefficient)
 
 

@@ -47,13 +47,13 @@ def typical_magnitude(effect: Effect, rig: Rig = RIG, factor: float = 1.0) -> Ef
     """The effect at its last place on the rig, with everyday sizes."""
     absent = effect.variants(rig, [])[-1]
     coordinates = absent.coordinates
-    coordinates[: absent.sizes] = factor
+    coordinates[: absent.magnitude_count] = factor
     return absent.at(coordinates)
 
 
 def placed_first(effect: Effect) -> Effect:
     """The effect on the first link of any arm, with everyday sizes."""
-    found = effect.at(np.r_[np.ones(effect.sizes), np.zeros(effect.coordinates.size - effect.sizes)])
+    found = effect.at((np.arange(effect.coordinates.size) < effect.magnitude_count).astype(float))
     return replace(found, link=0)
 
 

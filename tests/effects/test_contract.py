@@ -34,16 +34,16 @@ def test_absent_it_changes_nothing_at_all(effect: Effect) -> None:
     for absent in (effect, *effect.variants(RIG, [recording])):
         assert absent.is_null
         assert absent.chain(CHAIN) is CHAIN
-        assert absent.inputs(recording) is recording
+        assert absent.true_inputs(recording) is recording
         assert absent.force(CHAIN, 0.1) is None
-        assert absent.rates(CHAIN) is None
+        assert absent.state_rates(CHAIN) is None
         assert absent.rate_independent_update(CHAIN) is None
-        assert absent.states(CHAIN) == 0
-        assert absent.rest(CHAIN, q).shape == (3, 0)
-        assert absent.longest_step == np.inf
-        assert absent.instants(time, positions) is time
-        assert absent.shown(positions, headings) is positions
-        assert absent.encoder(theta) is theta
+        assert absent.state_count(CHAIN) == 0
+        assert absent.initial_states(CHAIN, q).shape == (3, 0)
+        assert absent.max_step == np.inf
+        assert absent.camera_instants(time, positions) is time
+        assert absent.marker_positions(positions, headings) is positions
+        assert absent.encoder_angles(theta) is theta
 
 
 @every_present
@@ -55,11 +55,11 @@ def test_present_it_changes_something_and_leaves_what_it_is_given_alone(effect: 
     kept, chain_before, recording_before = deepcopy(given), contents(CHAIN), stored(recording)
     changed = [
         present.chain(CHAIN) is not CHAIN,
-        present.inputs(recording) is not recording,
+        present.true_inputs(recording) is not recording,
         present.force(CHAIN, 0.1) is not None,
-        present.instants(time, positions) is not time,
-        present.shown(positions, headings) is not positions,
-        present.encoder(theta) is not theta,
+        present.camera_instants(time, positions) is not time,
+        present.marker_positions(positions, headings) is not positions,
+        present.encoder_angles(theta) is not theta,
     ]
     assert any(changed)
     assert not any(changed[3:]) or present.sensor
@@ -77,10 +77,10 @@ def test_forces_and_rates_take_any_leading_axes(effect: Effect, leading: tuple[i
     present = typical_magnitude(effect)
     chain, draw = present.chain(CHAIN), draw_from(3, 0.1)
     time, q, v = draw(leading), draw((*leading, chain.size)), draw((*leading, chain.size))
-    z = present.rest(chain, q)
-    assert z.shape == (*leading, present.states(chain))
+    z = present.initial_states(chain, q)
+    assert z.shape == (*leading, present.state_count(chain))
     z = z + draw(z.shape)
-    motions = ((present.force(chain, 0.1), q.shape), (present.rates(chain), z.shape))
+    motions = ((present.force(chain, 0.1), q.shape), (present.state_rates(chain), z.shape))
     for motion, shape in motions:
         if motion is None:
             continue
@@ -91,15 +91,15 @@ def test_forces_and_rates_take_any_leading_axes(effect: Effect, leading: tuple[i
         for index in np.ndindex(leading):
             alone = motion(time[index], q[index], v[index], z[index])
             assert alone == pytest.approx(found[index], rel=1e-12, abs=1e-14)
-    told = [each is not None for each in (present.rates(chain), present.rate_independent_update(chain))]
-    assert sum(told) == (present.states(chain) > 0)
+    told = [each is not None for each in (present.state_rates(chain), present.rate_independent_update(chain))]
+    assert sum(told) == (present.state_count(chain) > 0)
 
 
 @every_present
 def test_coordinates_and_values_belong_together(effect: Effect) -> None:
     rng = np.random.default_rng(4)
     for absent in effect.variants(RIG, []):
-        assert absent.coordinates[: absent.sizes] == pytest.approx(0)
+        assert absent.coordinates[: absent.magnitude_count] == pytest.approx(0)
         assert absent.at(absent.coordinates).is_null
         lower, upper = absent.bounds
         assert lower.shape == upper.shape == absent.coordinates.shape

@@ -196,7 +196,7 @@ def test_a_mass_on_the_tip_joins_the_one_that_is_there() -> None:
 
 def test_gravity_adds_up() -> None:
     recording = recording_of(Rig("arm", (LINK,)))
-    tilted = InPlaneGravity(gx=0.2, gy=-0.3).inputs(recording)
+    tilted = InPlaneGravity(gx=0.2, gy=-0.3).true_inputs(recording)
     assert tilted.gravity == pytest.approx((recording.gravity[0] + 0.2, recording.gravity[1] - 0.3))
     assert tilted.markers is recording.markers
 
@@ -267,7 +267,7 @@ def test_a_tone_is_searched_in_cosine_and_sine() -> None:
     assert again.values == pytest.approx(effect.values)
     assert effect.at(-effect.coordinates).amplitude == pytest.approx(0.02)
     assert effect.at(np.array([0.0, 0.0, 0.5])).is_null
-    assert effect.sizes == 2
+    assert effect.magnitude_count == 2
 
 
 @settings(max_examples=25)

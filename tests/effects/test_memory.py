@@ -18,11 +18,11 @@ STIFFNESS = CHAIN.stiffness[1]
 
 def followed(effect: MemoryEffect, time: Array, phi: Array) -> tuple[Array, Array]:
     """The joint's extra moment and the internal state over time, for angles (T,), by Runge-Kutta steps."""
-    rates, force = effect.rates(CHAIN), effect.force(CHAIN, 0.0)
+    rates, force = effect.state_rates(CHAIN), effect.force(CHAIN, 0.0)
     assert rates is not None
     assert force is not None
     q = np.stack([0 * phi, phi], axis=-1)
-    z = effect.rest(CHAIN, q[0])
+    z = effect.initial_states(CHAIN, q[0])
     states = [z]
     for k in range(0, len(time) - 2, 2):
         h = time[k + 2] - time[k]
@@ -62,7 +62,7 @@ def test_a_standard_linear_solid_is_stiff_and_lossy_as_theory_says(pulsation: fl
 
 def test_creep_starts_relaxed() -> None:
     q = np.array([[0.3, 0.1], [0.2, -0.4]])
-    assert not ViscoelasticCreep(ratio=0.2).rest(CHAIN, q).any()
+    assert not ViscoelasticCreep(ratio=0.2).initial_states(CHAIN, q).any()
 
 
 def test_a_loop_far_beyond_the_yield_angle_has_the_area_of_dry_friction() -> None:
@@ -91,7 +91,7 @@ def test_a_small_loop_loses_next_to_nothing_and_is_as_stiff_as_before() -> None:
 
 def test_bouc_wen_follows_its_own_equation() -> None:
     effect = Hysteresis(ratio=0.3, yield_angle=0.02)
-    rates, y = effect.rates(CHAIN), effect.yields(CHAIN)[0]
+    rates, y = effect.state_rates(CHAIN), effect.yields(CHAIN)[0]
     assert rates is not None
     for rate in (0.7, -0.4):
         for z in (0.6 * y, -0.3 * y, 0.0):
@@ -103,7 +103,7 @@ def test_bouc_wen_follows_its_own_equation() -> None:
 @given(st.floats(-2, 2), st.floats(1e-3, 3))
 def test_hysteresis_starts_with_the_angle_as_far_as_it_holds(angle: float, yield_angle: float) -> None:
     effect = Hysteresis(ratio=0.1, yield_angle=yield_angle)
-    z, y = effect.rest(CHAIN, np.array([0.3, angle]))[0], effect.yields(CHAIN)[0]
+    z, y = effect.initial_states(CHAIN, np.array([0.3, angle]))[0], effect.yields(CHAIN)[0]
     assert abs(z) <= (1 + 1e-12) * min(y, abs(angle)) + 1e-300
     assert z * angle >= 0
     if abs(angle) < 0.05 * y:
@@ -113,8 +113,8 @@ def test_hysteresis_starts_with_the_angle_as_far_as_it_holds(angle: float, yield
 def test_there_is_a_state_for_each_virtual_joint_of_its_link() -> None:
     chain = chain_of(LINK, LINK, n=3)
     for effect in (ViscoelasticCreep(ratio=0.1, link=1), Hysteresis(ratio=0.1, link=1)):
-        assert effect.states(chain) == 3
-        motion, rates = effect.force(chain, 0.0), effect.rates(chain)
+        assert effect.state_count(chain) == 3
+        motion, rates = effect.force(chain, 0.0), effect.state_rates(chain)
         assert motion is not None
         assert rates is not None
         q = np.zeros(chain.size)
@@ -124,5 +124,5 @@ def test_there_is_a_state_for_each_virtual_joint_of_its_link() -> None:
 
 
 def test_steps_follow_what_is_fast() -> None:
-    assert ViscoelasticCreep(ratio=0.1, time_constant=0.01).longest_step < 2.5 * 0.01
-    assert Hysteresis(ratio=0.1, yield_angle=0.01).longest_step < 0.01
+    assert ViscoelasticCreep(ratio=0.1, time_constant=0.01).max_step < 2.5 * 0.01
+    assert Hysteresis(ratio=0.1, yield_angle=0.01).max_step < 0.01

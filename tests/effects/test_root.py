@@ -100,4 +100,4 @@ def test_a_huge_twist_does_not_overflow() -> None:
 def test_steps_resolve_the_flanks_on_a_light_hub() -> None:
     light = 0.005
     pulsation = np.sqrt(2000 / (light / 4))  # both halves against each other
-    assert Backlash(gap=GAP).longest_step * pulsation < 1.0
+    assert Backlash(gap=GAP).max_step * pulsation < 1.0

@@ -29,26 +29,26 @@ HEADINGS: Array = RNG.normal(size=(3, 6))
 
 
 def test_a_camera_that_lags_shows_an_earlier_state() -> None:
-    assert TimeOffset(delay=0.02).instants(TIME, POSITIONS) == pytest.approx(TIME - 0.02)
+    assert TimeOffset(delay=0.02).camera_instants(TIME, POSITIONS) == pytest.approx(TIME - 0.02)
 
 
 def test_a_fast_clock_stamps_too_late() -> None:
-    assert 1.01 * ClockScale(scale=1.01).instants(TIME, POSITIONS) == pytest.approx(TIME)
+    assert 1.01 * ClockScale(scale=1.01).camera_instants(TIME, POSITIONS) == pytest.approx(TIME)
 
 
 def test_rows_are_read_one_after_another() -> None:
-    found = RollingShutter(readout=0.01).instants(TIME, POSITIONS)
+    found = RollingShutter(readout=0.01).camera_instants(TIME, POSITIONS)
     assert found == pytest.approx(TIME[:, None] - 0.01 * POSITIONS[:, :, 1])
 
 
 def test_a_camera_scales_turns_and_distorts_about_the_base() -> None:
     radius = np.linalg.norm(POSITIONS, axis=-1)
-    scaled = CameraScale(scale=1.02).shown(POSITIONS, HEADINGS)
+    scaled = CameraScale(scale=1.02).marker_positions(POSITIONS, HEADINGS)
     assert scaled == pytest.approx(1.02 * POSITIONS)
-    turned = CameraRotation(angle=0.3).shown(POSITIONS, HEADINGS)
+    turned = CameraRotation(angle=0.3).marker_positions(POSITIONS, HEADINGS)
     assert np.linalg.norm(turned, axis=-1) == pytest.approx(radius)
     assert np.exp(0.3j) * (POSITIONS @ [1, 1j]) == pytest.approx(turned @ [1, 1j])
-    bent = LensDistortion(k1=-0.02).shown(POSITIONS, HEADINGS)
+    bent = LensDistortion(k1=-0.02).marker_positions(POSITIONS, HEADINGS)
     assert np.linalg.norm(bent, axis=-1) == pytest.approx(radius * (1 - 0.02 * radius**2))
 
 
@@ -64,7 +64,7 @@ def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
         (2, 2, 5),
     ]
     for each in variants:
-        displaced = each.at(np.array([2.0, -1.0])).shown(POSITIONS, HEADINGS) - POSITIONS
+        displaced = each.at(np.array([2.0, -1.0])).marker_positions(POSITIONS, HEADINGS) - POSITIONS
         own = each.column
         assert not np.delete(displaced, own, axis=1).any()
         expected = (0.01 - 0.005j) * np.exp(1j * HEADINGS[:, own])
@@ -84,18 +84,18 @@ def test_torques_and_encoders_are_those_of_the_joint_whatever_is_clamped_before_
     gain, offset, encoder = (
         effect.variants(RIG, [])[1].at(np.ones(1)) for effect in (TorqueGain(), TorqueOffset(), EncoderOffset())
     )
-    multiplied, added = gain.inputs(recording), offset.inputs(recording)
+    multiplied, added = gain.true_inputs(recording), offset.true_inputs(recording)
     assert_array_equal(multiplied.tau[:, 0], recording.tau[:, 0])
     assert multiplied.tau[:, 1] == pytest.approx(1.05 * recording.tau[:, 1])
     assert added.tau - recording.tau == pytest.approx(np.tile([0.0, 0.005], (12, 1)))
     assert_array_equal(added.theta, recording.theta)
-    assert encoder.encoder(recording.theta) - recording.theta == pytest.approx(np.tile([0.0, 0.005], (12, 1)))
+    assert encoder.encoder_angles(recording.theta) - recording.theta == pytest.approx(np.tile([0.0, 0.005], (12, 1)))
 
 
 def test_without_a_rig_the_joint_is_the_link_s() -> None:
     driven = recording_of(Rig("arm", (LINK, FORE)))
-    found = TorqueGain(gain=2.0, link=1).inputs(driven).tau
+    found = TorqueGain(gain=2.0, link=1).true_inputs(driven).tau
     assert found == pytest.approx(driven.tau * [1.0, 2.0])
     alone = recording_of(Rig("arm", (LINK,)))
-    assert TorqueGain(gain=2.0).inputs(alone).tau == pytest.approx(2 * alone.tau)
+    assert TorqueGain(gain=2.0).true_inputs(alone).tau == pytest.approx(2 * alone.tau)
     assert recording_of(Rig("arm", (POST,))).tau.shape == (12, 0)

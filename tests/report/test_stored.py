@@ -27,7 +27,7 @@ def present(experiment: Experiment) -> tuple[Effect, ...]:
     for effect in BUILTIN:
         variant = effect.variants(experiment.rig, experiment.recordings)[-1]
         at = variant.coordinates
-        found.append(variant.at(at + 0.3 * (np.arange(at.size) < variant.sizes)))
+        found.append(variant.at(at + 0.3 * (np.arange(at.size) < variant.magnitude_count)))
     return tuple(found)
 
 

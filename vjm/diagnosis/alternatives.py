@@ -83,7 +83,7 @@ def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
 
 def _near(seen: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
     """Absent effects that may do what the cause does, nearly: one variant each, and how large that takes."""
-    size = cause.coordinates[: cause.sizes]
+    size = cause.coordinates[: cause.magnitude_count]
     own = seen.R[:, seen.parts[0]] @ size  # what the cause does to the residuals
     power = float(own @ own)
     guesses: dict[int, Array]

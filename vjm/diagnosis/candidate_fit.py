@@ -71,7 +71,7 @@ class Extension:
             [self.base.reach, *(np.full(effect.coordinates.size, np.inf) for effect in self.effects)]
         )
         for effect, part in zip(self.effects, self.parts, strict=True):
-            found[part.start + effect.sizes : part.stop] = _INNER_STEP
+            found[part.start + effect.magnitude_count : part.stop] = _INNER_STEP
         return found
 
     @cached_property
@@ -89,7 +89,7 @@ class Extension:
 def adds_joint(effect: Effect, chain: Chain) -> bool:
     """Whether an effect is a joint of its own, which its null value has not."""
     typical_magnitude = effect.at(
-        np.ones_like(effect.coordinates) * (np.arange(effect.coordinates.size) < effect.sizes)
+        np.ones_like(effect.coordinates) * (np.arange(effect.coordinates.size) < effect.magnitude_count)
     )
     return typical_magnitude.chain(chain).size != chain.size
 
@@ -277,5 +277,5 @@ def sized(effect: Effect, guess: Array, chain: Chain) -> Effect:
     found = effect.coordinates
     rigid = _LEAST_START if adds_joint(effect, chain) else -_LARGEST_START
     least = _ABRUPT_START if effect.nonsmooth else rigid
-    found[: effect.sizes] = np.clip(guess, least, _LARGEST_START)
+    found[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(found, *effect.bounds))

@@ -136,7 +136,7 @@ class Bench:
         """The last variant here, with everyday sizes, and inner parameters a little off their everyday values."""
         absent = effect.variants(self.rig, self.recordings)[-1]
         coordinates = np.full(absent.coordinates.size, _INNER)
-        coordinates[: absent.sizes] = 1.0
+        coordinates[: absent.magnitude_count] = 1.0
         return absent.at(np.clip(coordinates, *absent.bounds))
 
     def states(self, arm: Arm) -> list[Array]:
@@ -242,8 +242,8 @@ def _bent(chain: Chain, first: float, second: float) -> Array:
     return state
 
 
-_SENSING = ("instants", "shown", "encoder")
-_ACTING = ("chain", "inputs", "force")
+_SENSING = ("camera_instants", "marker_positions", "encoder_angles")
+_ACTING = ("chain", "true_inputs", "force")
 _ROUNDING = 1e-9
 _WIDEST = 3.0  # everyday sizes, or logarithms of an inner parameter, where there is no nearer bound
 _INSIDE = 1e-3  # of the way from one bound to the other
@@ -284,7 +284,8 @@ def name_of(effect: object) -> str:
 
 
 def overridden(
-    effect: Effect, hooks: tuple[str, ...] = (*_ACTING, *_SENSING, "states", "rates", "rate_independent_update")
+    effect: Effect,
+    hooks: tuple[str, ...] = (*_ACTING, *_SENSING, "state_count", "state_rates", "rate_independent_update"),
 ) -> list[str]:
     """Hooks that the effect's class defines itself."""
     return [name for name in hooks if getattr(type(effect), name) is not getattr(Effect, name)]
@@ -353,7 +354,7 @@ def check_coordinates(effect: Effect) -> None:
     alike = start.shape == lower.shape == upper.shape and start.ndim == 1
     clause.holds(alike, f"shapes {start.shape}, {lower.shape}, {upper.shape}", "(p,) coordinates with as many bounds")
     clause.holds((lower < upper).all(), f"bounds {lower} and {upper}", "lower ones below upper ones")
-    clause.holds(not start[: effect.sizes].any(), f"coordinates {start} at the null", "zeros for its sizes")
+    clause.holds(not start[: effect.magnitude_count].any(), f"coordinates {start} at the null", "zeros for its sizes")
     for wanted in trial_coordinates(effect):
         with clause.running(f"`at({wanted})`"):
             there = effect.at(wanted)
@@ -373,7 +374,7 @@ def trial_coordinates(effect: Effect) -> list[Array]:
     # Without a bound, as far as a search may stray.
     low = np.where(np.isfinite(lower), lower, np.minimum(-_WIDEST, upper - _WIDEST))
     high = np.where(np.isfinite(upper), upper, np.maximum(_WIDEST, lower + _WIDEST))
-    typical_magnitude = np.where(np.arange(low.size) < effect.sizes, 1.0, effect.coordinates)
+    typical_magnitude = np.where(np.arange(low.size) < effect.magnitude_count, 1.0, effect.coordinates)
     typical_magnitude = np.clip(typical_magnitude, low + _INSIDE * (high - low), high - _INSIDE * (high - low))
     found = [typical_magnitude]
     for k, share in product(range(low.size), (_INSIDE, 1 - _INSIDE)):
@@ -482,10 +483,10 @@ def _nothing(clause: Clause, absent: Effect, given: Given, seed: int) -> None:
     """Every hook of an absent effect returns what it was given."""
     calls = {
         "chain": (given.chain,),
-        "inputs": (given.recording,),
-        "instants": (given.stamps, given.positions),
-        "shown": (given.positions, given.headings),
-        "encoder": (given.theta,),
+        "true_inputs": (given.recording,),
+        "camera_instants": (given.stamps, given.positions),
+        "marker_positions": (given.positions, given.headings),
+        "encoder_angles": (given.theta,),
     }
     for name, arguments in calls.items():
         with clause.running(f"`{name}` at the null"):
@@ -494,17 +495,17 @@ def _nothing(clause: Clause, absent: Effect, given: Given, seed: int) -> None:
             same(found, arguments[0]), f"`{name}` changes what it is given at the null", "the very same values"
         )
     with clause.running("`force` at the null"):
-        force, count = absent.force(given.chain, _PAYLOAD), absent.states(given.chain)
+        force, count = absent.force(given.chain, _PAYLOAD), absent.state_count(given.chain)
         if force is not None:
             random = np.random.default_rng(seed)
             q, v, z = (random.normal(size=(_FRAMES, n)) for n in (given.chain.size, given.chain.size, count))
             clause.holds(not np.any(force(given.stamps, q, v, z)), "a force at the null", "none")
-    with clause.running("`rest_state` at the null"):
+    with clause.running("`rest_angles` at the null"):
         q = still(np.random.default_rng(seed).normal(size=(_FRAMES, given.chain.size)))
         clause.holds(
-            same(absent.rest_state(given.chain, q), q), "`rest_state` changes angles at the null", "the very same"
+            same(absent.rest_angles(given.chain, q), q), "`rest_angles` changes angles at the null", "the very same"
         )
-    step = absent.longest_step
+    step = absent.max_step
     clause.holds(step == np.inf, f"at the null no time step longer than {step:g} s", "no limit, np.inf")
 
 
@@ -521,7 +522,7 @@ def check_hooks(effect: Effect, seed: int) -> None:
             _records(clause, present, given)
             _sensors(clause, present, given)
             _motions(clause, present, given, seed)
-            clause.holds(present.longest_step > 0, f"a longest step of {present.longest_step} s", "a positive one")
+            clause.holds(present.max_step > 0, f"a longest step of {present.max_step} s", "a positive one")
             untouched.holds(same(given, before), f"{present!r} changes what its hooks are given", "new records")
 
 
@@ -533,60 +534,60 @@ def _records(clause: Clause, present: Effect, given: Given) -> None:
         each.joint for each in given.chain.links
     ]
     clause.holds(alike, f"`chain` gives {type(chain).__name__}", "a Chain with the same links and joints")
-    with clause.running(f"`inputs` of {present!r}"):
-        driven = present.inputs(given.recording)
-    clause.holds(isinstance(driven, Recording), f"`inputs` gives {type(driven).__name__}", "a Recording")
+    with clause.running(f"`true_inputs` of {present!r}"):
+        driven = present.true_inputs(given.recording)
+    clause.holds(isinstance(driven, Recording), f"`true_inputs` gives {type(driven).__name__}", "a Recording")
     for name in ("time", "tau"):
-        _array(clause, f"`inputs(...).{name}`", getattr(driven, name), getattr(given.recording, name).shape)
-    _array(clause, "`inputs(...).gravity`", np.asarray(driven.gravity), (2,))
+        _array(clause, f"`true_inputs(...).{name}`", getattr(driven, name), getattr(given.recording, name).shape)
+    _array(clause, "`true_inputs(...).gravity`", np.asarray(driven.gravity), (2,))
 
 
 def _sensors(clause: Clause, present: Effect, given: Given) -> None:
     """What it makes of measurements."""
     frames, markers, _ = given.positions.shape
-    with clause.running(f"`instants` of {present!r}"):
-        seen = present.instants(given.stamps, given.positions)
-    _array(clause, "`instants`", seen, (frames,), (frames, markers))
-    with clause.running(f"`shown` of {present!r}"):
-        shown = present.shown(given.positions, given.headings)
-    _array(clause, "`shown`", shown, given.positions.shape)
-    with clause.running(f"`encoder` of {present!r}"):
-        theta = present.encoder(given.theta)
-    _array(clause, "`encoder`", theta, given.theta.shape)
+    with clause.running(f"`camera_instants` of {present!r}"):
+        seen = present.camera_instants(given.stamps, given.positions)
+    _array(clause, "`camera_instants`", seen, (frames,), (frames, markers))
+    with clause.running(f"`marker_positions` of {present!r}"):
+        shown = present.marker_positions(given.positions, given.headings)
+    _array(clause, "`marker_positions`", shown, given.positions.shape)
+    with clause.running(f"`encoder_angles` of {present!r}"):
+        theta = present.encoder_angles(given.theta)
+    _array(clause, "`encoder_angles`", theta, given.theta.shape)
 
 
 def _motions(clause: Clause, present: Effect, given: Given, seed: int) -> None:
     """Force, rates or way, and rest, for states with several leading axes."""
     chain = present.chain(given.chain)
-    with clause.running(f"`force`, `rates`, `rate_independent_update` or `states` of {present!r}"):
-        force, rates, count = present.force(chain, _PAYLOAD), present.rates(chain), present.states(chain)
+    with clause.running(f"`force`, `state_rates`, `rate_independent_update` or `state_count` of {present!r}"):
+        force, rates, count = present.force(chain, _PAYLOAD), present.state_rates(chain), present.state_count(chain)
         rate_independent_update = present.rate_independent_update(chain)
     clause.holds(isinstance(count, int) and count >= 0, f"{count!r} states", "a number of them")
     told = sum(each is not None for each in (rates, rate_independent_update))
-    expected = "one of `rates` and `rate_independent_update` where there are states"
+    expected = "one of `state_rates` and `rate_independent_update` where there are states"
     clause.holds(told == (count > 0), f"{count} states, rates {rates} and way {rate_independent_update}", expected)
-    with clause.running(f"`smooth` of {present!r}"):
-        smooth = present.smooth()
+    with clause.running(f"`smoothed` of {present!r}"):
+        smooth = present.smoothed()
         alike = same(smooth.chain(given.chain), chain) and smooth.values == present.values
-        kept = smooth.states(chain)
-    clause.holds(alike, f"`smooth` gives {smooth!r}", "the same parameters and the same chain")
+        kept = smooth.state_count(chain)
+    clause.holds(alike, f"`smoothed` gives {smooth!r}", "the same parameters and the same chain")
     allowed = {0} if rate_independent_update is not None else {0, count}
     expected = (
         f"{count}, or none" if rate_independent_update is None else "none, where `rate_independent_update` carries them"
     )
-    clause.holds(kept in allowed, f"`smooth` gives an effect with {kept} states", expected)
+    clause.holds(kept in allowed, f"`smoothed` gives an effect with {kept} states", expected)
     random = np.random.default_rng(seed)
     for leading in ((), (_FRAMES,), (_COPIES, _FRAMES)):
         q, v = (still(_ANGLES * random.normal(size=(*leading, chain.size))) for _ in range(2))
         time = still(np.abs(random.normal(size=leading)))
-        with clause.running(f"`rest` of {present!r}"):
-            rest = present.rest(chain, q)
-        _array(clause, f"`rest` at angles {q.shape}", rest, (*leading, count))
-        with clause.running(f"`rest_state` of {present!r}"):
-            rest_state = present.rest_state(chain, q)
-        _array(clause, f"`rest_state` at angles {q.shape}", rest_state, q.shape)
+        with clause.running(f"`initial_states` of {present!r}"):
+            rest = present.initial_states(chain, q)
+        _array(clause, f"`initial_states` at angles {q.shape}", rest, (*leading, count))
+        with clause.running(f"`rest_angles` of {present!r}"):
+            rest_state = present.rest_angles(chain, q)
+        _array(clause, f"`rest_angles` at angles {q.shape}", rest_state, q.shape)
         z = still(rest + 0.1 * _ANGLES * random.normal(size=rest.shape))
-        for name, motion, shape in (("force", force, q.shape), ("rates", rates, z.shape)):
+        for name, motion, shape in (("force", force, q.shape), ("state_rates", rates, z.shape)):
             if motion is not None:
                 _motion(clause, f"`{name}` of {present!r}", motion, (time, q, v, z), shape)
         if rate_independent_update is not None:
@@ -824,7 +825,7 @@ def check_recovery(bench: Bench, true: Effect, seed: int) -> None:
         case = _Case(clause, bench, true, _problem(bench, true, seed))
         errors = _standard_errors(case)
         found = _fitted(case)
-    off = np.abs(found.coordinates - true.coordinates)[: true.sizes]
+    off = np.abs(found.coordinates - true.coordinates)[: true.magnitude_count]
     close = _CLOSE_IF_ABRUPT if true.nonsmooth else _CLOSE
     allowed = np.maximum(close, _STANDARD_ERRORS * errors)
     worst = int(np.argmax(off / allowed))
@@ -875,8 +876,10 @@ def _known(case: _Case, R: Array) -> Array:
     )
     _, sizes, directions = np.linalg.svd(R / lengths)
     spread = directions.T / np.maximum(sizes, _NOTHING * sizes[0])
-    shares = 1 / np.linalg.norm(spread, axis=1)[case.free :][: case.true.sizes]  # what nothing else can stand in for
-    errors: Array = 1 / (shares * lengths[case.free :][: case.true.sizes])
+    shares = (
+        1 / np.linalg.norm(spread, axis=1)[case.free :][: case.true.magnitude_count]
+    )  # what nothing else can stand in for
+    errors: Array = 1 / (shares * lengths[case.free :][: case.true.magnitude_count])
     case.clause.holds(
         (errors < _LARGEST_ERROR).all() and (shares > _ABSORBED).all(),
         f"on the {case.bench.rig.name} link the chain's own parameters can stand in for all but {shares.min():.1g} of "
@@ -903,7 +906,7 @@ def _fitted(case: _Case) -> Effect:
     for variant, sizes in _starts(case, base.point):
         extension = Extension(case.problem.parametrisation, (variant,))
         problem = replace(case.problem, extension=extension)
-        x = np.concatenate([base.point.x, sizes, variant.coordinates[variant.sizes :]])
+        x = np.concatenate([base.point.x, sizes, variant.coordinates[variant.magnitude_count :]])
         x = np.clip(x, *extension.bounds)
         arms = zip(base.point.runs, problem.arms(x), strict=True)
         states = [transferred(run.chain, arm.chain, run.state) for run, arm in arms]
@@ -934,7 +937,7 @@ def _starts(case: _Case, point: Point) -> Iterator[tuple[Effect, Array]]:
     # A joint of its own, infinitely stiff at the null, has no slope there that could tell a size.
     if not adds_joint(true, point.chain):
         yield from ((variants[k], seen.guess([k])) for k in order[:2])
-    yield from ((variants[k], np.full(true.sizes, size)) for k in order[:1] for size in (2.0, 0.5))
+    yield from ((variants[k], np.full(true.magnitude_count, size)) for k in order[:1] for size in (2.0, 0.5))
 
 
 def _is_noise(point: Point) -> bool:

@@ -53,12 +53,12 @@ class Directions:
         """
         coordinates = self.rows.shape[1] - 1 - self.whole.size
         chosen = range(len(self.effects)) if chosen is None else chosen
-        effects, counts = [self.effects[k] for k in chosen], [self.effects[k].sizes for k in chosen]
+        effects, counts = [self.effects[k] for k in chosen], [self.effects[k].magnitude_count for k in chosen]
         sizes = [column for k in chosen for column in range(self.parts[k].start, self.parts[k].stop)]
         whole, told = self.whole[sizes], list[int]()
         if again is not None:
             effect, part = again
-            told = [*range(part.start, part.start + effect.sizes)]
+            told = [*range(part.start, part.start + effect.magnitude_count)]
             effects, counts, whole = [effect, *effects], [len(told), *counts], np.r_[np.zeros(len(told)), whole]
         others = [k for k in range(coordinates) if k not in told]
         rows = self.rows[:, [*others, *told, *(coordinates + k for k in sizes), -1]]
@@ -89,7 +89,7 @@ def directions(
     secants = dict(zip(jumping, found, strict=True))
     jobs = [(_only(point, run), {k: each[n] for k, each in secants.items()}) for n, run in enumerate(point.runs)]
     told = workers.map(partial(_told, present, variants), jobs)
-    counts = [variant.sizes for variant in variants]
+    counts = [variant.magnitude_count for variant in variants]
     whole = sum((squares for _, squares in told), start=np.zeros(sum(counts)))
     return Directions(tuple(variants), _parts(counts), np.vstack([rows for rows, _ in told]), whole)
 
@@ -109,7 +109,7 @@ def _told(present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Poin
     point, secants = job
     (run,), (coordinates,) = point.runs, point.problem.moved(point.x)
     own = [moved for variant in variants for moved in _moved(run, point, present, variant)]
-    parts = _parts([variant.sizes for variant in variants])
+    parts = _parts([variant.magnitude_count for variant in variants])
     rows = _Rows(run, (*coordinates, *own), [secants.get(k) for k in range(len(variants))], parts)
     columns = 2 * run.basis.slow + len(coordinates) + len(own)
     linearized = SquareRootInformation.of(rows.counted(), columns).with_rows(*run.preferred(columns))
@@ -122,7 +122,7 @@ def _jumps(point: Point, variant: Effect) -> bool:
 
 
 def _unit(variant: Effect, size: int, by: float) -> Effect:
-    coordinates = np.where(np.arange(variant.coordinates.size) < variant.sizes, 0.0, variant.coordinates)
+    coordinates = np.where(np.arange(variant.coordinates.size) < variant.magnitude_count, 0.0, variant.coordinates)
     coordinates[size] = by
     return variant.at(coordinates)
 
@@ -131,8 +131,8 @@ def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -
     """The arm with each size of an effect moved off its null; as it is where the slope has to be found otherwise."""
     absent = run.observed.recording.condition == REFERENCE or _jumps(point, variant)
     if absent:
-        return [Moved(run.arm, _STEP)] * variant.sizes
-    effects = [Arm.of(point.chain, (*present, _unit(variant, size, _STEP))) for size in range(variant.sizes)]
+        return [Moved(run.arm, _STEP)] * variant.magnitude_count
+    effects = [Arm.of(point.chain, (*present, _unit(variant, size, _STEP))) for size in range(variant.magnitude_count)]
     return [Moved(arm, _STEP) for arm in effects]
 
 

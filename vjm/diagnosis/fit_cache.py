@@ -72,10 +72,10 @@ def proposal(start: CandidateFit, seen: Screen, chosen: Sequence[int], screen_un
         screen_unreliable: whether the start is no guide: then sizes are everyday ones.
     """
     added = [seen.effects[k] for k in chosen]
-    guess = np.ones(sum(effect.sizes for effect in added)) if screen_unreliable else seen.guess(chosen)
-    stops = np.cumsum([effect.sizes for effect in added])
+    guess = np.ones(sum(effect.magnitude_count for effect in added)) if screen_unreliable else seen.guess(chosen)
+    stops = np.cumsum([effect.magnitude_count for effect in added])
     new = [
-        sized(effect, guess[stop - effect.sizes : stop], start.point.chain)
+        sized(effect, guess[stop - effect.magnitude_count : stop], start.point.chain)
         for stop, effect in zip(stops, added, strict=True)
     ]
     return FitJob(start, (*start.effects, *new))

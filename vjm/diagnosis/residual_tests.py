@@ -214,6 +214,7 @@ class JointProbe(Effect):
     shape: int = shape_parameter("", 0, integer=True, grid=tuple(range(len(_SHAPES))))
 
     id = "joint_probe"
+    clause = "a torque at the joint of {link}"
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         """Active joints."""
@@ -241,6 +242,7 @@ class BendingProbe(Effect):
     shape: int = shape_parameter("", 0, integer=True, grid=tuple(range(len(_SHAPES))))
 
     id = "bending_probe"
+    clause = "a bending moment in {link}"
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         """Every link."""
@@ -269,7 +271,6 @@ def described(point: Point, present: tuple[Effect, ...], rig: Rig) -> str:
     if seen.statistics[best] <= 0:
         return ""
     shape = _SHAPES[int(probe.values["shape"])][0]
-    name = rig.links[probe.link or 0].name
-    where = f"a torque at the joint of {name}" if isinstance(probe, JointProbe) else f"a bending moment in {name}"
+    where = probe.clause.format(link=rig.links[probe.link or 0].name)
     share = 100 * seen.statistics[best] / max(point.chi2 - point.count, 1.0)
     return f"most like {where}, {shape}, which would explain {min(share, 100):.0f} % of it" if share >= _SOME else ""

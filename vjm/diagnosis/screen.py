@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from vjm.diagnosis.records import Candidate
-from vjm.effects import BUILTIN, Effect, ExternalTone
+from vjm.effects import BUILTIN, Effect
 from vjm.effects.effect import Key
 from vjm.errors import ChoiceError, ShapeError
 from vjm.identification.trajectory_fit import Point
@@ -137,7 +138,7 @@ def tail(statistics: Array, sizes: Array, one_sided: Array) -> Array:
 def is_one_sided(effect: Effect) -> bool:
     """Whether the null is a bound of an effect's only size."""
     lower, upper = effect.bounds
-    return effect.sizes == 1 and bool(lower[0] == 0 or upper[0] == 0)
+    return effect.magnitude_count == 1 and bool(lower[0] == 0 or upper[0] == 0)
 
 
 def one_each(effects: Sequence[Effect], order: Iterable[int]) -> list[int]:
@@ -148,7 +149,6 @@ def one_each(effects: Sequence[Effect], order: Iterable[int]) -> list[int]:
     return list(first.values())
 
 
-COARSENESS = "unmodelled_mode"
 _DRAWS = 4000
 _SURELY = 1.2816  # standard deviations: nine times in ten
 _TONES = 3  # peaks of the residuals' spectrum that are looked at
@@ -203,27 +203,21 @@ def build_candidates(effects: Sequence[Effect], rig: Rig, point: Point) -> Candi
     times: list[float] = []
     untestable = []
     for effect in effects:
-        if effect.id == COARSENESS:
-            joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in point.chain.links)
-            untestable.append((effect, f"what so few virtual joints ({joints}) get wrong is measured and no cause"))
-            continue
         reason = effect.untestable(rig, recordings)
         if reason or not effect.places(rig):
             untestable.append((effect, reason or "the rig has no place for it"))
             continue
-        if isinstance(effect, ExternalTone):
-            tones, looks = _tones(effect, rig, point.runs)
-            variants += tones
-            times += [looks] * len(tones)
-            continue
-        own = effect.variants(rig, recordings)
+        own, looks = effect.variants(rig, recordings), 1.0
+        for parameter in effect.parameters():
+            if parameter.from_spectrum:
+                own, looks = _at_spectral_peaks(own, parameter.name, point.runs)
         variants += own
-        times += [1.0] * len(own)
+        times += [looks] * len(own)
     return CandidateSet(tuple(variants), np.array(times), tuple(untestable))
 
 
-def _tones(effect: ExternalTone, rig: Rig, runs: Sequence[Run]) -> tuple[list[Effect], float]:
-    """Tones at peaks of the residuals' spectra, and how many independent frequencies there were to look at.
+def _at_spectral_peaks(variants: Sequence[Effect], name: str, runs: Sequence[Run]) -> tuple[tuple[Effect, ...], float]:
+    """Return a variant for each place and peak of the residuals' spectra, and as how many independent looks one counts.
 
     Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
     """
@@ -239,9 +233,10 @@ def _tones(effect: ExternalTone, rig: Rig, runs: Sequence[Run]) -> tuple[list[Ef
                 peaks.append(float(frequencies[k]))
             if len(peaks) == first + _TONES:
                 break
-    at_places = {each.link: each for each in effect.variants(rig, [run.observed.recording for run in runs])}
-    found = [replace(each, frequency=peak) for each in at_places.values() for peak in peaks]
-    return [*found], duration * 0.45 / step / max(len(found), 1)
+    at_places = {variant.link: variant for variant in variants}
+    changes: list[dict[str, Any]] = [{name: peak} for peak in peaks]
+    found = tuple(replace(variant, **change) for variant in at_places.values() for change in changes)
+    return found, duration * 0.45 / step / max(len(found), 1)
 
 
 def _power(runs: Sequence[Run], frequencies: Array) -> Array:
@@ -327,7 +322,7 @@ def candidates(candidate_set: CandidateSet, family: Family, alpha: float, floor:
             reason = "whatever its size, other parameters explain these recordings as well"
             found.append(Candidate(effect, None, None, {}, {}, reason))
             continue
-        guess = effect.at(np.r_[seen.guess([k]), effect.coordinates[effect.sizes :]])
+        guess = effect.at(np.r_[seen.guess([k]), effect.coordinates[effect.magnitude_count :]])
         sizes = {each.name: float(guess.values[each.name]) for each in effect.parameters() if not each.shape_parameter}
         least = _least(effect, wanted[k] * seen.std(k))
         found.append(Candidate(effect, float(np.sqrt(seen.statistics[k])), float(p[k]), sizes, least))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, LinkEffect, Motion, changed_link, magnitude, shape_parameter
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array
+from vjm.records import Array, Recording, Rig
 
 # Modes above are damped no faster than one here [rad/s]: no camera shows them, and steps need not follow them.
 _FASTEST = 1000.0
@@ -31,8 +32,10 @@ class StructuralDamping(LinkEffect):
 
     id = "structural_damping"
     description = "structural damping: a loss in bending that does not depend on the rate"
+    clause = "structural damping in {link}, with a loss factor of {loss_factor}"
     reference = "S. H. Crandall, The role of damping in vibration theory, Journal of Sound and Vibration 11(1), 1970"
     distinguishing_experiment = "two or more modes in free decay"
+    abscissa = "amplitude"
     dissipative = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -59,7 +62,7 @@ class StructuralDamping(LinkEffect):
         return (result + result.T) / 2
 
     @property
-    def longest_step(self) -> float:
+    def max_step(self) -> float:
         """At which the damping of fast modes is stable."""
         return np.inf if self.loss_factor <= _LIGHT else _STEP_FOR_HEAVY
 
@@ -76,8 +79,10 @@ class CubicStiffness(LinkEffect):
 
     id = "cubic_stiffness"
     description = "a bending stiffness that changes with the curvature"
+    clause = "a bending stiffness of {link} that changes with the curvature, by {coefficient}"
     reference = "A. H. Nayfeh and P. F. Pai, Linear and Nonlinear Structural Mechanics, Wiley, 2004"
     distinguishing_experiment = "recordings at two amplitudes"
+    abscissa = "amplitude"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Proportional to the angles' cubes."""
@@ -106,6 +111,7 @@ class StiffnessDrift(LinkEffect):
 
     id = "stiffness_drift"
     description = "a bending stiffness that drifts during each recording"
+    clause = "a bending stiffness of {link} that drifts by {rate} during each recording"
     reference = (
         "H. Sohn, Effects of environmental and operational variability on structural health monitoring, Philosophical "
         "Transactions of the Royal Society A 365, 2007"
@@ -139,8 +145,10 @@ class RestCurvature(LinkEffect):
 
     id = "rest_curvature"
     description = "a link that is bent at rest"
+    clause = "a curvature of {curvature} of {link} at rest"
     reference = "S. P. Timoshenko and J. M. Gere, Theory of Elastic Stability, 2nd edition, McGraw-Hill, 1961"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
+    abscissa = "marker"
 
     def chain(self, chain: Chain) -> Chain:
         """With an arc for the link."""
@@ -159,6 +167,10 @@ class UnmodelledMode(Effect):
     reference = "M. J. Balas, Feedback control of flexible systems, IEEE Transactions on Automatic Control 23(4), 1978"
     distinguishing_experiment = "the same fit with two virtual joints more"
 
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        """Return why it is not looked for."""
+        return "the error of so few virtual joints is measured and corrected; it is not a cause"
+
 
 _CREEP_STEPS = 1.5  # longest step, in time constants; an explicit one of fourth order is stable up to 2.8
 _SLIP_RATE = 5.0  # rad/s of a whole link's bending, which is fast; the slip follows it over one yield angle
@@ -176,7 +188,7 @@ class MemoryEffect(LinkEffect):
 
     ratio: float = magnitude("", 0.03, lower=0.0, upper=1.0)
 
-    def states(self, chain: Chain) -> int:
+    def state_count(self, chain: Chain) -> int:
         """One for each virtual joint of the link."""
         return 0 if self.is_null else chain.links[self.index].virtual_joints
 
@@ -193,8 +205,10 @@ class ViscoelasticCreep(MemoryEffect):
 
     id = "viscoelastic_creep"
     description = "creep: a part of the bending stiffness that relaxes"
+    clause = "creep in {link}: a part {ratio} of its bending stiffness relaxes within {time_constant}"
     reference = "C. Zener, Elasticity and Anelasticity of Metals, University of Chicago Press, 1948"
     distinguishing_experiment = "two or more modes in free decay, and a static bend that is held"
+    abscissa = "amplitude"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Of the relaxing springs."""
@@ -209,7 +223,7 @@ class ViscoelasticCreep(MemoryEffect):
 
         return force
 
-    def rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> Motion | None:
         """The springs follow phi and relax: z' = phi' - z / time_constant."""
         if self.is_null:
             return None
@@ -217,7 +231,7 @@ class ViscoelasticCreep(MemoryEffect):
         return lambda time, q, v, z: v[..., part] - slow * z
 
     @property
-    def longest_step(self) -> float:
+    def max_step(self) -> float:
         """At which the relaxation is stable."""
         return np.inf if self.is_null else _CREEP_STEPS * self.time_constant
 
@@ -236,11 +250,13 @@ class Hysteresis(MemoryEffect):
 
     id = "hysteresis"
     description = "hysteresis: stiffness that is lost where the link bends farther than it slips"
+    clause = "hysteresis in {link}: a part {ratio} of its bending stiffness slips beyond {yield_angle}"
     reference = (
         "Y.-K. Wen, Method for random vibration of hysteretic systems, Journal of the Engineering Mechanics Division, "
         "ASCE 102(2), 1976"
     )
     distinguishing_experiment = "recordings at two amplitudes, and a slow one"
+    abscissa = "amplitude"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """On top of the springs' own -K phi."""
@@ -255,7 +271,7 @@ class Hysteresis(MemoryEffect):
 
         return force
 
-    def rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> Motion | None:
         """Slipping: z' = phi' (1 - |z| / y (1 + sign(phi' z)) / 2), with |z| sign(phi' z) = z sign(phi')."""
         if self.is_null:
             return None
@@ -267,10 +283,10 @@ class Hysteresis(MemoryEffect):
 
         return rates
 
-    def rest(self, chain: Chain, q: Array) -> Array:
+    def initial_states(self, chain: Chain, q: Array) -> Array:
         """The joints' angles, as far as they do not slip."""
         if self.is_null:
-            return super().rest(chain, q)
+            return super().initial_states(chain, q)
         yields = self.yields(chain)
         result: Array = yields * np.tanh(q[..., chain.passive_slices[self.index]] / yields)
         return result
@@ -282,6 +298,6 @@ class Hysteresis(MemoryEffect):
         return result
 
     @property
-    def longest_step(self) -> float:
+    def max_step(self) -> float:
         """At which slipping is stable in fast motion."""
         return np.inf if self.is_null else _SLIP_STEPS * self.yield_angle / _SLIP_RATE

@@ -107,8 +107,10 @@ class LinearDrag(LinkEffect):
 
     id = "linear_drag"
     description = "air drag in proportion to the velocity"
+    clause = "air drag of {coefficient} on {link}, in proportion to the velocity"
     reference = _REFERENCE
     distinguishing_experiment = "two or more modes in free decay: drag damps the slow ones most"
+    abscissa = "amplitude"
     dissipative = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -130,8 +132,10 @@ class QuadraticDrag(LinkEffect):
 
     id = "quadratic_drag"
     description = "air drag in proportion to the square of the velocity"
+    clause = "air drag of {coefficient} on {link}, in proportion to the square of the velocity"
     reference = _REFERENCE
     distinguishing_experiment = "two amplitudes: its damping grows with the amplitude"
+    abscissa = "amplitude"
     dissipative = True
 
     def force(self, chain: Chain, payload: float) -> Motion | None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -23,6 +23,21 @@ Key = tuple[str, int | None]
 Motion = Callable[[Array, Array, Array, Array], Array]
 # From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
 RateIndependentUpdate = Callable[[Array, Array, Array], Array]
+# What the residual is drawn against: time, the local amplitude of the motion, a marker's velocity or coordinate, the
+# distance from the base (of residuals along the radius, or across it), the marker's number, the frequency, or, as a
+# missing torque, the active joint's angle or rate.
+Abscissa = Literal[
+    "time",
+    "amplitude",
+    "velocity",
+    "position",
+    "radial",
+    "tangential",
+    "marker",
+    "frequency",
+    "joint_angle",
+    "joint_rate",
+]
 
 
 @dataclass(frozen=True)
@@ -38,6 +53,7 @@ class Parameter:
         grid: of an inner parameter, the values from which searches start.
         reciprocal: whether the effect grows with one over the value, whose null is infinite.
         integer: whether it is a whole number, which is never varied in a fit.
+        from_spectrum: whether searches start from peaks of the residuals' spectrum instead of the grid [Hz].
     """
 
     name: str
@@ -49,6 +65,7 @@ class Parameter:
     grid: tuple[float, ...]
     reciprocal: bool
     integer: bool
+    from_spectrum: bool
 
     @property
     def shape_parameter(self) -> bool:
@@ -102,7 +119,7 @@ def magnitude(
         lower, upper: bounds.
         reciprocal: whether the effect grows with one over the value.
     """
-    kept = Parameter("", unit, null, typical_magnitude, lower, upper, (), reciprocal, False)
+    kept = Parameter("", unit, null, typical_magnitude, lower, upper, (), reciprocal, False, False)
     return field(default=null, metadata={_KEY: kept})
 
 
@@ -113,6 +130,7 @@ def shape_parameter(
     upper: float = np.inf,
     grid: Sequence[float] = (),
     integer: bool = False,
+    from_spectrum: bool = False,
 ) -> Any:
     """A field that says how an effect is, which means nothing where its size is null.
 
@@ -122,10 +140,10 @@ def shape_parameter(
         lower, upper: bounds.
         grid: values from which searches start; the everyday value where empty.
         integer: whether it is a whole number.
+        from_spectrum: whether searches start from peaks of the residuals' spectrum instead of the grid.
     """
-    kept = Parameter(
-        "", unit, np.nan, typical_magnitude, lower, upper, tuple(grid) or (typical_magnitude,), False, integer
-    )
+    values = tuple(grid) or (typical_magnitude,)
+    kept = Parameter("", unit, np.nan, typical_magnitude, lower, upper, values, False, integer, from_spectrum)
     return field(default=int(typical_magnitude) if integer else typical_magnitude, metadata={_KEY: kept})
 
 
@@ -134,7 +152,7 @@ _KEY = "vjm"
 
 @dataclass(frozen=True)
 class Effect:
-    """Something that a model may lack. Subclasses add parameters and override hooks.
+    """Something that a model may lack; a subclass adds parameters and overrides the hooks it needs.
 
     Attributes:
         link: index of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
@@ -143,49 +161,56 @@ class Effect:
     link: int | None = field(default=None, kw_only=True)
 
     id: ClassVar[str] = ""
-    # In the words of a mechanical engineer, as in "the data say: ...".
+    # The effect in a few words, as a noun phrase.
     description: ClassVar[str] = ""
-    # Where the model is described.
+    # The same with its numbers, as the verdict states it: "{link}" stands for the link's name and each parameter's
+    # name for its value in an everyday unit. Without one, the description is followed by the values.
+    clause: ClassVar[str] = ""
+    # The publication in which the model is described.
     reference: ClassVar[str] = ""
-    # Which recording tells it from what it looks like.
+    # The recording that distinguishes it from effects that look alike.
     distinguishing_experiment: ClassVar[str] = ""
-    # Whether it can only take energy out of the arm.
+    # Abscissa of the picture that shows the residual without and with it.
+    abscissa: ClassVar[Abscissa] = "time"
+    # It is a frequent cause, whose smallest detectable magnitude is reported first.
+    common: ClassVar[bool] = False
+    # It can only take energy out of the arm.
     dissipative: ClassVar[bool] = False
-    # Whether it is in the sensors, not in the arm.
+    # It is in the sensors, not in the arm.
     sensor: ClassVar[bool] = False
-    # Whether a URDF can carry it.
+    # A URDF can carry it.
     in_urdf: ClassVar[bool] = False
-    # Whether motion depends on it abruptly, as on what sticks and slips: it is looked for with simulated joints held
-    # near the angles that were measured, and what is left after a fit need not be noise.
+    # It makes the motion nonsmooth, as sticking or rattling does: searches for it hold simulated joints near their
+    # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
-        """Its parameters, in order."""
+        """Return its parameters, in order."""
         return tuple(replace(each.metadata[_KEY], name=each.name) for each in fields(cls) if _KEY in each.metadata)
 
     @property
     def key(self) -> Key:
-        """What it is known by beside other effects: its id and its place."""
+        """Its id and its place, which identify it among other effects."""
         return self.id, self.link
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Its parameters' values."""
+        """Its parameters' values by name."""
         return {each.name: getattr(self, each.name) for each in self.parameters()}
 
     @cached_property
     def is_null(self) -> bool:
-        """Whether it is absent."""
+        """True if it is absent: every magnitude is null."""
         return all(getattr(self, each.name) == each.null for each in self.parameters() if not each.shape_parameter)
 
     @property
     def coordinates(self) -> Array:
-        """(p,) numbers that a search varies: sizes, zero at the null and one at an everyday size; then inner ones."""
+        """(p,) numbers that a search varies: magnitudes over typical ones, then logarithms of shape parameters."""
         return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied()])
 
     def at(self, coordinates: Array) -> Self:
-        """The same effect at other coordinates (p,)."""
+        """Return the same effect at other coordinates (p,)."""
         varied = zip(self._varied(), np.asarray(coordinates, dtype=float).tolist(), strict=True)
         changes: dict[str, Any] = {each.name: each.value(value) for each, value in varied}
         return replace(self, **changes)
@@ -193,102 +218,120 @@ class Effect:
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,) of the coordinates."""
-        found = np.array([each.bounds for each in self._varied()]).reshape(-1, 2)
-        return found[:, 0], found[:, 1]
+        pairs = np.array([each.bounds for each in self._varied()]).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
 
     @property
-    def sizes(self) -> int:
-        """Number of coordinates, the first ones, that say how large it is."""
+    def magnitude_count(self) -> int:
+        """Number of coordinates, the first ones, that are magnitudes."""
         return sum(not each.shape_parameter for each in self.parameters())
 
     @classmethod
     def _varied(cls) -> tuple[Parameter, ...]:
-        found = [each for each in cls.parameters() if not each.integer]
-        return tuple(sorted(found, key=lambda each: each.shape_parameter))
+        varied = [each for each in cls.parameters() if not each.integer]
+        return tuple(sorted(varied, key=lambda each: each.shape_parameter))
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Links on which it can act; None alone for what is camera-wide."""
+        """Return the indices of the links on which it can act; None alone for what is camera-wide."""
         return (None,)
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """Absent instances from which searches start: one for each place and each combination of inner values."""
+        """Return absent instances from which searches start: one for each place and combination of shape parameters."""
         grids = [[(each.name, value) for value in each.grid] for each in self.parameters() if each.shape_parameter]
         return tuple(
             replace(self, link=link, **dict(chosen)) for link in self.places(rig) for chosen in product(*grids)
         )
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Why recordings cannot show it, whatever its size, as a clause; empty where they may."""
+        """Return the reason, as a clause, why recordings cannot show it whatever its magnitude; empty if they may."""
         return ""
 
-    # Hooks. They must return what they were given, exactly, where the effect is absent.
+    # Hooks. They must return their argument itself where the effect is absent.
 
     def chain(self, chain: Chain) -> Chain:
-        """The chain that it makes of a chain."""
+        """Return the chain with the changes that it makes to masses, springs, dampers and joints."""
         return chain
 
-    def inputs(self, recording: Recording) -> Recording:
-        """What really drove the arm, given what was recorded: torque and gravity."""
+    def true_inputs(self, recording: Recording) -> Recording:
+        """Return the recording with the torque and the gravity that really acted on the arm."""
         return recording
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Its generalised forces on the joints of a chain with a payload [kg] on the tip [N m].
+        """Return the function that gives its generalised forces [N m] on the joints, or None without any.
 
-        The function returned is given the time since the recording's start [s], angles [rad], rates [rad/s] and the
-        internal states, with any leading axes.
+        The function takes the time since the recording's start (...) [s], angles (..., nv) [rad], rates (..., nv)
+        [rad/s] and internal states (..., nz), with any leading axes, and returns (..., nv).
+
+        Args:
+            chain: of the arm, with all effects' changes.
+            payload: known mass on the tip [kg].
         """
         return None
 
-    def smooth(self) -> Effect:
-        """What stands for it where derivatives are taken: itself, unless it has none at instants."""
+    def smoothed(self) -> Effect:
+        """Return the effect from which derivatives by the parameters are taken: itself, if the motion is smooth."""
         return self
 
-    def states(self, chain: Chain) -> int:
-        """Number of its internal states."""
+    def state_count(self, chain: Chain) -> int:
+        """Return the number nz of its internal states, such as the deflection of a bristle."""
         return 0
 
-    def rates(self, chain: Chain) -> Motion | None:
-        """Their rates of change; needed where there are any and `rate_independent_update` says nothing of them."""
+    def state_rates(self, chain: Chain) -> Motion | None:
+        """Return the function, as of `force`, that gives the internal states' rates of change (..., nz).
+
+        It is needed where there are states and `rate_independent_update` returns None.
+        """
         return None
 
     def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        """How its internal states follow the joints, where that depends on the way and not on the time it takes.
+        """Return the function that moves internal states along with the joints, whatever time that takes.
 
-        What slips has no slope at instants: `smooth` then says what stands for it, without internal states.
+        It takes angles (..., nv) [rad], the states (..., nz) there and other angles, and returns the states at these.
+        States that slip have no derivatives: `smoothed` must then return an effect without internal states.
         """
         return None
 
-    def rest(self, chain: Chain, q: Array) -> Array:
-        """(..., nz) internal states at a recording's start, at angles (..., nv) [rad]."""
-        return np.zeros((*q.shape[:-1], self.states(chain)))
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        """Return internal states (..., nz) at a recording's start, where the angles are q (..., nv) [rad]."""
+        return np.zeros((*q.shape[:-1], self.state_count(chain)))
 
-    def rest_state(self, chain: Chain, q: Array) -> Array:
-        """Angles (..., nv) near the given ones [rad] at which an arm on which nothing acts would stay."""
+    def rest_angles(self, chain: Chain, q: Array) -> Array:
+        """Return angles (..., nv) near q (..., nv) [rad] at which an arm without load would stay at rest."""
         return q
 
     @property
-    def longest_step(self) -> float:
-        """Time step that a simulation may take [s]."""
+    def max_step(self) -> float:
+        """Longest time step [s] with which a simulation resolves it."""
         return np.inf
 
-    def instants(self, time: Array, positions: Array) -> Array:
-        """When markers were where a frame shows them.
+    @property
+    def joint_friction(self) -> float:
+        """Dry friction torque at the active joint [N m], as a URDF has it."""
+        return 0.0
+
+    def camera_instants(self, time: Array, positions: Array) -> Array:
+        """Return the instants [s] at which the camera really saw what its frames show.
 
         Args:
             time: (F,) the frames' time stamps since the recording's start [s].
-            positions: (F, k, 2) where the markers truly were at these instants [m].
+            positions: (F, k, 2) true positions of the markers at these time stamps [m].
 
         Returns:
-            (F,), or (F, k) where markers differ, since the recording's start [s].
+            (F,), or (F, k) if markers differ, since the recording's start [s].
         """
         return time
 
-    def shown(self, positions: Array, headings: Array) -> Array:
-        """What the camera shows of markers at positions (F, k, 2) [m] where the link has headings (F, k) [rad]."""
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
+        """Return the positions (F, k, 2) [m] that the camera reports.
+
+        Args:
+            positions: (F, k, 2) true positions of the markers [m].
+            headings: (F, k) direction of the link's tangent at each marker [rad].
+        """
         return positions
 
-    def encoder(self, theta: Array) -> Array:
-        """What the encoders show of active joint angles (T, n_a) [rad]."""
+    def encoder_angles(self, theta: Array) -> Array:
+        """Return the angles (T, n_a) [rad] that the encoders report of active joint angles theta (T, n_a) [rad]."""
         return theta
 
 

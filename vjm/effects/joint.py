@@ -44,20 +44,23 @@ class CoulombFriction(JointEffect):
 
     id = "coulomb_friction"
     description = "dry friction at the active joint"
+    clause = "dry friction of {torque} at the joint of {link}"
     reference = (
         "P. Dupont, V. Hayward, B. Armstrong and F. Altpeter, Single state elastoplastic friction models, IEEE "
         "Transactions on Automatic Control 47(5), 2002"
     )
     distinguishing_experiment = "slow sweeps in both directions, and motion that comes to a stop"
+    abscissa = "joint_rate"
+    common = True
     dissipative = True
     in_urdf = True
     nonsmooth = True
 
-    def smooth(self) -> Effect:
+    def smoothed(self) -> Effect:
         """Without the bristle: reversals take as long as derivatives are apart."""
         return _SmoothFriction(link=self.link, torque=self.torque)
 
-    def states(self, chain: Chain) -> int:
+    def state_count(self, chain: Chain) -> int:
         """The bristle."""
         return 0 if self.is_null else 1
 
@@ -74,9 +77,14 @@ class CoulombFriction(JointEffect):
         return lambda q, z, to: np.clip(z + (to - q)[..., joint, None], -_PRESLIDING, _PRESLIDING)
 
     @property
-    def longest_step(self) -> float:
+    def max_step(self) -> float:
         """That resolves sticking."""
         return np.inf if self.is_null else _LONGEST_STEP
+
+    @property
+    def joint_friction(self) -> float:
+        """Dry friction torque at the active joint [N m]."""
+        return self.torque
 
 
 @dataclass(frozen=True)
@@ -116,8 +124,10 @@ class ViscousFriction(JointEffect):
 
     id = "viscous_friction"
     description = "viscous friction at the active joint"
+    clause = "viscous friction of {coefficient} at the joint of {link}"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "motion of the joint at speeds that differ much, with the link bending little"
+    abscissa = "joint_rate"
     dissipative = True
     in_urdf = True
 
@@ -141,8 +151,10 @@ class JointSpring(JointEffect):
 
     id = "joint_spring"
     description = "a cable or hose that pulls the active joint back to zero"
+    clause = "a cable or hose of {stiffness} that pulls the joint of {link} back to zero"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
     distinguishing_experiment = "slow sweeps in both directions over a wide range of the joint"
+    abscissa = "joint_angle"
 
     def chain(self, chain: Chain) -> Chain:
         """With a spring at the joint."""
@@ -173,13 +185,15 @@ class TorqueGain(TorqueEffect):
 
     id = "torque_gain"
     description = "the true torque is a multiple of the recorded one"
+    clause = "a true torque at the joint of {link} that is {gain} times the recorded one"
     reference = (
         "M. Gautier and S. Briot, Global identification of joint drive gains and dynamic parameters of robots, Journal "
         "of Dynamic Systems, Measurement, and Control 136(5), 2014"
     )
     distinguishing_experiment = "a recording with a weighed mass on the tip"
+    common = True
 
-    def inputs(self, recording: Recording) -> Recording:
+    def true_inputs(self, recording: Recording) -> Recording:
         """With the true torque."""
         return recording if self.is_null else replace(recording, tau=self.column_of(recording.tau, self.gain, 0.0))
 
@@ -196,12 +210,14 @@ class TorqueOffset(TorqueEffect):
 
     id = "torque_offset"
     description = "a constant torque beside the recorded one"
+    clause = "a constant torque of {offset} beside the recorded one at the joint of {link}"
     reference = (
         "J. Swevers, W. Verdonck and J. De Schutter, Dynamic model identification for industrial robots, IEEE Control "
         "Systems Magazine 27(5), 2007"
     )
     distinguishing_experiment = "recordings at several hub angles, and slow sweeps in both directions"
+    abscissa = "joint_angle"
 
-    def inputs(self, recording: Recording) -> Recording:
+    def true_inputs(self, recording: Recording) -> Recording:
         """With the true torque."""
         return recording if self.is_null else replace(recording, tau=self.column_of(recording.tau, 1.0, self.offset))

@@ -35,11 +35,13 @@ class ClampCompliance(LinkEffect):
 
     id = "clamp_compliance"
     description = "a clamp that gives way: the link's root turns in it"
+    clause = "a clamp of {link} that gives way, by {compliance}"
     reference = (
         "K. R. Chun, Free vibration of a beam with one end spring-hinged and the other free, Journal of Applied "
         "Mechanics 39(4), 1972"
     )
     distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
+    common = True
     in_urdf = True
 
     def chain(self, chain: Chain) -> Chain:
@@ -61,6 +63,7 @@ class GearElasticity(JointEffect):
 
     id = "gear_elasticity"
     description = "an elastic gear or shaft between the motor's encoder and the hub"
+    clause = "an elastic gear or shaft of {stiffness} between motor and hub of {link}"
     reference = (
         "M. W. Spong, Modeling and control of elastic joint robots, Journal of Dynamic Systems, Measurement, and "
         "Control 109(4), 1987"
@@ -89,12 +92,13 @@ class Backlash(JointEffect):
     id = "backlash"
     nonsmooth = True
     description = "play between the motor and the hub"
+    clause = "play of {gap} between motor and hub of {link}"
     reference = (
         "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002"
     )
     distinguishing_experiment = "a marker on the hub, and slow motion that changes its direction"
 
-    def smooth(self) -> Effect:
+    def smoothed(self) -> Effect:
         """With flanks so soft that contact does not begin between two instants at which derivatives are taken."""
         return _SmoothBacklash(link=self.link, gap=self.gap)
 
@@ -123,7 +127,7 @@ class Backlash(JointEffect):
 
         return force
 
-    def rest_state(self, chain: Chain, q: Array) -> Array:
+    def rest_angles(self, chain: Chain, q: Array) -> Array:
         """With the hub between the flanks, on one of them at most."""
         if self.is_null:
             return q
@@ -136,7 +140,7 @@ class Backlash(JointEffect):
         return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
 
     @property
-    def longest_step(self) -> float:
+    def max_step(self) -> float:
         """That resolves an impact."""
         return np.inf if self.is_null else _LONGEST_STEP
 

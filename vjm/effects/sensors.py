@@ -38,14 +38,17 @@ class CameraScale(Effect):
 
     id = "camera_scale"
     description = "a camera whose scale is off"
+    clause = "a camera that shows everything {scale} times as large as it is"
     reference = (
         "Z. Zhang, A flexible new technique for camera calibration, IEEE Transactions on Pattern Analysis and Machine "
         "Intelligence 22(11), 2000"
     )
     distinguishing_experiment = "two fiducials at a measured distance in the camera's view"
+    abscissa = "position"
+    common = True
     sensor = True
 
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Larger."""
         return positions if self.is_null else self.scale * positions
 
@@ -62,8 +65,10 @@ class CameraRotation(Effect):
 
     id = "camera_rotation"
     description = "a camera that is turned against the base"
+    clause = "a camera that is turned by {angle} against the base"
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
+    abscissa = "tangential"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
@@ -75,7 +80,7 @@ class CameraRotation(Effect):
             return "without an encoder and without gravity, a turned camera and a turned arm look the same"
         return ""
 
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Turned."""
         return positions if self.is_null else rotate(positions, np.asarray(self.angle))
 
@@ -92,15 +97,17 @@ class LensDistortion(Effect):
 
     id = "lens_distortion"
     description = "a lens that distorts with the distance from the middle"
+    clause = "a lens that distorts with the distance from the middle, by {k1}"
     reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
     distinguishing_experiment = "three or more fiducials at measured distances in the camera's view"
+    abscissa = "radial"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """The middle is the camera's."""
         return "" if in_base_frame(rig) else LINK_FRAME
 
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Distorted."""
         if self.is_null:
             return positions
@@ -125,11 +132,13 @@ class MarkerOffset(LinkEffect):
 
     id = "marker_offset"
     description = "a marker that is not where the experiment file says"
+    clause = "marker {marker} of {link} off by {along} along and {across} across the link"
     reference = (
         "J. M. Hollerbach and C. W. Wampler, The calibration index and taxonomy for robot kinematic calibration "
         "methods, International Journal of Robotics Research 15(6), 1996"
     )
     distinguishing_experiment = "a ruler: measure where on the link the marker is"
+    abscissa = "marker"
     sensor = True
 
     @property
@@ -155,7 +164,7 @@ class MarkerOffset(LinkEffect):
             for k in range(1, part.stop - part.start + 1)
         )
 
-    def shown(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
         """With that marker displaced."""
         if self.is_null:
             return positions
@@ -176,6 +185,7 @@ class EncoderOffset(ColumnEffect):
 
     id = "encoder_offset"
     description = "the encoder's zero is off"
+    clause = "an encoder at {link} whose zero is off by {offset}"
     reference = (
         "J. M. Hollerbach and C. W. Wampler, The calibration index and taxonomy for robot kinematic calibration "
         "methods, International Journal of Robotics Research 15(6), 1996"
@@ -189,7 +199,7 @@ class EncoderOffset(ColumnEffect):
         """Without an encoder there is nothing to be wrong."""
         return super().untestable(rig, recordings) or ("" if has_encoder(recordings) else NO_ENCODER)
 
-    def encoder(self, theta: Array) -> Array:
+    def encoder_angles(self, theta: Array) -> Array:
         """Shifted."""
         return theta if self.is_null else self.column_of(theta, 1.0, self.offset)
 
@@ -217,13 +227,16 @@ class TimeOffset(ClockEffect):
 
     id = "time_offset"
     description = "a camera that lags behind its time stamps"
+    clause = "a camera that lags {delay} behind its time stamps"
     reference = (
         "P. Furgale, J. Rehder and R. Siegwart, Unified temporal and spatial calibration for multi-sensor systems, "
         "IEEE/RSJ International Conference on Intelligent Robots and Systems (IROS), 2013"
     )
     distinguishing_experiment = "driven recordings with fast motion, and two recordings that start differently"
+    abscissa = "velocity"
+    common = True
 
-    def instants(self, time: Array, positions: Array) -> Array:
+    def camera_instants(self, time: Array, positions: Array) -> Array:
         """Earlier."""
         return time if self.is_null else time - self.delay
 
@@ -240,13 +253,14 @@ class ClockScale(ClockEffect):
 
     id = "clock_scale"
     description = "a camera whose clock does not run at the encoder's rate"
+    clause = "a camera whose clock runs {scale} times as fast as the encoder's"
     reference = (
         "E. Olson, A passive solution to the sensor synchronization problem, IEEE/RSJ International Conference on "
         "Intelligent Robots and Systems (IROS), 2010"
     )
     distinguishing_experiment = "long driven recordings"
 
-    def instants(self, time: Array, positions: Array) -> Array:
+    def camera_instants(self, time: Array, positions: Array) -> Array:
         """By the encoder's clock."""
         return time if self.is_null else time / self.scale
 
@@ -263,17 +277,19 @@ class RollingShutter(Effect):
 
     id = "rolling_shutter"
     description = "a camera that reads its rows one after another"
+    clause = "a camera that reads its rows one after another, in {readout}"
     reference = (
         "C.-K. Liang, L.-W. Chang and H. H. Chen, Analysis and compensation of rolling shutter effect, IEEE "
         "Transactions on Image Processing 17(8), 2008"
     )
     distinguishing_experiment = "fast motion far to both sides of the base"
+    abscissa = "velocity"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Rows are the camera's."""
         return "" if in_base_frame(rig) else LINK_FRAME
 
-    def instants(self, time: Array, positions: Array) -> Array:
+    def camera_instants(self, time: Array, positions: Array) -> Array:
         """Each marker's own."""
         return time if self.is_null else time[:, None] - self.readout * positions[..., 1]

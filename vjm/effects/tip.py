@@ -26,10 +26,12 @@ class TipPayload(TipEffect):
 
     id = "tip_payload"
     description = "an unknown mass on the tip"
+    clause = "an unknown mass of {mass} on the tip of {link}"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
     distinguishing_experiment = (
         "a recording with a known mass on the tip, static sag under gravity, or driven recordings"
     )
+    common = True
     in_urdf = True
 
     def chain(self, chain: Chain) -> Chain:
@@ -52,10 +54,11 @@ class InPlaneGravity(Effect):
 
     id = "in_plane_gravity"
     description = "gravity in the plane of motion: the base is tilted"
+    clause = "gravity of {gx} along x and {gy} along y in the plane of motion: the base is tilted"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "recordings at several hub angles"
 
-    def inputs(self, recording: Recording) -> Recording:
+    def true_inputs(self, recording: Recording) -> Recording:
         """With more gravity."""
         if self.is_null:
             return recording
@@ -82,14 +85,16 @@ class ExternalTone(TipEffect):
     """
 
     amplitude: float = magnitude("N", 0.01, lower=0.0)
-    frequency: float = shape_parameter("Hz", 5.0, lower=1e-2, upper=1e4)
+    frequency: float = shape_parameter("Hz", 5.0, lower=1e-2, upper=1e4, from_spectrum=True)
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
     lowest: float = field(default=0.0, kw_only=True, compare=False)
 
     id = "external_tone"
     description = "a sinusoidal force on the tip from outside"
+    clause = "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside"
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
+    abscissa = "frequency"
 
     @property
     def coordinates(self) -> Array:
@@ -119,7 +124,7 @@ class ExternalTone(TipEffect):
         return np.array([-np.inf, -np.inf, lowest]), np.array([np.inf, np.inf, frequency.bounds[1]])
 
     @property
-    def sizes(self) -> int:
+    def magnitude_count(self) -> int:
         """Cosine and sine."""
         return 2
 

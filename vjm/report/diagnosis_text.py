@@ -27,36 +27,6 @@ _SCALES: Mapping[str, tuple[tuple[float, str], ...]] = {
     "rad/(N m)": ((math.pi / 180, "°/(N m)"),),
     "1/s": ((1e-2, "%/s"),),
 }
-# A clause for each effect; a user's own ones are named by what they say themselves.
-_CLAUSES: Mapping[str, str] = {
-    "tip_payload": "an unknown mass of {mass} on the tip of {link}",
-    "in_plane_gravity": "gravity of {gx} along x and {gy} along y in the plane of motion: the base is tilted",
-    "coulomb_friction": "dry friction of {torque} at the joint of {link}",
-    "viscous_friction": "viscous friction of {coefficient} at the joint of {link}",
-    "joint_spring": "a cable or hose of {stiffness} that pulls the joint of {link} back to zero",
-    "torque_gain": "a true torque at the joint of {link} that is {gain} times the recorded one",
-    "torque_offset": "a constant torque of {offset} beside the recorded one at the joint of {link}",
-    "gear_elasticity": "an elastic gear or shaft of {stiffness} between motor and hub of {link}",
-    "backlash": "play of {gap} between motor and hub of {link}",
-    "clamp_compliance": "a clamp of {link} that gives way, by {compliance}",
-    "linear_drag": "air drag of {coefficient} on {link}, in proportion to the velocity",
-    "quadratic_drag": "air drag of {coefficient} on {link}, in proportion to the square of the velocity",
-    "structural_damping": "structural damping in {link}, with a loss factor of {loss_factor}",
-    "viscoelastic_creep": "creep in {link}: a part {ratio} of its bending stiffness relaxes within {time_constant}",
-    "hysteresis": "hysteresis in {link}: a part {ratio} of its bending stiffness slips beyond {yield_angle}",
-    "cubic_stiffness": "a bending stiffness of {link} that changes with the curvature, by {coefficient}",
-    "stiffness_drift": "a bending stiffness of {link} that drifts by {rate} during each recording",
-    "rest_curvature": "a curvature of {curvature} of {link} at rest",
-    "external_tone": "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside",
-    "time_offset": "a camera that lags {delay} behind its time stamps",
-    "clock_scale": "a camera whose clock runs {scale} times as fast as the encoder's",
-    "camera_scale": "a camera that shows everything {scale} times as large as it is",
-    "camera_rotation": "a camera that is turned by {angle} against the base",
-    "encoder_offset": "an encoder at {link} whose zero is off by {offset}",
-    "lens_distortion": "a lens that distorts with the distance from the middle, by {k1}",
-    "rolling_shutter": "a camera that reads its rows one after another, in {readout}",
-    "marker_offset": "marker {marker} of {link} off by {along} along and {across} across the link",
-}
 
 
 def quantity(value: float, std: float | None, unit_name: str, digits: int = 2) -> str:
@@ -93,8 +63,8 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Size] | None = None
         else:
             texts[name] = quantity(size.value, size.std, size.unit, 4)
     link = place(effect, model) or model.chain.links[0].name
-    if effect.id in _CLAUSES:
-        return _CLAUSES[effect.id].format(link=link, **texts)
+    if effect.clause:
+        return effect.clause.format(link=link, **texts)
     values = ", ".join(f"{name} {text}" for name, text in texts.items())
     where = f" ({link})" if effect.link is not None else ""
     return f"{effect.description or effect.id}{where}{': ' if values else ''}{values}"
@@ -179,8 +149,6 @@ _CERTAIN = 0.01  # p-value of the whole search below which a candidate is more t
 _MOST_SMALL = 3
 _MOST_RIVALS = 2  # in a headline
 _NEARLY = 1.5  # times the noise; held-out recordings that are missed by less are nearly explained
-# The effects whose smallest detectable size is told first: what is asked for most.
-_ASKED_FOR = ("tip_payload", "coulomb_friction", "clamp_compliance", "camera_scale", "time_offset", "torque_gain")
 
 
 def diagnosis_verdict(diagnosis: Diagnosis) -> Verdict:
@@ -213,12 +181,8 @@ def _nothing(diagnosis: Diagnosis) -> str:
 def smallest_sizes(diagnosis: Diagnosis, most: int) -> list[str]:
     """The smallest sizes that would be found, of the effects that are asked for most: `a tip payload of 0.4 g`."""
     testable = [each for each in diagnosis.candidates if each.testable and len(each.smallest_detectable) == 1]
-
-    def rank(each: Candidate) -> int:
-        return _ASKED_FOR.index(each.effect.id) if each.effect.id in _ASKED_FOR else len(_ASKED_FOR)
-
     chosen: dict[str, Candidate] = {}
-    for each in sorted(testable, key=rank):
+    for each in sorted(testable, key=lambda candidate: not candidate.effect.common):
         chosen.setdefault(each.effect.id, each)
     return [_small(each) for each in list(chosen.values())[:most]]
 

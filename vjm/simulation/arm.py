@@ -50,23 +50,23 @@ class Arm:
     def inputs(self, recording: Recording) -> Recording:
         """The recording with what really drove the arm."""
         for effect in self.effects:
-            recording = effect.inputs(recording)
+            recording = effect.true_inputs(recording)
         return recording
 
     @cached_property
     def states(self) -> tuple[int, ...]:
         """Number of each effect's internal states."""
-        return tuple(effect.states(self.chain) for effect in self.effects)
+        return tuple(effect.state_count(self.chain) for effect in self.effects)
 
     def rest(self, q: Array) -> Array:
         """(..., nz) internal states at a recording's start, at angles q (..., nv) [rad]."""
-        parts = [effect.rest(self.chain, q) for effect in self.effects]
+        parts = [effect.initial_states(self.chain, q) for effect in self.effects]
         return np.concatenate([np.zeros((*q.shape[:-1], 0)), *parts], axis=-1)
 
     def rest_state(self, q: Array) -> Array:
         """Angles (..., nv) near the given ones [rad] at which its effects let it stay."""
         for effect in self.effects:
-            q = effect.rest_state(self.chain, q)
+            q = effect.rest_angles(self.chain, q)
         return q
 
     def forces(self, payload: float) -> Motion | None:
@@ -88,7 +88,7 @@ class Arm:
     @cached_property
     def rates(self) -> Motion | None:
         """Rates of change of all internal states; None where there are none."""
-        changing = self._told(lambda effect: effect.rates(self.chain))
+        changing = self._told(lambda effect: effect.state_rates(self.chain))
         if not changing:
             return None
 
@@ -118,7 +118,7 @@ class Arm:
     @property
     def longest_step(self) -> float:
         """Time step that the effects allow [s]."""
-        return min((effect.longest_step for effect in self.effects), default=np.inf)
+        return min((effect.max_step for effect in self.effects), default=np.inf)
 
     @cached_property
     def sensors(self) -> tuple[Effect, ...]:
@@ -128,13 +128,13 @@ class Arm:
     @cached_property
     def smooth(self) -> tuple[Arm, NDArray[np.intp]]:
         """The arm of which derivatives are taken, and which of this arm's internal states it has."""
-        effects = tuple(effect.smooth() for effect in self.effects)
+        effects = tuple(effect.smoothed() for effect in self.effects)
         if all(one is two for one, two in zip(effects, self.effects, strict=True)):
             return self, np.arange(sum(self.states))
         kept = [
             np.arange(part.start, part.stop)
             for part, effect in zip(self._parts, effects, strict=True)
-            if effect.states(self.chain)
+            if effect.state_count(self.chain)
         ]
         return Arm(self.chain, effects, self.feedback), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
 

@@ -107,12 +107,12 @@ class EncoderFeedback:
 
 def shown(sensors: Sequence[Effect], theta: Array, rate: Array) -> tuple[Array, Array]:
     """What encoders would show of active joints' angles [rad] and rates [rad/s] (..., n_a)."""
-    changing = [effect for effect in sensors if type(effect).encoder is not Effect.encoder]
+    changing = [effect for effect in sensors if type(effect).encoder_angles is not Effect.encoder_angles]
     if not changing:
         return theta, rate
     before, at, after = (
         theta.reshape(-1, theta.shape[-1]) + t * rate.reshape(-1, theta.shape[-1]) for t in (-_MOMENT, 0, _MOMENT)
     )
     for effect in changing:
-        before, at, after = (effect.encoder(each) for each in (before, at, after))
+        before, at, after = (effect.encoder_angles(each) for each in (before, at, after))
     return at.reshape(theta.shape), ((after - before) / (2 * _MOMENT)).reshape(theta.shape)

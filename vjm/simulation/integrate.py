@@ -219,5 +219,5 @@ def simulation(arm: Arm, arcs: Arcs, recording: Recording, steps: Steps) -> Simu
     markers = view(arm, arcs, steps, recording.time)
     theta = angles[:, arm.chain.active]
     for effect in arm.sensors:
-        theta = effect.encoder(theta)
+        theta = effect.encoder_angles(theta)
     return Simulation(recording.time, angles, rates, theta, markers)

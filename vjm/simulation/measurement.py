@@ -51,7 +51,7 @@ class Arcs:
         if arm.sensors:
             headings = marker_headings(arm.chain, q, self.lengths, self.in_link_frame)
             for effect in arm.sensors:
-                positions = effect.shown(positions, headings)
+                positions = effect.marker_positions(positions, headings)
         return positions
 
     def slope(self, arm: Arm, q: Array, directions: Array) -> Array:
@@ -69,7 +69,7 @@ def instants(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
         return time
     stamps, positions = time - start, arcs.markers(arm.chain, sampled(steps, time))
     for effect in arm.sensors:
-        seen = effect.instants(stamps, positions)
+        seen = effect.camera_instants(stamps, positions)
         late = seen.T - stamps  # (F,) or (k, F)
         found = found + late
     return found
@@ -157,7 +157,7 @@ class Observed:
         """(N_t,) what the encoders would have shown [rad]."""
         theta = sampled(steps, self.recording.time)[:, arm.chain.active]
         for effect in arm.sensors:
-            theta = effect.encoder(theta)
+            theta = effect.encoder_angles(theta)
         return theta.ravel()[self.angles]
 
     def residual(self, arm: Arm, steps: Steps) -> Array:

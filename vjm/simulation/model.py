@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
-from vjm.effects.joint import CoulombFriction
 from vjm.errors import ShapeError
 from vjm.files import write_text_atomic
 from vjm.model import dynamics
@@ -137,7 +136,7 @@ def extended_urdf(chain: Chain, effects: Sequence[Effect]) -> str:
     arm = Arm.of(chain, effects)
     friction: dict[str, float] = {}
     for effect in arm.effects:
-        if isinstance(effect, CoulombFriction):
-            name = chain.links[effect.index].name
-            friction[name] = friction.get(name, 0.0) + effect.torque
+        if effect.joint_friction:
+            name = chain.links[effect.link or 0].name
+            friction[name] = friction.get(name, 0.0) + effect.joint_friction
     return chain_to_urdf(arm.chain, friction)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from vjm.diagnosis.replays import most_improved
-from vjm.effects.effect import Effect
+from vjm.effects.effect import Abscissa, Effect
 from vjm.errors import InsufficientDataError
 from vjm.records import REFERENCE, Array, Recording, SimulatedRecording
 from vjm.report.diagnosis_text import capital, clause, named, place
@@ -54,28 +54,6 @@ if TYPE_CHECKING:
     from vjm.records import RecordingComparison
 from vjm.diagnosis.records import Cause, Diagnosis
 
-Abscissa = Literal["time", "amplitude", "velocity", "position", "radius", "turn", "marker", "frequency", "joint"]
-
-_OF: dict[str, Abscissa] = {
-    "coulomb_friction": "joint",
-    "viscous_friction": "joint",
-    "joint_spring": "joint",
-    "torque_offset": "joint",
-    "linear_drag": "amplitude",
-    "quadratic_drag": "amplitude",
-    "structural_damping": "amplitude",
-    "viscoelastic_creep": "amplitude",
-    "hysteresis": "amplitude",
-    "cubic_stiffness": "amplitude",
-    "rest_curvature": "marker",
-    "marker_offset": "marker",
-    "external_tone": "frequency",
-    "time_offset": "velocity",
-    "rolling_shutter": "velocity",
-    "camera_scale": "position",
-    "lens_distortion": "radius",
-    "camera_rotation": "turn",
-}
 _WINDOW = 0.08  # of a recording, over which a local size is taken
 
 
@@ -96,24 +74,19 @@ class Cloud(NamedTuple):
     squared: bool
 
 
-def abscissa_of(effect: Effect) -> Abscissa:
-    """Against what an effect is plainest; time for those that nothing is known of."""
-    return _OF.get(effect.id, "time")
-
-
 def cloud(effect: Effect, recording: Recording, before: SimulatedRecording, after: SimulatedRecording) -> Cloud:
-    """What two models leave of a recording against the abscissa of an effect (never `joint` or `frequency`)."""
+    """What two models leave of a recording against the abscissa of an effect (never of a joint or of frequency)."""
     frames = recording.frames
     measured = recording.markers[frames]
     left = [measured - each.simulation.markers[frames] for each in (before, after)]
     time, shown = recording.time[frames], after.simulation.markers[frames]
-    kind = abscissa_of(effect)
+    kind = effect.abscissa
     if kind == "velocity":
         velocity = np.gradient(shown, time, axis=0)
         return _cloud(velocity, left, "velocity of the marker [m/s]", False)
     if kind == "position":
         return _cloud(shown, left, "coordinate of the marker [m]", False)
-    if kind in ("radius", "turn"):
+    if kind in ("radial", "tangential"):
         return _polar(shown, left, kind)
     if kind == "marker":
         marker = np.broadcast_to(np.arange(1.0, shown.shape[1] + 1)[None, :, None], shown.shape)
@@ -143,7 +116,7 @@ def _polar(shown: Array, left: list[Array], kind: Abscissa) -> Cloud:
     radius = np.linalg.norm(shown, axis=-1)
     outwards = shown / np.maximum(radius, 1e-12)[..., None]
     around = np.stack([-outwards[..., 1], outwards[..., 0]], axis=-1)
-    way = outwards if kind == "radius" else around
+    way = outwards if kind == "radial" else around
     parts = [(each * way).sum(axis=-1) for each in left]
     return _cloud(radius, parts, "distance from the base [m]", False)
 
@@ -203,8 +176,8 @@ def _draw_left(
     followed: Sequence[RecordingComparison],
     replays: tuple[SimulatedRecording, SimulatedRecording],
 ) -> None:
-    kind, first = abscissa_of(effect), followed[0]
-    if kind == "joint":
+    kind, first = effect.abscissa, followed[0]
+    if kind in ("joint_angle", "joint_rate"):
         found = [_missing_torque(effect, model, [(f.recording, getattr(f, name)) for f in followed]) for name in _BOTH]
         if found[0] is not None and found[1] is not None:
             _draw_joint(axes, effect, (found[0], found[1]))
@@ -306,7 +279,7 @@ def _missing_torque(
 
 
 def _draw_joint(axes: Axes, effect: Effect, found: Sequence[Profile]) -> None:
-    by_angle = effect.id in ("joint_spring", "torque_offset")
+    by_angle = effect.abscissa == "joint_angle"
     axes.axhline(0.0, color="#444444", linewidth=0.6)
     largest = 0.0
     for profile, color, marker, pale in zip(

@@ -311,7 +311,7 @@ def drawn(
     time = np.linspace(*window, _DRAWN_POINTS)
     seen, stamps, positions = time, time - simulation.time[0], arcs.markers(arm.chain, path(time))
     for effect in arm.sensors:
-        seen = seen + (effect.instants(stamps, positions).T - stamps)
+        seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
     markers = arcs.shown(arm, path(np.clip(seen, simulation.time[0], simulation.time[-1])))
     return time, markers[:, signal.marker, signal.axis]
 
