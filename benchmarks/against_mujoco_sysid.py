@@ -39,9 +39,9 @@ from numpy.typing import NDArray
 
 import vjm
 from vjm.chain.curve import marker_positions
+from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.experiment import Experiment, Recording
-from vjm.identification.virtual_joints import cuts_of, nominal_chain
 from vjm.simulation.integrate import simulate
 from vjm.simulation.model import Model
 
@@ -104,7 +104,7 @@ def write(folder: Path) -> Path:
 
 def start_of(experiment: Experiment) -> Chain:
     """The chain that both searches start from."""
-    return nominal_chain(experiment.rig, cuts_of(experiment.rig, [JOINTS]), START_DAMPING)
+    return nominal_chain(experiment.rig, rig_layouts(experiment.rig, [JOINTS]), START_DAMPING)
 
 
 # vjm

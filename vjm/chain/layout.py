@@ -8,15 +8,16 @@ out exactly (layout `fourth-order`). The layout `end-corrected` has constants fi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from vjm.chain.virtual_links import Distal, LinkChain
+from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.records import Array, Link
+from vjm.records import Array, Link, Rig
 
 LayoutName = Literal["fourth-order", "end-corrected", "half-ends", "equal"]
 LAYOUTS: tuple[str, ...] = get_args(LayoutName)
@@ -151,3 +152,33 @@ def uniform_chain(
         width=link.width,
         thickness=link.thickness,
     )
+
+
+def rig_layouts(rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT) -> list[Layout]:
+    """Cut each link of a rig at its number of virtual joints; only the last link's distal end is free of moment."""
+    last = len(rig.links) - 1
+    return [
+        layout(link.length, n, name, "free" if i == last else "joined")
+        for i, (link, n) in enumerate(zip(rig.links, joints, strict=True))
+    ]
+
+
+def nominal_chain(rig: Rig, cuts: Sequence[Layout], kelvin_voigt: float = 0.0) -> Chain:
+    """Build the chain of the experiment file's nominal values.
+
+    Args:
+        rig: the arm.
+        cuts: each link's virtual links.
+        kelvin_voigt: ratio of viscous to elastic bending moment [s], which the file does not give.
+    """
+    last = len(rig.links) - 1
+    links = tuple(
+        uniform_chain(link, cut, kelvin_voigt=kelvin_voigt, distal="free" if i == last else "joined")
+        for i, (link, cut) in enumerate(zip(rig.links, cuts, strict=True))
+    )
+    return Chain(rig.name, links, rig.gravity)
+
+
+def chain_layouts(chain: Chain) -> list[Layout]:
+    """Return each link's virtual links and cells."""
+    return [Layout(link.lengths, link.cells) for link in chain.links]

@@ -18,6 +18,7 @@ from rich.progress import Progress as ProgressBar
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.cli.arguments import DEFAULT_JOBS, DEFAULT_MAX_EFFECTS, DEFAULT_METHOD, DEFAULT_SEED
 from vjm.effects.effect import Effect
@@ -27,7 +28,7 @@ from vjm.files import FolderError, check_folder, check_parent, json_text, write_
 from vjm.identification import identify
 from vjm.identification.comparison import Comparison, compare
 from vjm.identification.records import Identification
-from vjm.identification.virtual_joints import choose_virtual_joints, cuts_of, nominal_chain
+from vjm.identification.virtual_joints import choose_virtual_joints
 from vjm.markers.shape import visible_modes
 from vjm.records import Estimate
 from vjm.report.diagnosis_text import carried_points, diagnosis_verdict
@@ -369,7 +370,7 @@ def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:
     joints = [
         choose_virtual_joints(link, visible_modes(len(link.markers)), link.virtual_joints).joints for link in rig.links
     ]
-    return nominal_chain(rig, cuts_of(rig, joints)), ()
+    return nominal_chain(rig, rig_layouts(rig, joints)), ()
 
 
 def _is_json(source: Path) -> bool:

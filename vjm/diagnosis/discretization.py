@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vjm.chain.layout import DEFAULT_LAYOUT
+from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
 from vjm.diagnosis.candidate_fit import Extension
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_DAMPING
 from vjm.identification.trajectory_fit import Coordinates, Point, TrajectoryFit, fit_trajectory
-from vjm.identification.virtual_joints import cuts_of, nominal_chain
 from vjm.model import dynamics
 from vjm.records import Array, Rig
 from vjm.simulation.arm import Arm
@@ -106,7 +105,7 @@ def _finer(point: Point, rig: Rig) -> Coordinates:
     """The same coordinates of a chain with more joints."""
     step_multiple = point.problem.parametrisation
     joints = [_FINER * link.virtual_joints for link in step_multiple.template.links]
-    template = nominal_chain(rig, cuts_of(rig, joints, DEFAULT_LAYOUT), START_DAMPING)
+    template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_DAMPING)
     fine = Parametrisation(template, step_multiple.kind, step_multiple.hubs)
     extension = point.problem.extension
     return replace(extension, base=fine) if isinstance(extension, Extension) else fine

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from vjm.chain.curve import curve_map
+from vjm.chain.layout import chain_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.experiment.cleaning import cleaned
 from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
 from vjm.identification.outliers import without_outliers
-from vjm.identification.parameters import layouts_of
 from vjm.identification.prepare import Data, Prepared, driving_torque, prepare
 from vjm.identification.records import ModeComparison, TorqueData
 from vjm.identification.torque_method import MATCH_TOLERANCE, noise_factor, seen_errors, whiten
@@ -71,7 +71,7 @@ _COARSE = 2.0  # times the integrator's default step, for models that miss by mo
 
 def prepared_for(chain: Chain, rig: Rig, data: Data) -> tuple[Prepared, ...]:
     """The recordings' angles and derivatives at a chain's own cuts."""
-    cuts = layouts_of(chain)
+    cuts = chain_layouts(chain)
     same = all(
         np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells)
         for one, two in zip(cuts, data.plan.cuts, strict=True)

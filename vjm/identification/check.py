@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import InsufficientDataError
 from vjm.identification.parameters import PARAMETRISATIONS
 from vjm.identification.prepare import Data, Options, read_data
 from vjm.identification.torque_method import evaluate, fit_uniform, refined
 from vjm.identification.uncertainty import covariance, estimates, of_torque, to_physical
-from vjm.identification.virtual_joints import cuts_of, nominal_chain
 from vjm.identification.warn import data_warnings, marker_warnings
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment
@@ -47,7 +47,7 @@ def check(experiment: Experiment) -> Check:
         experiment: as loaded.
     """
     rig = experiment.rig
-    nominal = nominal_chain(rig, cuts_of(rig, [link.virtual_joints or _NOMINAL_JOINTS for link in rig.links]))
+    nominal = nominal_chain(rig, rig_layouts(rig, [link.virtual_joints or _NOMINAL_JOINTS for link in rig.links]))
     expected = modes(nominal).frequencies
     try:
         data = {kind: read_data(experiment, Options(kind)) for kind in PARAMETRISATIONS}

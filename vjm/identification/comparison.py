@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from vjm.chain.layout import chain_layouts, nominal_chain
 from vjm.errors import ShapeError
 from vjm.identification.assess import fit_recordings
-from vjm.identification.parameters import layouts_of
-from vjm.identification.virtual_joints import nominal_chain
 from vjm.identification.warn import result_warnings
 from vjm.records import Array, Experiment, Progress, RecordingComparison
 from vjm.simulation.model import Model
@@ -64,7 +63,7 @@ def compare(
     for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
         if abs(link.length - own.length) > _SAME_LENGTH * own.length:
             raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
-    nominal = replace(model, chain=nominal_chain(experiment.rig, layouts_of(model.chain)), estimates=(), effects=())
+    nominal = replace(model, chain=nominal_chain(experiment.rig, chain_layouts(model.chain)), estimates=(), effects=())
     fits = fit_recordings(experiment, model, (nominal, None), progress)
     known = np.empty((0, 0)) if covariance is None else covariance
     warnings = (*experiment.warnings, *result_warnings(fits, ()))

@@ -8,11 +8,11 @@ from typing import cast
 
 import numpy as np
 
-from vjm.chain.layout import DEFAULT_LAYOUT
+from vjm.chain.layout import DEFAULT_LAYOUT, chain_layouts, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.identification.assess import compare_modes, fit_recordings, objective_of, prepared_for, torque_data
-from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation, layouts_of
+from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
 from vjm.identification.prepare import (
     Data,
     Options,
@@ -22,7 +22,7 @@ from vjm.identification.records import METHODS, Identification, TrajectorySummar
 from vjm.identification.torque_method import by_torque
 from vjm.identification.trajectory_method import by_trajectory
 from vjm.identification.uncertainty import Information, covariance, estimates, of_torque, of_trajectory, to_physical
-from vjm.identification.virtual_joints import JointChoice, nominal_chain
+from vjm.identification.virtual_joints import JointChoice
 from vjm.identification.warn import (
     data_warnings,
     joint_notes,
@@ -148,7 +148,7 @@ def _result(
     physical = to_physical(parametrisation, found.x, covariance(information))
     parameters = estimates(parametrisation, found.x, information, physical)
     model = Model(chain, experiment.rig, *noise, parameters)
-    nominal = Model(nominal_chain(experiment.rig, layouts_of(chain)), experiment.rig, *noise)
+    nominal = Model(nominal_chain(experiment.rig, chain_layouts(chain)), experiment.rig, *noise)
     before = None if found.before is None else Model(found.before, experiment.rig, *noise)
     recordings = fit_recordings(experiment, model, (nominal, before), progress, found.states)
     comparison = compare_modes(model, data.payload, data.prepared, data.seen, max(orders))

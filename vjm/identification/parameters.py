@@ -271,8 +271,3 @@ def _logit(fraction: float) -> float:
 def _logistic(values: Array) -> Array:
     result: Array = 1 / (1 + np.exp(-values))
     return result
-
-
-def layouts_of(chain: Chain) -> Sequence[Layout]:
-    """Each link's virtual links and cells, as the angle stage wants them."""
-    return [Layout(link.lengths, link.cells) for link in chain.links]

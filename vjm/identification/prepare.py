@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from vjm.chain.layout import DEFAULT_LAYOUT, Layout
+from vjm.chain.layout import DEFAULT_LAYOUT, Layout, rig_layouts
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.experiment.cleaning import cleaned
 from vjm.experiment.noise import sensor_noise
 from vjm.experiment.spectrum import MeasuredModes, measure_modes
-from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints, cuts_of
+from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
 from vjm.markers.angles import AngleMethod, Angles, ShapeSettings, estimate_angles
 from vjm.markers.shape import choose_order
 from vjm.markers.smoothing import Derivatives, Smoother, interpolate
@@ -357,7 +357,7 @@ def make_plan(
             joints with parameters of their own by the chain's own curve, where there are markers enough.
     """
     rig = experiment.rig
-    provisional = cuts_of(rig, [3] * len(rig.links), layout)
+    provisional = rig_layouts(rig, [3] * len(rig.links), layout)
     orders = choose_orders(rig, provisional, recordings, family)
     joints = tuple(
         _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
@@ -368,7 +368,7 @@ def make_plan(
         angles = "curve" if parameters != "uniform" and placed else "curvature"
     robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
     shape = ShapeSettings(family, orders, angles, robust)
-    return Plan(shape, joints, tuple(cuts_of(rig, [choice.joints for choice in joints], layout)))
+    return Plan(shape, joints, tuple(rig_layouts(rig, [choice.joints for choice in joints], layout)))
 
 
 def _choose_joints(link: Link, order: int, parameters: str, asked: int | None) -> JointChoice:

@@ -9,12 +9,12 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
+from vjm.chain.layout import chain_layouts, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.spectrum import MeasuredModes, match
-from vjm.identification.parameters import Parametrisation, layouts_of
+from vjm.identification.parameters import Parametrisation
 from vjm.identification.prepare import Data, Prepared, Settings, prepare
-from vjm.identification.virtual_joints import nominal_chain
 from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.model.torque import torque_errors
@@ -92,7 +92,7 @@ class TorqueProblem:
         """The recordings at the chain's lengths, through the filter found at the start."""
         if self.parametrisation.kind not in ("lengths", "full"):
             return self.given
-        cuts = layouts_of(chain)
+        cuts = chain_layouts(chain)
         return tuple(prepare(self.rig, cuts, given.recording, self.settings, given) for given in self.given)
 
     def errors(self, x: Array, prepared: Sequence[Prepared]) -> list[Array]:

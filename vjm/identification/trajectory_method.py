@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
@@ -28,7 +29,7 @@ from vjm.identification.trajectory_fit import (
     first_horizon,
     fit_trajectory,
 )
-from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints, cuts_of, nominal_chain
+from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
 from vjm.records import Array, Experiment, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import most_likely
@@ -159,7 +160,7 @@ class Search:
     def template(self, joints: Sequence[int]) -> Chain:
         """The nominal chain with so many joints."""
         rig = self.experiment.rig
-        return nominal_chain(rig, cuts_of(rig, joints, self.data.options.layout), START_DAMPING)
+        return nominal_chain(rig, rig_layouts(rig, joints, self.data.options.layout), START_DAMPING)
 
     def problem(self, joints: Sequence[int]) -> TrajectoryProblem:
         """Of uniform links with so many joints."""

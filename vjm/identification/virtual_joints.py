@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from vjm.chain.layout import DEFAULT_LAYOUT, Layout, layout, uniform_chain
+from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.model.modes import modes
-from vjm.records import Array, Link, Rig
+from vjm.records import Array, Link
 
 FREQUENCY_TOLERANCE = 1e-3  # relative discretisation error allowed in the frequencies of the modes seen
 _REFERENCE_JOINTS = 40
@@ -58,28 +57,3 @@ def choose_virtual_joints(link: Link, seen: int, joints: int | None = None) -> J
 def _frequencies(link: Link, n: int) -> Array:
     chain = Chain(link.name, (uniform_chain(link, layout(link.length, n)),))
     return modes(chain).frequencies
-
-
-def cuts_of(rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT) -> list[Layout]:
-    """Each link's layout; only the last link's distal end is free of moment."""
-    last = len(rig.links) - 1
-    return [
-        layout(link.length, n, name, "free" if i == last else "joined")
-        for i, (link, n) in enumerate(zip(rig.links, joints, strict=True))
-    ]
-
-
-def nominal_chain(rig: Rig, cuts: Sequence[Layout], kelvin_voigt: float = 0.0) -> Chain:
-    """The chain of the experiment file's nominal values.
-
-    Args:
-        rig: the arm.
-        cuts: each link's virtual links.
-        kelvin_voigt: ratio of viscous to elastic bending moment [s], which the file does not give.
-    """
-    last = len(rig.links) - 1
-    links = tuple(
-        uniform_chain(link, cut, kelvin_voigt=kelvin_voigt, distal="free" if i == last else "joined")
-        for i, (link, cut) in enumerate(zip(rig.links, cuts, strict=True))
-    )
-    return Chain(rig.name, links, rig.gravity)
