@@ -1,0 +1,54 @@
+"""Write docs/effects.md, the list of built-in effects, from the effects themselves.
+
+Run from the repository's root: python docs/make_effects.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vjm.effects import BUILTIN, Effect
+
+FILE = Path(__file__).parent / "effects.md"
+HEAD = """\
+# The effects
+
+What a simulation of a flexible arm most often gets wrong, as `vjm diagnose` looks for it. Each effect is one class in
+`vjm/effects/` with the id given here; at its null value it changes nothing, exactly. With several links, an effect of a
+joint or of a link is one candidate for each. `--effects a,b,c` looks for some of them only; [an effect of your
+own](how-to/own-effect.md) can be added. This page is written by `docs/make_effects.py` from the classes.
+"""
+NULLS = {np.inf: "infinite", 0.0: "0", 1.0: "1"}
+
+
+def parameters(effect: Effect) -> str:
+    """Return an effect's parameters with unit and null value, as one cell of a table."""
+    cells = []
+    for parameter in effect.parameters():
+        unit = parameter.unit or "-"
+        null = "" if parameter.shape_parameter else f"; null {NULLS.get(parameter.null, parameter.null)}"
+        cells.append(f"{parameter.name} [{unit}{null}]")
+    return ", ".join(cells) or "-"
+
+
+def page() -> str:
+    """Return the whole page."""
+    parts = [HEAD]
+    for title, sensor in (("Mechanics", False), ("Sensors", True)):
+        parts.append(f"\n## {title}\n")
+        for effect in BUILTIN:
+            if effect.sensor != sensor:
+                continue
+            parts.append(f"\n### `{effect.id}`\n\n{effect.description[0].upper()}{effect.description[1:]}.\n")
+            parts.append(f"\n- Parameters: {parameters(effect)}\n")
+            if effect.distinguishing_experiment:
+                parts.append(f"- Told from similar effects by: {effect.distinguishing_experiment}\n")
+            if effect.reference:
+                parts.append(f"- Source: {effect.reference}\n")
+    return "".join(parts)
+
+
+if __name__ == "__main__":
+    FILE.write_text(page(), encoding="utf-8")
