@@ -34,7 +34,7 @@ def arm(rig: Rig, joints: int = 4) -> Chain:
     for link in rig.links:
         distal = "free" if link is rig.links[-1] else "joined"
         cuts = layout(link.length, joints, distal=distal)
-        links.append(uniform_chain(link, cuts, kelvin_voigt=1e-3, distal=distal))
+        links.append(uniform_chain(link, cuts, kelvin_voigt=1e-3))
     return Chain(rig.name, tuple(links), rig.gravity)
 
 

@@ -33,7 +33,7 @@ def beam_chain(
     """A uniform beam of n virtual joints; in units of its length, mass and stiffness unless given."""
     link = Link("beam", joint, length, mass, bending_stiffness, (length,), hub_inertia=hub_inertia, payload=payload)
     cuts = layout(length, n, name, distal)
-    return Chain("arm", (uniform_chain(link, cuts, kelvin_voigt=kelvin_voigt, distal=distal),), gravity)
+    return Chain("arm", (uniform_chain(link, cuts, kelvin_voigt=kelvin_voigt),), gravity)
 
 
 def roots(function: Callable[[float], float], most: float, count: int) -> Array:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.chain.beams import beam_chain
-from vjm.chain.layout import LAYOUTS, free_layout, layout
+from vjm.chain.layout import LAYOUTS, layout, layout_of_lengths
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.errors import ChoiceError, InputError, ShapeError
 
@@ -51,12 +51,12 @@ def test_inner_links_and_joints_are_all_alike(n: int) -> None:
 @given(st.integers(2, 40), st.sampled_from(["free", "joined"]))
 def test_free_layout_agrees_with_the_corrected_one(n: int, distal: Distal) -> None:
     cuts = layout(1.0, n, "fourth-order", distal)
-    np.testing.assert_allclose(free_layout(cuts.lengths, distal).cells, cuts.cells, rtol=0.03)
+    np.testing.assert_allclose(layout_of_lengths(cuts.lengths, distal).cells, cuts.cells, rtol=0.03)
 
 
 @given(st.lists(st.floats(0.01, 1.0), min_size=2, max_size=9))
 def test_free_cells_of_a_joined_link_cover_it(lengths: list[float]) -> None:
-    cuts = free_layout(lengths, "joined")
+    cuts = layout_of_lengths(lengths, "joined")
     np.testing.assert_array_equal(cuts.lengths, lengths)
     np.testing.assert_allclose(cuts.cells.sum(), np.sum(lengths), rtol=1e-12)
 

@@ -30,7 +30,7 @@ def chain_of(*links: Link, n: int = 4, kelvin_voigt: float = 1e-3) -> Chain:
     for i, link in enumerate(links):
         distal = "free" if i == len(links) - 1 else "joined"
         cuts = layout(link.length, n, distal=distal)
-        parts.append(uniform_chain(link, cuts, kelvin_voigt=kelvin_voigt, distal=distal))
+        parts.append(uniform_chain(link, cuts, kelvin_voigt=kelvin_voigt))
     return Chain("arm", tuple(parts))
 
 

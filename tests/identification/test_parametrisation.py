@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vjm.chain.layout import free_layout, layout, uniform_chain
+from vjm.chain.layout import layout, layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError
 from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
@@ -17,9 +17,9 @@ from vjm.records import Link
 def template(joint: str = "revolute", n: int = 3) -> Chain:
     inner = Link("inner", joint, 1.0, 0.4, 1.9, (1.0,), hub_inertia=0.02 if joint == "revolute" else 0.0)  # type: ignore[arg-type]
     outer = Link("outer", "revolute", 0.6, 0.2, 0.8, (0.6,), hub_inertia=0.01, payload=0.1)
-    cuts = free_layout(layout(1.0, n, "end-corrected", "joined").lengths, "joined")
-    first = uniform_chain(inner, cuts, kelvin_voigt=2e-3, distal="joined")
-    return Chain("arm", (first, uniform_chain(outer, free_layout(layout(0.6, 2).lengths), kelvin_voigt=1e-3)))
+    cuts = layout_of_lengths(layout(1.0, n, "end-corrected", "joined").lengths, "joined")
+    first = uniform_chain(inner, cuts, kelvin_voigt=2e-3)
+    return Chain("arm", (first, uniform_chain(outer, layout_of_lengths(layout(0.6, 2).lengths), kelvin_voigt=1e-3)))
 
 
 @pytest.mark.parametrize("kind", PARAMETRISATIONS)

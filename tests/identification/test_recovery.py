@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from vjm.chain.curve import marker_positions
-from vjm.chain.layout import free_layout, layout, uniform_chain
+from vjm.chain.layout import layout, layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
 from vjm.experiment import load_experiment
@@ -47,7 +47,7 @@ def chain_recordings(joint: str, n: int, seed: int, free: bool = False) -> tuple
     arcs = tuple((np.arange(1, n + 1) / n).tolist())
     hub = 0.02 if joint == "revolute" else 0.0
     link = Link("beam", joint, 1.0, 0.44, 1.9, arcs, hub_inertia=hub, virtual_joints=n)  # type: ignore[arg-type]
-    even = uniform_chain(link, free_layout(layout(1.0, n).lengths, "free") if free else layout(1.0, n))
+    even = uniform_chain(link, layout_of_lengths(layout(1.0, n).lengths, "free") if free else layout(1.0, n))
     stiffness = even.stiffness * rng.uniform(0.7, 1.3, n)
     truth = Chain("rig", (replace(even, stiffness=stiffness, damping=stiffness * rng.uniform(2e-3, 4e-3, n)),))
     time = np.arange(900) / 600.0

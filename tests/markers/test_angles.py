@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -29,7 +31,7 @@ def arm(links: int, joints: int = N, markers: tuple[float, ...] | None = None) -
         link = Link(f"link{i}", "revolute" if i else "clamped", length, 0.3, 1.5, arcs)
         rig_links.append(link)
         cuts.append(cut)
-        chains.append(uniform_chain(link, cut, distal=distal))
+        chains.append(uniform_chain(link, cut))
     return Rig("arm", tuple(rig_links)), cuts, Chain("arm", tuple(chains))
 
 
@@ -124,7 +126,7 @@ def test_a_point_that_does_not_exist_is_reported_not_invented() -> None:
 
 def test_representative_points_beyond_the_links_end_are_refused() -> None:
     rig, cuts, chain = arm(1, markers=(0.3, 0.6, 1.0))
-    longer = [Layout(1.2 * cuts[0].lengths, cuts[0].cells)]
+    longer = [replace(cuts[0], lengths=1.2 * cuts[0].lengths)]
     markers = np.zeros((2, 3, 2))
     markers[:, :, 0] = [0.3, 0.6, 1.0]
     data = recording(chain, np.zeros((2, chain.size)), markers)

@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 from hypothesis import strategies as st
 
-from vjm.chain.virtual_links import Array, Chain, LinkChain, frozen
+from vjm.chain.virtual_links import Array, Chain, LinkChain
 
 HOSTILE = "<a&\"b'>]]> é世\U0001f9be --"
 NAMES = st.text(
@@ -20,7 +20,7 @@ def positive(least: float, most: float) -> st.SearchStrategy[float]:
 
 
 def sizes(count: int, least: float, most: float) -> st.SearchStrategy[Array]:
-    return st.lists(positive(least, most), min_size=count, max_size=count).map(frozen)
+    return st.lists(positive(least, most), min_size=count, max_size=count).map(np.array)
 
 
 @st.composite

@@ -13,7 +13,7 @@ from tests.model.arms import GRAVITY, arms, one_joint_arm, random_motion
 from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InputError, ShapeError
-from vjm.model.dynamics import bias, blocks, build, forward_dynamics, gravity_stiffness, inverse_dynamics, mass_matrix
+from vjm.model.dynamics import bias, build, forward_dynamics, gravity_stiffness, inverse_dynamics, mass_matrix
 
 
 @pytest.mark.parametrize("payload", [0.0, 0.16])
@@ -32,34 +32,15 @@ def test_active_joint_and_virtual_joint_in_closed_form(payload: float, seed: int
 
 
 @pytest.mark.parametrize("payload", [0.0, 0.16])
-def test_blocks_are_the_closed_form_s(payload: float) -> None:
-    chain = one_joint_arm("revolute")
-    q, v, _ = random_motion(chain, 5, 4)
-    closed = TwoBodies.of(chain.links[0], payload, GRAVITY)
-    M, h = closed.mass_matrix(q[:, 1]), closed.bias(*q.T, *v.T)
-    found = blocks(chain, q, v, payload)
-    np.testing.assert_allclose(found.M11, M[:, :1, :1], rtol=1e-12)
-    np.testing.assert_allclose(found.M12, M[:, :1, 1:], rtol=1e-12)
-    np.testing.assert_allclose(found.M21, M[:, 1:, :1], rtol=1e-12)
-    np.testing.assert_allclose(found.M22, M[:, 1:, 1:], rtol=1e-12)
-    np.testing.assert_allclose(found.h1, h[:, :1], rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(found.h2, h[:, 1:], rtol=1e-11, atol=1e-12)
-
-
-@pytest.mark.parametrize("payload", [0.0, 0.16])
 def test_clamped_link_has_one_moving_body(payload: float) -> None:
     chain = one_joint_arm("clamped")
     q, v, a = random_motion(chain, 6, 5)
     closed = TwoBodies.of(chain.links[0], payload, GRAVITY)
     gravity_torque = closed.mu1 * (GRAVITY[0] * np.sin(q) - GRAVITY[1] * np.cos(q))
-    np.testing.assert_allclose(
-        inverse_dynamics(build(chain, payload), q, v, a), closed.beta * a + gravity_torque, rtol=1e-12
-    )
-    found = blocks(chain, q, v, payload)
-    assert (found.M11.shape, found.M12.shape, found.M21.shape) == ((6, 0, 0), (6, 0, 1), (6, 1, 0))
-    np.testing.assert_allclose(found.M22[:, 0], closed.beta + 0 * q, rtol=1e-12)
-    assert found.h1.shape == (6, 0)
-    np.testing.assert_allclose(found.h2, gravity_torque, rtol=1e-12)
+    mechanism = build(chain, payload)
+    np.testing.assert_allclose(inverse_dynamics(mechanism, q, v, a), closed.beta * a + gravity_torque, rtol=1e-12)
+    np.testing.assert_allclose(mass_matrix(mechanism, q)[:, 0], closed.beta + 0 * q, rtol=1e-12)
+    np.testing.assert_allclose(bias(mechanism, q, v), gravity_torque, rtol=1e-12)
 
 
 def test_closed_form_is_the_lagrangian_s() -> None:

@@ -40,7 +40,7 @@ class Motion(NamedTuple):
         """J of a changed chain or a changed motion."""
         moved = self._replace(**changes)
         errors = torque_errors(chain or self.chain, moved.q, moved.v, moved.a, moved.torque, PAYLOAD)
-        return objective(errors)
+        return objective([errors])
 
 
 @cache
@@ -124,20 +124,20 @@ def test_every_column_of_the_motion_counts(part: str) -> None:
     true = getattr(driven(), part)
     for column in range(true.shape[1]):
         changed = true * (1 + 0.01 * (np.arange(true.shape[1]) == column))
-        assert driven().objective(**{part: changed}) > 1e-8
+        assert driven().objective(**{part: changed}) > 5e-9
     for sample in (0, len(true) // 2, len(true) - 1):
         changed = true.copy()
         changed[sample] += 0.1
-        assert driven().objective(**{part: changed}) > 1e-8
+        assert driven().objective(**{part: changed}) > 5e-9
 
 
 def test_gravity_and_payload_count() -> None:
     true = driven()
     motion = true.q, true.v, true.a, true.torque
-    assert objective(torque_errors(true.chain, *motion, PAYLOAD, (0.0, -9.81))) > 1e-3
-    assert objective(torque_errors(true.chain, *motion)) > 1e-3
+    assert objective([torque_errors(true.chain, *motion, PAYLOAD, (0.0, -9.81))]) > 1e-3
+    assert objective([torque_errors(true.chain, *motion)]) > 1e-3
     turned = replace(true.chain, gravity=(0.0, 0.0))
-    assert objective(torque_errors(turned, *motion, PAYLOAD, GRAVITY)) < 1e-24
+    assert objective([torque_errors(turned, *motion, PAYLOAD, GRAVITY)]) < 1e-24
 
 
 @given(arms(), st.integers(0, 2**32 - 1))
@@ -185,7 +185,7 @@ def test_unmeasured_torque_silences_only_its_row() -> None:
     assert np.isnan(errors[::3, 0]).all()
     expected[::3, 0] = 0.0
     np.testing.assert_array_equal(np.nan_to_num(errors), expected)
-    assert objective(errors) == objective(expected)
+    assert objective([errors]) == objective([np.delete(expected.ravel(), np.arange(0, expected.size, 6))])
 
 
 def test_inputs_are_left_alone() -> None:
@@ -213,18 +213,14 @@ def test_torques_that_do_not_fit_are_refused(shape: tuple[int, ...]) -> None:
 # J
 
 
-def test_objective_is_the_time_mean_of_the_weighted_squares() -> None:
-    errors = np.array([[1.0, 2.0], [-3.0, 0.5], [0.0, 4.0]])
-    assert objective(errors) == pytest.approx((5 + 9.25 + 16) / 3)
-    weights = np.array([[2.0, 0.5], [0.5, 3.0]])
-    expected = sum(float(row @ weights @ row) for row in errors) / 3
-    assert objective(errors, weights) == pytest.approx(expected)
-    assert objective(errors, np.eye(2)) == pytest.approx(objective(errors))
+def test_objective_is_the_mean_square_over_all_recordings() -> None:
+    errors = [np.array([[1.0, 2.0], [-3.0, 0.5], [np.nan, 4.0]]), np.array([[7.0]])]
+    assert objective(errors) == pytest.approx((5 + 9.25 + 16 + 49) / 6)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_whitened_noise_has_objective_one_a_joint(seed: int) -> None:
+def test_whitened_noise_has_objective_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mixing = rng.normal(size=(3, 3))
     errors = rng.normal(size=(20000, 3)) @ mixing.T
-    assert objective(errors, np.linalg.inv(mixing @ mixing.T)) == pytest.approx(3.0, rel=0.03)
+    assert objective([errors @ np.linalg.inv(mixing).T]) == pytest.approx(1.0, rel=0.03)

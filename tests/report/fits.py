@@ -60,7 +60,7 @@ def _first_state(model: Model, recording: Recording) -> tuple[Array, Array]:
 
 def _torque_data(model: Model, nominal: Model, recording: Recording) -> TorqueData:
     rig = model.rig
-    cuts = [Layout(link.lengths, link.cells) for link in model.chain.links]
+    cuts = [Layout(link.lengths, link.cells, link.distal) for link in model.chain.links]
     orders = tuple(min(3, max(1, len(link.markers) - 2)) for link in rig.links)
     settings = ShapeSettings("cantilever", orders)
     angles = estimate_angles(rig, cuts, recording, settings, model.marker_noise, model.encoder_noise)
@@ -144,7 +144,7 @@ def _chain(rig: Rig, joints: int, bending: float, time_constant: float) -> Chain
     for i, link in enumerate(rig.links):
         distal: Literal["free", "joined"] = "free" if i == len(rig.links) - 1 else "joined"
         cuts = layout(link.length, joints, distal=distal)
-        links.append(uniform_chain(link, cuts, bending * link.bending_stiffness, time_constant, distal))
+        links.append(uniform_chain(link, cuts, bending * link.bending_stiffness, time_constant))
     return Chain(rig.name, tuple(links), rig.gravity)
 
 

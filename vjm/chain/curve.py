@@ -1,4 +1,4 @@
-"""The curve through the virtual joints: where a chain's markers are.
+"""Curves through the virtual joints, and the markers on them.
 
 A virtual joint bent by phi_j stands for the curvature kappa(s_j) = phi_j / cell_j (its moment K_j phi_j is the
 beam's EI kappa there). Between the joints the curvature is an interpolating spline that vanishes at a free end;
@@ -29,7 +29,7 @@ class CurveMap:
     Attributes:
         arcs: (k,) arc lengths [m].
         heading: (k, n) d psi(arcs) / d phi.
-        node_heading: (Q, n) the same at the quadrature nodes.
+        node_heading: (Q, n) d psi / d phi at the quadrature nodes.
         nodes: (Q,) arc lengths of the quadrature nodes [m].
         weights: (k, Q) quadrature weights from the proximal end to each arc length [m].
     """
@@ -40,19 +40,19 @@ class CurveMap:
     nodes: Array
     weights: Array
 
-    def positions(self, phi: ArrayLike, turn: ArrayLike = 0.0, rest_curvature: float = 0.0) -> Array:
-        """Positions in the link frame.
+    def positions(self, phi: ArrayLike, root_angle: ArrayLike = 0.0, rest_curvature: float = 0.0) -> Array:
+        """Return positions in the link frame.
 
         Args:
             phi: (..., n) virtual joints' angles [rad].
-            turn: (...) of the root in that frame [rad].
+            root_angle: (...) of the root joint [rad].
             rest_curvature: of the unloaded link [1/m].
 
         Returns:
             (..., k, 2) [m].
         """
         psi = np.asarray(phi, dtype=float) @ self.node_heading.T
-        psi += rest_curvature * self.nodes + np.asarray(turn, dtype=float)[..., None]
+        psi += rest_curvature * self.nodes + np.asarray(root_angle, dtype=float)[..., None]
         return np.stack([np.cos(psi) @ self.weights.T, np.sin(psi) @ self.weights.T], axis=-1)
 
     def jacobian(self, phi: ArrayLike) -> Array:
@@ -63,29 +63,28 @@ class CurveMap:
         return np.stack([by_x, by_y], axis=-2)
 
 
-def curvature_spline(joint_arcs: Array, cells: Array, length: float, distal: Distal) -> BSpline:
-    """Curvature along the link as a spline linear in phi: evaluates to (..., n) [1/m per rad]."""
-    n = joint_arcs.size
-    knots, values = joint_arcs, np.diag(1 / cells)
-    if distal == "free":
-        knots, values = np.r_[knots, length], np.vstack([values, np.zeros(n)])
-    return make_interp_spline(knots, values, k=min(3, knots.size - 1))
+def curvature_spline(cuts: Layout | LinkChain) -> BSpline:
+    """Return the curvature along a link as a spline linear in phi: evaluates to (..., n) [1/m per rad]."""
+    joints, length = np.cumsum(cuts.lengths)[:-1], float(cuts.lengths.sum())
+    return _curvature_spline(joints, cuts.cells, length, cuts.distal)
 
 
-def curve_map(link: LinkChain, arcs: ArrayLike) -> CurveMap:
-    """The map from a link's phi to its curve at the given arc lengths [m]."""
-    return curve_map_of(Layout(link.lengths, link.cells), link.distal, arcs)
-
-
-def curve_map_of(cuts: Layout, distal: Distal, arcs: ArrayLike) -> CurveMap:
-    """The same for cuts that are not a chain yet; `distal` as in `LinkChain`."""
+def curve_map(cuts: Layout | LinkChain, arcs: ArrayLike) -> CurveMap:
+    """Return the map from a link's phi to its curve at arc lengths (k,) [m]."""
     return _curve_map(
         tuple(np.cumsum(cuts.lengths)[:-1].tolist()),
         tuple(cuts.cells.tolist()),
         float(cuts.lengths.sum()),
-        distal,
+        cuts.distal,
         tuple(np.asarray(arcs, dtype=float).ravel().tolist()),
     )
+
+
+def _curvature_spline(joint_arcs: Array, cells: Array, length: float, distal: Distal) -> BSpline:
+    knots, values = joint_arcs, np.diag(1 / cells)
+    if distal == "free":
+        knots, values = np.r_[knots, length], np.vstack([values, np.zeros(joint_arcs.size)])
+    return make_interp_spline(knots, values, k=min(3, knots.size - 1))
 
 
 @lru_cache(maxsize=256)
@@ -98,7 +97,7 @@ def _curve_map(
     half = np.diff(edges) / 2
     nodes = (edges[:-1, None] + half[:, None] * (1 + abscissae)).ravel()
     weights = (half[:, None] * gauss).ravel()
-    spline = curvature_spline(joint_arcs, np.array(cells), length, distal).antiderivative()
+    spline = _curvature_spline(joint_arcs, np.array(cells), length, distal).antiderivative()
     offset = spline(0.0)
     return CurveMap(
         arcs=ends,
@@ -110,7 +109,7 @@ def _curve_map(
 
 
 def link_poses(chain: Chain, q: ArrayLike) -> tuple[Array, Array]:
-    """Frames Sigma_i of the links in the base frame (eq. 9).
+    """Return the links' frames Sigma_i in the base frame (eq. 9).
 
     Args:
         chain: the arm.
@@ -128,27 +127,27 @@ def link_poses(chain: Chain, q: ArrayLike) -> tuple[Array, Array]:
         origins.append(origin)
         headings.append(heading)
         tip = curve_map(link, [link.length])
-        phi, turn = angles[..., part], _turn(chain, angles, part)
-        origin = origin + rotate(tip.positions(phi, turn, link.rest_curvature)[..., 0, :], heading)
-        heading = heading + turn + phi @ tip.heading[0] + link.rest_curvature * link.length
+        phi, root_angle = angles[..., part], _root_angle(chain, angles, part)
+        origin = origin + rotate(tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :], heading)
+        heading = heading + root_angle + phi @ tip.heading[0] + link.rest_curvature * link.length
     return np.stack(origins, axis=-2), np.stack(headings, axis=-1)
 
 
-def _turn(chain: Chain, angles: Array, part: slice) -> Array:
+def _root_angle(chain: Chain, angles: Array, part: slice) -> Array:
     """(...) angle of the root joint before the virtual joints `part`; zero where there is none [rad]."""
     root = part.start - 1
     return angles[..., root] if root in chain.roots else np.zeros(angles.shape[:-1])
 
 
 def rotate(vectors: Array, angle: Array) -> Array:
-    """Vectors (..., 2) turned by angle (...) [rad]."""
+    """Return vectors (..., 2) turned by angles (...) [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
 def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_link_frame: tuple[bool, ...]) -> Array:
-    """Markers on the curves of a chain.
+    """Return the positions of markers on the curves of a chain.
 
     Args:
         chain: the arm.
@@ -163,8 +162,8 @@ def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_lin
     origins, headings = link_poses(chain, angles)
     parts = []
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
-        turn = _turn(chain, angles, part)
-        local = curve_map(link, arcs[i]).positions(angles[..., part], turn, link.rest_curvature)
+        root_angle = _root_angle(chain, angles, part)
+        local = curve_map(link, arcs[i]).positions(angles[..., part], root_angle, link.rest_curvature)
         if not in_link_frame[i]:
             local = origins[..., i, None, :] + rotate(local, headings[..., i, None])
         parts.append(local)
@@ -172,12 +171,12 @@ def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_lin
 
 
 def marker_headings(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_link_frame: tuple[bool, ...]) -> Array:
-    """(..., k) headings of the curve at the markers [rad]; arguments as of `marker_positions`."""
+    """Return (..., k) headings of the curve at the markers [rad]; arguments as of `marker_positions`."""
     angles = np.asarray(q, dtype=float)
     _, headings = link_poses(chain, angles)
     parts = []
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
-        local = _turn(chain, angles, part)[..., None] + angles[..., part] @ curve_map(link, arcs[i]).heading.T
+        local = _root_angle(chain, angles, part)[..., None] + angles[..., part] @ curve_map(link, arcs[i]).heading.T
         local = local + link.rest_curvature * arcs[i]
         parts.append(local if in_link_frame[i] else headings[..., i, None] + local)
     return np.concatenate(parts, axis=-1)

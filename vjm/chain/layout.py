@@ -1,4 +1,4 @@
-"""Where to cut a uniform flexible link: lengths, cells and nominal stiffness of the virtual joints.
+"""Layouts of virtual joints on a uniform flexible link: lengths, cells and nominal stiffness.
 
 The bulk of a chain of uniform rods with K = EI / Delta is fourth-order accurate by itself: with displacements
 y - kappa Delta^2 / 12 at the joints, its moments there are the beam's. The error sits at the ends. A free end needs no
@@ -44,15 +44,17 @@ _SINGLE_DISTAL = 9 / _ROOT**4
 
 @dataclass(frozen=True)
 class Layout:
-    """Cuts of one link.
+    """Virtual links and joints of one flexible link.
 
     Attributes:
         lengths: (n + 1,) virtual links [m].
         cells: (n,) length of beam each virtual joint stands for [m]; its nominal stiffness is EI / cells.
+        distal: whether the distal end is `free` of moment, or `joined` to a further link.
     """
 
     lengths: Array
     cells: Array
+    distal: Distal = "free"
 
 
 def layout(length: float, n: int, name: str = DEFAULT_LAYOUT, distal: Distal = "free") -> Layout:
@@ -73,21 +75,18 @@ def layout(length: float, n: int, name: str = DEFAULT_LAYOUT, distal: Distal = "
     """
     if n < 1:
         raise ShapeError("virtual joints", n, "at least 1")
-    if name == "equal":
-        return Layout(np.full(n + 1, length / (n + 1)), np.full(n, length / (n + 1)))
-    if name == "half-ends":
-        return Layout(length / n * np.r_[0.5, np.ones(n - 1), 0.5], np.full(n, length / n))
     if name not in LAYOUTS:
         raise ChoiceError("layout", name, LAYOUTS)
-    if n == 1 and distal == "free":
-        return Layout(
-            length * np.array([1 - _SINGLE_DISTAL, _SINGLE_DISTAL]), np.array([length / (3 * _SINGLE_DISTAL**2)])
-        )
-    if n == 1:
-        return layout(length, 1, "half-ends")
-    lengths, cells = (_fourth_order if name == "fourth-order" else _end_corrected)(n, distal)
+    if name == "equal":
+        lengths, cells = np.ones(n + 1), np.ones(n)
+    elif name == "half-ends" or (n == 1 and distal == "joined"):
+        lengths, cells = np.r_[0.5, np.ones(n - 1), 0.5], np.ones(n)
+    elif n == 1:
+        lengths, cells = np.array([1 - _SINGLE_DISTAL, _SINGLE_DISTAL]), np.array([1 / (3 * _SINGLE_DISTAL**2)])
+    else:
+        lengths, cells = (_fourth_order if name == "fourth-order" else _end_corrected)(n, distal)
     delta = length / lengths.sum()
-    return Layout(delta * lengths, delta * cells)
+    return Layout(delta * lengths, delta * cells, distal)
 
 
 def _fourth_order(n: int, distal: Distal) -> tuple[Array, Array]:
@@ -105,8 +104,8 @@ def _end_corrected(n: int, distal: Distal) -> tuple[Array, Array]:
     return lengths, np.r_[_MOMENT_END[1], np.ones(n - 2), outer[1]]
 
 
-def free_layout(lengths: ArrayLike, distal: Distal = "free") -> Layout:
-    """The layout with the given virtual-link lengths; each joint's cell ends midway to its neighbours.
+def layout_of_lengths(lengths: ArrayLike, distal: Distal = "free") -> Layout:
+    """Return the layout with given virtual links; each joint's cell ends midway to its neighbours.
 
     Past the last joint before a free end the curvature falls to zero: only half of the last virtual link counts.
 
@@ -119,20 +118,19 @@ def free_layout(lengths: ArrayLike, distal: Distal = "free") -> Layout:
     cells[0] += values[0] / 2
     if distal == "joined":
         cells[-1] += values[-1] / 2
-    return Layout(values, cells)
+    return Layout(values, cells, distal)
 
 
 def uniform_chain(
-    link: Link, cuts: Layout, bending_stiffness: float | None = None, kelvin_voigt: float = 0.0, distal: Distal = "free"
+    link: Link, cuts: Layout, bending_stiffness: float | None = None, kelvin_voigt: float = 0.0
 ) -> LinkChain:
-    """The chain of a uniform link: uniform rods, K = EI / cell, D = K times the Kelvin-Voigt time.
+    """Return the chain of a uniform link: uniform rods, K = EI / cell, D = K times the Kelvin-Voigt time.
 
     Args:
         link: the rig's link; its mass is spread evenly.
-        cuts: where the virtual joints are.
+        cuts: its virtual links and joints.
         bending_stiffness: EI [N m^2]; the link's nominal one when None.
         kelvin_voigt: ratio of viscous to elastic bending moment [s].
-        distal: whether the distal end is free of moment, or joined to a further link.
     """
     masses = link.mass * cuts.lengths / link.length
     stiffness = (link.bending_stiffness if bending_stiffness is None else bending_stiffness) / cuts.cells
@@ -148,7 +146,7 @@ def uniform_chain(
         cells=cuts.cells,
         hub_inertia=link.hub_inertia,
         payload=link.payload,
-        distal=distal,
+        distal=cuts.distal,
         width=link.width,
         thickness=link.thickness,
     )
@@ -171,14 +169,10 @@ def nominal_chain(rig: Rig, cuts: Sequence[Layout], kelvin_voigt: float = 0.0) -
         cuts: each link's virtual links.
         kelvin_voigt: ratio of viscous to elastic bending moment [s], which the file does not give.
     """
-    last = len(rig.links) - 1
-    links = tuple(
-        uniform_chain(link, cut, kelvin_voigt=kelvin_voigt, distal="free" if i == last else "joined")
-        for i, (link, cut) in enumerate(zip(rig.links, cuts, strict=True))
-    )
-    return Chain(rig.name, links, rig.gravity)
+    links = [uniform_chain(link, cut, kelvin_voigt=kelvin_voigt) for link, cut in zip(rig.links, cuts, strict=True)]
+    return Chain(rig.name, tuple(links), rig.gravity)
 
 
 def chain_layouts(chain: Chain) -> list[Layout]:
     """Return each link's virtual links and cells."""
-    return [Layout(link.lengths, link.cells) for link in chain.links]
+    return [Layout(link.lengths, link.cells, link.distal) for link in chain.links]

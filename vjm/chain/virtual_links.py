@@ -1,4 +1,4 @@
-"""The virtual-joint chain as plain data."""
+"""Chains of virtual links and virtual joints as plain data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Distal = Literal["free", "joined"]
 
 @dataclass(frozen=True)
 class LinkChain:
-    """One flexible link cut into n + 1 rigid virtual links joined by n virtual joints.
+    """A flexible link as n + 1 rigid virtual links joined by n virtual joints.
 
     Virtual link 0 starts at the proximal end, along the x axis of the link frame Sigma_i; virtual joint j
     (from 1) sits between virtual links j - 1 and j.
@@ -73,7 +73,7 @@ class LinkChain:
         if n < 1:
             raise ShapeError("stiffness", "no virtual joint", "at least one")
         for field, size in _SIZES.items():
-            values = frozen(getattr(self, field))
+            values = _read_only(getattr(self, field))
             if values.shape != (n + size,):
                 raise ShapeError(f"{self.name}.{field}", f"shape {values.shape}", f"shape ({n + size},)")
             if not np.isfinite(values).all() or (values < 0).any():
@@ -129,7 +129,7 @@ _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffnes
 
 @dataclass(frozen=True)
 class Chain:
-    """A whole arm of flexible links as virtual-joint chains.
+    """An arm of flexible links as virtual-joint chains.
 
     Coordinates q run from the base outwards: for each link its active angle theta (revolute links only), the angle of
     its root joint (where there is one), then its virtual joints' angles phi.
@@ -190,14 +190,15 @@ class Chain:
     @property
     def stiffness(self) -> Array:
         """(nv,) joint stiffness [N m/rad]."""
-        return self._spread("stiffness")
+        return self._of_joints("stiffness")
 
     @property
     def damping(self) -> Array:
         """(nv,) joint damping [N m s/rad]."""
-        return self._spread("damping")
+        return self._of_joints("damping")
 
-    def _spread(self, field: str) -> Array:
+    def _of_joints(self, field: str) -> Array:
+        """(nv,) stiffness or damping of active, root and virtual joints in the order of the coordinates."""
         values: list[Array] = []
         for link in self.links:
             own = [getattr(link, f"joint_{field}")] if link.joint == "revolute" else []
@@ -206,8 +207,8 @@ class Chain:
         return np.concatenate(values)
 
 
-def frozen(values: ArrayLike) -> Array:
-    """A read-only float copy of `values`."""
+def _read_only(values: ArrayLike) -> Array:
+    """Return a read-only float copy."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array

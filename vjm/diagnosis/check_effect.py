@@ -16,7 +16,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from vjm.chain.layout import layout, uniform_chain
-from vjm.chain.virtual_links import Chain, Distal
+from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import Extension, adds_joint
 from vjm.diagnosis.directions import screen
 from vjm.diagnosis.screen import build_candidates
@@ -217,9 +217,8 @@ def arm_bench() -> Bench:
 def _bench(name: str, links: tuple[Link, ...], plans: tuple[_Plan, ...]) -> Bench:
     rig, parts = Rig(name, links), []
     for link in links:
-        distal: Distal = "free" if link is links[-1] else "joined"
-        cuts = layout(link.length, _JOINTS, distal=distal)
-        parts.append(uniform_chain(link, cuts, kelvin_voigt=_KELVIN_VOIGT, distal=distal))
+        cuts = layout(link.length, _JOINTS, distal="free" if link is links[-1] else "joined")
+        parts.append(uniform_chain(link, cuts, kelvin_voigt=_KELVIN_VOIGT))
     chain = Chain(name, tuple(parts))
     return Bench(rig, chain, tuple(Trial(_recording(rig, plan), _bent(chain, *plan.bends)) for plan in plans))
 

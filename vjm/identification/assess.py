@@ -17,7 +17,7 @@ from vjm.identification.prepare import Data, Prepared, driving_torque, prepare
 from vjm.identification.records import ModeComparison, TorqueData
 from vjm.identification.torque_method import MATCH_TOLERANCE, noise_factor, seen_errors, whiten
 from vjm.model.modes import modes
-from vjm.model.torque import torque_errors
+from vjm.model.torque import objective, torque_errors
 from vjm.records import Array, Complex, Experiment, Progress, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.simulation.model import Model
 
@@ -85,8 +85,7 @@ def objective_of(chain: Chain, prepared: Sequence[Prepared], found: Chain) -> fl
     """J of a chain: mean square of its torque errors under the weights of the chain found; None without recordings."""
     if not prepared:
         return None
-    residuals = [whiten(seen_errors(chain, one), noise_factor(found, one)) for one in prepared]
-    return float(np.sum([np.sum(r**2) for r in residuals]) / np.sum([r.size for r in residuals]))
+    return objective(whiten(seen_errors(chain, one), noise_factor(found, one)) for one in prepared)
 
 
 def torque_data(prepared: Prepared, nominal: Chain, found: Chain) -> TorqueData:

@@ -1,4 +1,4 @@
-"""From a recording's markers to the joint angles of an arm of N links (eqs. 9-12)."""
+"""Joint angles of an arm of N links from a recording's markers (eqs. 9-12)."""
 
 from __future__ import annotations
 
@@ -7,170 +7,18 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from vjm.chain.curve import CurveMap, curve_map_of, rotate
+from vjm.chain.curve import CurveMap, curve_map, rotate
 from vjm.chain.layout import Layout
-from vjm.chain.virtual_links import Distal
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.markers.shape import ShapeFit, basis, fit_shape
 from vjm.records import Array, Link, Recording, Rig
 
-_NODES = 24  # Gauss-Legendre nodes for the tip's position
-
-
-def curvature_angles(fit: ShapeFit, joint_arcs: ArrayLike, cells: ArrayLike) -> Array:
-    """Angles phi (T, n) [rad]; NaN for frames whose curve does not exist (its slope by arc length exceeds one).
-
-    With y given over arc length, sin(psi) = y' and kappa = y'' / cos(psi).
-
-    Args:
-        fit: shape functions of T frames, over arc lengths.
-        joint_arcs: (n,) arc length of each virtual joint [m].
-        cells: (n,) length of beam each stands for [m].
-    """
-    arcs = np.asarray(joint_arcs, dtype=float)
-    return np.asarray(cells, dtype=float) * fit.evaluate(arcs, 2) / _cosine(fit.evaluate(arcs, 1))
-
-
-def curvature_map(fit: ShapeFit, joint_arcs: ArrayLike, cells: ArrayLike) -> Array:
-    """(n, order) derivative of phi by the coefficients of a straight link [rad/m]."""
-    functions = basis(fit.family, fit.order, np.asarray(joint_arcs, dtype=float), fit.length, 2)
-    return np.asarray(cells, dtype=float)[:, None] * functions
-
-
-def tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
-    """Position (T, 2) [m] and heading (T,) [rad] of the distal end in the link frame."""
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    cosine = _cosine(fit.evaluate(fit.length * (1 + nodes) / 2, 1))
-    end = np.array([fit.length])
-    position = np.stack([cosine @ weights * fit.length / 2, fit.evaluate(end)[:, 0]], axis=-1)
-    return position, np.arcsin(_valid(fit.evaluate(end, 1)[:, 0]))
-
-
-def _valid(sine: Array) -> Array:
-    return np.where(np.abs(sine) < 1, sine, np.nan)
-
-
-def _cosine(sine: Array) -> Array:
-    cosine: Array = np.sqrt(1 - _valid(sine) ** 2)
-    return cosine
-
-
-_STEPS = 12  # Gauss-Newton converges quadratically on exact data
-_TOLERANCE = 1e-13  # rad
+_TOLERANCE = 1e-13  # rad or of a length: rounding errors of a Newton step
 _LARGEST_TURN = 0.5  # rad a step
-_RIDGE = 1e-14  # keeps frames without enough markers solvable; their angles are thrown away
 _CHUNK = 20_000  # frames a batch, bounds the memory
-
-
-def curve_angles(curve: CurveMap, markers: ArrayLike, start: ArrayLike) -> Array:
-    """Angles phi (T, n) [rad] by least squares on all measured coordinates; NaN for frames with too few.
-
-    Args:
-        curve: maps phi to the markers' positions.
-        markers: (T, k, 2) in the link frame [m]; NaN where not measured.
-        start: (T, n) first guess [rad]; zero where NaN.
-
-    Raises:
-        InsufficientDataError: fewer markers than virtual joints.
-    """
-    n = curve.heading.shape[1]
-    positions, guess = np.asarray(markers, dtype=float), np.nan_to_num(np.asarray(start, dtype=float))
-    if curve.arcs.size < n:
-        raise InsufficientDataError(
-            "angles by the curve", f"{curve.arcs.size} markers cannot place {n} virtual joints", "ask for fewer joints"
-        )
-    parts = [
-        _solve(curve, positions[row : row + _CHUNK], guess[row : row + _CHUNK])
-        for row in range(0, len(positions), _CHUNK)
-    ]
-    return np.concatenate(parts) if parts else guess
-
-
-def _solve(curve: CurveMap, markers: Array, phi: Array) -> Array:
-    known = np.isfinite(markers)
-    values = np.where(known, markers, 0.0)
-    enough = known[..., 1].sum(axis=1) >= phi.shape[1]
-    for _ in range(_STEPS):
-        residual = np.where(known, values - curve.positions(phi), 0.0).reshape(len(phi), -1)
-        jacobian = np.where(known[..., None], curve.jacobian(phi), 0.0).reshape(*residual.shape, -1)
-        normal = np.einsum("tmi,tmj->tij", jacobian, jacobian)
-        right = np.einsum("tmi,tm->ti", jacobian, residual)
-        # Columns scaled to one before solving: joints near the tip move the markers little.
-        size = np.sqrt(np.maximum(np.einsum("tii->ti", normal), 1e-300))
-        scaled = normal / (size[:, :, None] * size[:, None, :])
-        step = np.linalg.solve(scaled + _RIDGE * np.eye(phi.shape[1]), (right / size)[..., None])[..., 0] / size
-        largest = np.abs(step).max(axis=1, keepdims=True)
-        phi = phi + step * np.minimum(1.0, _LARGEST_TURN / np.maximum(largest, 1e-300))
-        if not (largest[enough] > _TOLERANCE).any():
-            break
-    return np.where(enough[:, None], phi, np.nan)
-
-
-def curve_covariance(curve: CurveMap) -> Array:
-    """(n, n) covariance of phi per unit variance of a marker coordinate, for a straight link [rad^2/m^2]."""
-    lateral = curve.jacobian(np.zeros(curve.heading.shape[1]))[:, 1, :]
-    inverse = np.linalg.pinv(lateral)
-    covariance: Array = inverse @ inverse.T
-    return covariance
-
-
-_NEWTON_STEPS = 30
-
-
-def representative_points(fit: ShapeFit, lengths: ArrayLike) -> Array:
-    """Ends of the virtual links: the virtual joints on the curve, each at its link's length from the one before.
-
-    Virtual link 0 lies along the x axis of Sigma_i; joint 1 is therefore at (l_0, 0). From there on
-    (x_(j+1) - x_j)^2 + (y_(j+1) - y_j)^2 = l_j^2 with y_(j+1) = y(x_(j+1)), solved by Newton's method for all frames
-    at once.
-
-    Args:
-        fit: shape functions of T frames, over positions x along the link.
-        lengths: (n + 1,) virtual links [m].
-
-    Returns:
-        (T, n + 1, 2) joints 1 .. n and the tip [m]; NaN for frames in which a point does not exist.
-    """
-    sizes = np.asarray(lengths, dtype=float)
-    frames = len(fit.coefficients)
-    points = np.zeros((frames, sizes.size, 2))
-    points[:, 0, 0] = sizes[0]
-    for j in range(1, sizes.size):
-        points[:, j] = _next_point(fit, points[:, j - 1], float(sizes[j]))
-    return points
-
-
-def _next_point(fit: ShapeFit, point: Array, size: float) -> Array:
-    x0, y0 = point[:, 0], point[:, 1]
-    slope = fit.evaluate(x0[:, None], 1)[:, 0]
-    x = x0 + size / np.sqrt(1 + slope**2)
-    for _ in range(_NEWTON_STEPS):
-        rise = fit.evaluate(x[:, None])[:, 0] - y0
-        error = (x - x0) ** 2 + rise**2 - size**2
-        if not np.any(np.abs(error) > _TOLERANCE * size**2):  # frames already given up are NaN and stay so
-            break
-        tangent = 2 * (x - x0) + 2 * rise * fit.evaluate(x[:, None], 1)[:, 0]
-        # A step is kept within half a virtual link, and ahead of the last joint.
-        step = np.clip(error / np.where(tangent == 0, 1e-300, tangent), -size / 2, size / 2)
-        x = np.where(x - step > x0, x - step, (x + x0) / 2)
-    y = fit.evaluate(x[:, None])[:, 0]
-    exists = (np.abs(np.hypot(x - x0, y - y0) - size) < 1e-9 * size) & (x <= fit.length * (1 + 1e-6))
-    return np.where(exists[:, None], np.stack([x, y], axis=-1), np.nan)
-
-
-def chord_angles(points: ArrayLike) -> Array:
-    """Angles phi (T, n) [rad]: each virtual link's direction less that of the one before it (eq. 12).
-
-    Args:
-        points: (T, n + 1, 2) joints 1 .. n and the tip [m].
-    """
-    joints = np.asarray(points, dtype=float)
-    chords = np.diff(joints, axis=1)
-    directions = np.arctan2(chords[..., 1], chords[..., 0])
-    return np.diff(directions, axis=1, prepend=np.zeros((len(joints), 1)))
 
 
 AngleMethod = Literal["curvature", "curve", "points"]
@@ -179,7 +27,7 @@ ANGLE_METHODS: tuple[str, ...] = get_args(AngleMethod)
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """How shape functions are fitted and read.
+    """Settings of shape functions and of the angles taken from them.
 
     Attributes:
         family: of the shape functions.
@@ -225,19 +73,19 @@ def estimate_angles(
     encoder_noise: float,
     shapes: Sequence[ShapeFit] | None = None,
 ) -> Angles:
-    """Read the joint angles off a recording's markers.
+    """Return the joint angles that a recording's markers and encoders show.
 
-    Link i + 1 rests on link i's tip and heading, so the links are done from the base outwards.
+    Link i + 1 starts from link i's tip and heading, so the links are done from the base outwards.
 
     Args:
         rig: the arm.
-        cuts: each link's virtual links and cells.
+        cuts: each link's layout.
         recording: markers and encoders.
         settings: shape family, orders and method.
         marker_noise: 1-sigma [m].
         encoder_noise: 1-sigma [rad].
         shapes: each link's shape functions where they are fitted already; those over arc length do not depend on
-            the cuts, and `points` ignores them.
+            the layout, and `points` ignores them.
 
     Raises:
         ChoiceError: unknown method.
@@ -253,33 +101,33 @@ def estimate_angles(
     blocks: list[Array] = []
     for i, link in enumerate(rig.links):
         if link.joint == "revolute":
-            own = theta[:, [rig.active_links.index(i)]]
-            columns.append(own)
-            heading = heading + own[:, 0]
+            active_angle = theta[:, [rig.active_links.index(i)]]
+            columns.append(active_angle)
+            heading = heading + active_angle[:, 0]
         markers = recording.markers[rows][:, rig.marker_slices[i]]
         if link.markers_frame == "base":
             markers = rotate(markers - origin[:, None], -heading[:, None])
-        known = shapes[i] if shapes is not None and settings.method != "points" else None
-        reading = _LinkReading(link, cuts[i], "free" if i == len(rig.links) - 1 else "joined", settings)
-        fit = known or reading.shape(markers, settings.orders[i])
-        phi, position, turn = reading.angles(fit, markers)
-        origin, heading = origin + rotate(position, heading), heading + turn
+        measurement = _LinkMeasurement(link, cuts[i], settings, markers)
+        known = None if shapes is None or settings.method == "points" else shapes[i]
+        fit = known or measurement.fit_shape(settings.orders[i])
+        phi, position, tip_heading = measurement.angles(fit)
+        origin, heading = origin + rotate(position, heading), heading + tip_heading
         columns.append(phi)
         fits.append(fit)
-        blocks.append(reading.covariance(fit, marker_noise, encoder_noise))
+        blocks.append(measurement.covariance(fit, marker_noise, encoder_noise))
     q = np.concatenate(columns, axis=1)
     return Angles(
         time=recording.time[rows],
         q=q,
-        torque=_at_frames(recording, held_linearly(recording.time, recording.tau), rows),
+        torque=_at_frames(recording, _linearly_interpolated(recording.time, recording.tau), rows),
         covariance=block_diag(*blocks),
         shapes=tuple(fits),
         unsolved=int((~np.isfinite(q).all(axis=1)).sum()),
     )
 
 
-def held_linearly(time: Array, samples: Array) -> Array:
-    """Samples (T, m) of a smooth signal with the content of the lines drawn between a sampled signal's samples.
+def _linearly_interpolated(time: Array, samples: Array) -> Array:
+    """Samples (T, m) that a smooth signal with the content of the lines between given samples would have.
 
     Lines between samples h apart hold sinc^2(f h) of a tone of f, to second order its samples plus h^2 / 12 times
     their second derivative: 2 % less at a dozen samples a period, which a filtered torque has to know.
@@ -310,44 +158,153 @@ def _at_frames(recording: Recording, values: Array, rows: NDArray[np.intp]) -> A
 
 
 @dataclass(frozen=True)
-class _LinkReading:
-    """How one link's angles follow from its markers."""
+class _LinkMeasurement:
+    """One link's markers (F, k, 2) in its frame, and the virtual joints whose angles they give."""
 
     link: Link
     cuts: Layout
-    distal: Distal
     settings: ShapeSettings
+    markers: Array
 
-    def shape(self, markers: Array, order: int) -> ShapeFit:
-        """Shape functions of markers (F, k, 2) in the link frame."""
+    def fit_shape(self, order: int) -> ShapeFit:
         link, settings = self.link, self.settings
         if settings.method == "points":
-            if not np.isfinite(markers[..., 0]).any():
-                what = f"the x coordinates of {link.name}'s markers were not measured"
-                raise InsufficientDataError("representative points", what, "record them")
-            places = markers[..., 0]
+            if not np.isfinite(self.markers[..., 0]).any():
+                problem = f"the x coordinates of {link.name}'s markers were not measured"
+                raise InsufficientDataError("representative points", problem, "record them")
+            places = self.markers[..., 0]
         else:
             places = np.array(link.markers)
-        return fit_shape(places, markers[..., 1], link.length, settings.family, order, robust=settings.robust)
+        return fit_shape(places, self.markers[..., 1], link.length, settings.family, order, robust=settings.robust)
 
-    def angles(self, fit: ShapeFit, markers: Array) -> tuple[Array, Array, Array]:
+    def angles(self, fit: ShapeFit) -> tuple[Array, Array, Array]:
         """Angles phi (F, n), and the tip's position (F, 2) and heading (F,) in the link frame."""
         if self.settings.method == "points":
-            points = representative_points(fit, self.cuts.lengths)
-            phi = chord_angles(points)
+            points = _representative_points(fit, self.cuts.lengths)
+            phi = _chord_angles(points)
             return phi, points[:, -1], phi.sum(axis=1)
-        phi = curvature_angles(fit, np.cumsum(self.cuts.lengths)[:-1], self.cuts.cells)
+        phi = _curvature_angles(fit, self.cuts)
         if self.settings.method == "curvature":
-            return (phi, *tip_pose(fit))
-        phi = curve_angles(curve_map_of(self.cuts, self.distal, self.link.markers), markers, phi)
-        tip = curve_map_of(self.cuts, self.distal, [self.link.length])
+            return (phi, *_tip_pose(fit))
+        phi = _curve_angles(curve_map(self.cuts, self.link.markers), self.markers, phi)
+        tip = curve_map(self.cuts, [self.link.length])
         return phi, tip.positions(phi)[:, 0], phi @ tip.heading[0]
 
     def covariance(self, fit: ShapeFit, marker_noise: float, encoder_noise: float) -> Array:
         """Noise covariance of (theta, phi) [rad^2], for small bends."""
         if self.settings.method == "curve":
-            phi_block = marker_noise**2 * curve_covariance(curve_map_of(self.cuts, self.distal, self.link.markers))
+            straight = np.zeros(self.cuts.cells.size)
+            inverse = np.linalg.pinv(curve_map(self.cuts, self.link.markers).jacobian(straight)[:, 1, :])
+            phi_block = marker_noise**2 * (inverse @ inverse.T)
         else:
-            to_phi = curvature_map(fit, np.cumsum(self.cuts.lengths)[:-1], self.cuts.cells)
+            functions = basis(fit.family, fit.order, np.cumsum(self.cuts.lengths)[:-1], fit.length, 2)
+            to_phi = self.cuts.cells[:, None] * functions
             phi_block = marker_noise**2 * to_phi @ fit.covariance @ to_phi.T
         return phi_block if self.link.joint == "clamped" else block_diag(np.array([[encoder_noise**2]]), phi_block)
+
+
+def _curvature_angles(fit: ShapeFit, cuts: Layout) -> Array:
+    """Angles phi (T, n) [rad] of a shape over arc length; NaN where its slope exceeds one.
+
+    With y given over arc length, sin(psi) = y' and kappa = y'' / cos(psi).
+    """
+    joints = np.cumsum(cuts.lengths)[:-1]
+    return np.asarray(cuts.cells * fit.evaluate(joints, 2) / _cosine(fit.evaluate(joints, 1)))
+
+
+def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
+    """Position (T, 2) [m] and heading (T,) [rad] of the distal end in the link frame, by Gauss-Legendre quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    cosine = _cosine(fit.evaluate(fit.length * (1 + nodes) / 2, 1))
+    end = np.array([fit.length])
+    position = np.stack([cosine @ weights * fit.length / 2, fit.evaluate(end)[:, 0]], axis=-1)
+    return position, np.arcsin(_valid(fit.evaluate(end, 1)[:, 0]))
+
+
+def _valid(sine: Array) -> Array:
+    return np.where(np.abs(sine) < 1, sine, np.nan)
+
+
+def _cosine(sine: Array) -> Array:
+    return np.asarray(np.sqrt(1 - _valid(sine) ** 2))
+
+
+def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
+    """Angles phi (T, n) [rad] by Gauss-Newton steps on all measured coordinates; NaN for frames with too few.
+
+    Args:
+        curve: maps phi to the markers' positions.
+        markers: (T, k, 2) in the link frame [m]; NaN where not measured.
+        initial: (T, n) where to start [rad]; zero where NaN.
+    """
+    n = curve.heading.shape[1]
+    if curve.arcs.size < n:
+        raise InsufficientDataError(
+            "angles by the curve", f"{curve.arcs.size} markers cannot place {n} virtual joints", "ask for fewer joints"
+        )
+    phi = np.nan_to_num(initial)
+    for first in range(0, len(phi), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        phi[rows] = _fit_frames(curve, markers[rows], phi[rows])
+    return phi
+
+
+def _fit_frames(curve: CurveMap, markers: Array, phi: Array) -> Array:
+    """Angles (T, n) of one batch, all frames at once."""
+    known = np.isfinite(markers)
+    values = np.where(known, markers, 0.0)
+    enough = known[..., 1].sum(axis=1) >= phi.shape[1]
+    ridge = 1e-14 * np.eye(phi.shape[1])  # keeps frames without enough markers solvable; their angles are dropped
+    for _ in range(12):  # converges quadratically on exact data
+        residual = np.where(known, values - curve.positions(phi), 0.0).reshape(len(phi), -1)
+        jacobian = np.where(known[..., None], curve.jacobian(phi), 0.0).reshape(*residual.shape, -1)
+        normal = np.einsum("tmi,tmj->tij", jacobian, jacobian)
+        right = np.einsum("tmi,tm->ti", jacobian, residual)
+        # Columns scaled to one before solving: joints near the tip move the markers little.
+        size = np.sqrt(np.maximum(np.einsum("tii->ti", normal), 1e-300))
+        scaled = normal / (size[:, :, None] * size[:, None, :])
+        step = np.linalg.solve(scaled + ridge, (right / size)[..., None])[..., 0] / size
+        largest = np.abs(step).max(axis=1, keepdims=True)
+        phi = phi + step * np.minimum(1.0, _LARGEST_TURN / np.maximum(largest, 1e-300))
+        if not (largest[enough] > _TOLERANCE).any():
+            break
+    return np.where(enough[:, None], phi, np.nan)
+
+
+def _representative_points(fit: ShapeFit, lengths: Array) -> Array:
+    """Joints 1 .. n and the tip on the curve (T, n + 1, 2) [m], each at its link's length from the one before.
+
+    Virtual link 0 lies along the x axis of Sigma_i; joint 1 is therefore at (l_0, 0). From there on
+    (x_(j+1) - x_j)^2 + (y_(j+1) - y_j)^2 = l_j^2 with y_(j+1) = y(x_(j+1)), solved by Newton's method for all frames
+    at once. NaN for frames in which a point does not exist.
+    """
+    points = np.zeros((len(fit.coefficients), lengths.size, 2))
+    points[:, 0, 0] = lengths[0]
+    for j in range(1, lengths.size):
+        points[:, j] = _next_point(fit, points[:, j - 1], float(lengths[j]))
+    return points
+
+
+def _next_point(fit: ShapeFit, point: Array, length: float) -> Array:
+    x0, y0 = point[:, 0], point[:, 1]
+    slope = fit.evaluate(x0[:, None], 1)[:, 0]
+    x = x0 + length / np.sqrt(1 + slope**2)
+    for _ in range(30):
+        rise = fit.evaluate(x[:, None])[:, 0] - y0
+        error = (x - x0) ** 2 + rise**2 - length**2
+        if not np.any(np.abs(error) > _TOLERANCE * length**2):  # frames already given up are NaN and stay so
+            break
+        tangent = 2 * (x - x0) + 2 * rise * fit.evaluate(x[:, None], 1)[:, 0]
+        # A step is kept within half a virtual link, and ahead of the last joint.
+        step = np.clip(error / np.where(tangent == 0, 1e-300, tangent), -length / 2, length / 2)
+        x = np.where(x - step > x0, x - step, (x + x0) / 2)
+    y = fit.evaluate(x[:, None])[:, 0]
+    exists = (np.abs(np.hypot(x - x0, y - y0) - length) < 1e-9 * length) & (x <= fit.length * (1 + 1e-6))
+    return np.where(exists[:, None], np.stack([x, y], axis=-1), np.nan)
+
+
+def _chord_angles(points: Array) -> Array:
+    """Angles phi (T, n) [rad]: each virtual link's direction less that of the one before it (eq. 12)."""
+    chords = np.diff(points, axis=1)
+    directions = np.arctan2(chords[..., 1], chords[..., 0])
+    return np.diff(directions, axis=1, prepend=np.zeros((len(points), 1)))

@@ -8,15 +8,14 @@ Equation of motion (eq. 8), split into active (a) and passive (p) coordinates:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
 from vjm.records import Array
 
@@ -31,14 +30,10 @@ class Mechanism:
 
     Attributes:
         model: the `pin.Model`; its joints are `Chain.joint_names`, suffixed `@C` for copy C when there are several.
-        copies: number of chains.
-        size: coordinates nv of one chain.
     """
 
-    def __init__(self, model: pin.Model, copies: int) -> None:
+    def __init__(self, model: pin.Model) -> None:
         self.model = model
-        self.copies = copies
-        self.size = model.nv // copies
 
     @cached_property
     def data(self) -> pin.Data:
@@ -66,75 +61,55 @@ def build(
     Raises:
         ShapeError: copies whose coordinates differ, or not as many payloads as copies.
     """
-    several = [chains] if isinstance(chains, Chain) else list(chains)
-    sizes = {chain.size for chain in several}
+    copies = [chains] if isinstance(chains, Chain) else list(chains)
+    sizes = {chain.size for chain in copies}
     if len(sizes) != 1:
         raise ShapeError("chains", f"sizes {sorted(sizes)}", "copies with the same number of coordinates")
     model = pin.Model()
-    model.gravity = pin.Motion(np.r_[several[0].gravity if gravity is None else gravity, 0.0], np.zeros(3))
-    payloads = [payload] * len(several) if isinstance(payload, (int, float)) else list(payload)
-    if len(payloads) != len(several):
-        raise ShapeError("payload", f"{len(payloads)} of them", f"one for each of {len(several)} copies")
-    for c, (chain, extra) in enumerate(zip(several, payloads, strict=True)):
-        _add_chain(model, chain, extra, "" if len(several) == 1 else f"@{c}")
-    return Mechanism(model, len(several))
-
-
-def _virtual_links(model: pin.Model, chain: Chain, suffix: str = "") -> Iterator[tuple[int, int, int, float]]:
-    """Add the chain's joints to the model, and tell where each virtual link hangs.
-
-    Yields:
-        For each virtual link in turn, and as number -1 for each hub before a root joint: its flexible link, its number
-        there, the Pinocchio joint that carries it (0 where it stands still) and its distance from that joint [m].
-    """
-    joint, offset, turn = 0, 0.0, 0.0
-    names = iter(chain.joint_names)
-
-    def added() -> int:
-        return int(model.addJoint(joint, pin.JointModelRZ(), _shift(offset, turn), next(names) + suffix))
-
-    for i, link in enumerate(chain.links):
-        if link.joint == "revolute":
-            joint, offset, turn = added(), 0.0, 0.0
-        if link.root_stiffness is not None:
-            yield i, -1, joint, offset
-            joint, offset, turn = added(), 0.0, 0.0
-        for j, length in enumerate(link.lengths.tolist()):
-            if j > 0:
-                turn = link.rest_curvature * float(link.cells[j - 1])
-                joint, offset, turn = added(), 0.0, 0.0
-            yield i, j, joint, offset
-            offset += length
+    model.gravity = pin.Motion(np.r_[copies[0].gravity if gravity is None else gravity, 0.0], np.zeros(3))
+    payloads = [payload] * len(copies) if isinstance(payload, (int, float)) else list(payload)
+    if len(payloads) != len(copies):
+        raise ShapeError("payload", f"{len(payloads)} of them", f"one for each of {len(copies)} copies")
+    for c, (chain, tip_mass) in enumerate(zip(copies, payloads, strict=True)):
+        _add_chain(model, chain, tip_mass, "" if len(copies) == 1 else f"@{c}")
+    return Mechanism(model)
 
 
 def _add_chain(model: pin.Model, chain: Chain, payload: float, suffix: str) -> None:
-    for i, j, joint, offset in _virtual_links(model, chain, suffix):
-        link = chain.links[i]
-        if joint == 0:
-            continue
-        if j < 0:
-            hub = pin.Inertia(0.0, np.zeros(3), np.diag([0.0, 0.0, link.hub_inertia]))
-            model.appendBodyToJoint(joint, hub, _shift(offset))
-            continue
-        model.appendBodyToJoint(joint, _rod(link, j, link.carried_inertia if j == 0 else 0.0), _shift(offset))
-        if j == link.virtual_joints:
-            tip_mass = link.payload + (payload if i == len(chain.links) - 1 else 0.0)
-            tip = pin.Inertia(tip_mass, np.zeros(3), np.zeros((3, 3)))
-            model.appendBodyToJoint(joint, tip, _shift(offset + float(link.lengths[j])))
+    """Add a chain's joints and bodies; what stands still at the base has no body."""
+    joint, offset, angle = 0, 0.0, 0.0  # the joint that carries the next body, its distance and heading from there
+    names = iter(chain.joint_names)
+
+    def add_joint() -> int:
+        return int(model.addJoint(joint, pin.JointModelRZ(), _placement(offset, angle), next(names) + suffix))
+
+    def add_body(mass: float, center: float, inertia: float) -> None:
+        if joint:
+            body = pin.Inertia(mass, np.array([center, 0.0, 0.0]), np.diag([0.0, 0.0, inertia]))
+            model.appendBodyToJoint(joint, body, _placement(offset))
+
+    for i, link in enumerate(chain.links):
+        if link.joint == "revolute":
+            joint, offset, angle = add_joint(), 0.0, 0.0
+        if link.root_stiffness is not None:
+            add_body(0.0, 0.0, link.hub_inertia)
+            joint, offset, angle = add_joint(), 0.0, 0.0
+        for j, length in enumerate(link.lengths.tolist()):
+            if j > 0:
+                angle = link.rest_curvature * float(link.cells[j - 1])
+                joint, offset, angle = add_joint(), 0.0, 0.0
+            carried = link.carried_inertia if j == 0 else 0.0
+            add_body(float(link.masses[j]), float(link.mass_centers[j]), float(link.inertias[j]) + carried)
+            offset += length
+        add_body(link.payload + (payload if i == len(chain.links) - 1 else 0.0), 0.0, 0.0)
 
 
-def _shift(x: float, turn: float = 0.0) -> pin.SE3:
-    return pin.SE3(pin.utils.rotate("z", turn), np.array([x, 0.0, 0.0]))
-
-
-def _rod(link: LinkChain, j: int, hub_inertia: float) -> pin.Inertia:
-    center = np.array([link.mass_centers[j], 0.0, 0.0])
-    turning = float(link.inertias[j]) + hub_inertia
-    return pin.Inertia(float(link.masses[j]), center, np.diag([0.0, 0.0, turning]))
+def _placement(x: float, angle: float = 0.0) -> pin.SE3:
+    return pin.SE3(pin.utils.rotate("z", angle), np.array([x, 0.0, 0.0]))
 
 
 def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-    """Joint torques without springs and dampers, M a + h, for a whole batch (RNEA).
+    """Return joint torques without springs and dampers, M a + h, for a whole batch (RNEA).
 
     Args:
         mechanism: the model.
@@ -146,15 +121,15 @@ def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, v: ArrayLike, a: ArrayL
     Raises:
         ShapeError: arrays that are not (T, nv).
     """
-    rows = [_batch(name, values, mechanism.model.nv) for name, values in (("q", q), ("v", v), ("a", a))]
-    count = rows[0].shape[0]
-    if any(row.shape[0] != count for row in rows):
-        raise ShapeError("q, v, a", [row.shape for row in rows], "the same number of samples")
+    batches = [_batch(name, values, mechanism.model.nv) for name, values in (("q", q), ("v", v), ("a", a))]
+    count = len(batches[0])
+    if any(len(batch) != count for batch in batches):
+        raise ShapeError("q, v, a", [batch.shape for batch in batches], "the same number of samples")
     torque = np.empty((count, mechanism.model.nv))
     if count:
         threads = _THREADS if count >= _PARALLEL_FROM else 1
         # Time-first C arrays are the joint-first Fortran arrays Pinocchio wants: transposing copies nothing.
-        pin.rneaInParallel(threads, mechanism.pool, rows[0].T, rows[1].T, rows[2].T, torque.T)
+        pin.rneaInParallel(threads, mechanism.pool, *(batch.T for batch in batches), torque.T)
     return torque
 
 
@@ -166,12 +141,12 @@ def _batch(name: str, values: ArrayLike, size: int) -> Array:
 
 
 def bias(mechanism: Mechanism, q: ArrayLike, v: ArrayLike) -> Array:
-    """h(q, v): centrifugal, Coriolis and gravity torques (T, nv) [N m] of q, v (T, nv)."""
+    """Return h(q, v), the centrifugal, Coriolis and gravity torques (T, nv) [N m], at q, v (T, nv)."""
     return inverse_dynamics(mechanism, q, v, np.zeros_like(np.asarray(v, dtype=float)))
 
 
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """M(q), (T, nv, nv) [kg m^2] of q (T, nv): one batched RNEA a column."""
+    """Return M(q), (T, nv, nv) [kg m^2], at q (T, nv), by one batched RNEA a column."""
     angles = _batch("q", q, mechanism.model.nv)
     rest = np.zeros_like(angles)
     at_rest = inverse_dynamics(mechanism, angles, rest, rest)
@@ -183,89 +158,14 @@ def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """The terms of eq. (8), T samples of an arm with n_a active and n_p passive coordinates.
-
-    Attributes:
-        M11, M12, M21, M22: (T, n_a, n_a), (T, n_a, n_p), (T, n_p, n_a), (T, n_p, n_p) [kg m^2].
-        h1, h2: (T, n_a), (T, n_p) [N m].
-    """
-
-    M11: Array
-    M12: Array
-    M21: Array
-    M22: Array
-    h1: Array
-    h2: Array
-
-
-def blocks(chain: Chain, q: ArrayLike, v: ArrayLike, payload: float = 0.0) -> Blocks:
-    """M11, M12, M21, M22, h1, h2 of eq. (8) at q, v (T, nv)."""
-    mechanism = build(chain, payload)
-    a, p = chain.active, chain.passive
-    matrix, torque = mass_matrix(mechanism, q), bias(mechanism, q, v)
-    return Blocks(
-        M11=matrix[:, a[:, None], a],
-        M12=matrix[:, a[:, None], p],
-        M21=matrix[:, p[:, None], a],
-        M22=matrix[:, p[:, None], p],
-        h1=torque[:, a],
-        h2=torque[:, p],
-    )
-
-
-def mass_regressor(chain: Chain, q: ArrayLike, v: ArrayLike, a: ArrayLike, gravity: tuple[float, float]) -> Array:
-    """Torques' derivative by the virtual links' masses: M a + h = regressor @ parameters.
-
-    The planar parameters of virtual link k are its mass, first moment m c and moment of inertia about its proximal
-    end, in this order, links from the base outwards; hub inertias and payloads are not among them.
-
-    Args:
-        chain: gives the lengths and the order of the joints.
-        q, v, a: (T, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
-        gravity: in the plane [m/s^2].
-
-    Returns:
-        (T, nv, 3 B) for B virtual links in all [N m per kg, per kg m, per kg m^2].
-    """
-    columns = []
-    for i, link in enumerate(chain.links):
-        for k in range(link.virtual_joints + 1):
-            # A first moment alone is no body: it is the unit mass at 1 m, less the unit mass at 0 and the unit inertia.
-            at_zero, at_one, turning = (
-                inverse_dynamics(_single_body(chain, i, k, body, gravity), q, v, a) for body in _UNIT_BODIES
-            )
-            columns += [at_zero, at_one - at_zero - turning, turning]
-    return np.stack(columns, axis=-1)
-
-
-# (mass [kg], centre [m], inertia about the centre [kg m^2])
-_UNIT_BODIES = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-
-
-def _single_body(
-    chain: Chain, at_link: int, at_body: int, body: tuple[float, float, float], gravity: tuple[float, float]
-) -> Mechanism:
-    """The chain with one virtual link replaced by `body` and all others without mass."""
-    model = pin.Model()
-    model.gravity = pin.Motion(np.r_[gravity, 0.0], np.zeros(3))
-    mass, center, turning = body
-    inertia = pin.Inertia(mass, np.array([center, 0.0, 0.0]), np.diag([0.0, 0.0, turning]))
-    for i, j, joint, offset in _virtual_links(model, chain):
-        if joint and (i, j) == (at_link, at_body):
-            model.appendBodyToJoint(joint, inertia, _shift(offset))
-    return Mechanism(model, 1)
-
-
 def forward_dynamics(mechanism: Mechanism, q: Array, v: Array, torque: Array) -> Array:
-    """Accelerations (C nv,) of all copies at one instant (ABA); q, v, torque (C nv,) as Pinocchio orders them."""
+    """Return the accelerations (C nv,) of all copies at one instant (ABA), from q, v and torque (C nv,)."""
     result: Array = pin.aba(mechanism.model, mechanism.data, q, v, torque)
     return result
 
 
 def gravity_stiffness(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """Derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nv,)."""
+    """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nv,)."""
     angles = np.asarray(q, dtype=float)
     rest = np.zeros_like(angles)
     pin.computeRNEADerivatives(mechanism.model, mechanism.data, angles, rest, rest)

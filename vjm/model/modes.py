@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg
+from scipy import linalg, optimize
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
@@ -14,8 +14,7 @@ from vjm.model import dynamics
 from vjm.records import Array
 
 _RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
-_NEWTON_STEPS = 50
-_LARGEST_TURN = 0.5  # rad a Newton step
+_TOLERANCE = 1e-9  # rad, of a position of rest
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class Modes:
 def linearise(
     chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> tuple[Array, Array, Array, Array]:
-    """M, D, K (nv, nv) about the position of rest, and that position (nv,).
+    """Return M, D, K (nv, nv) about the position of rest, and that position (nv,).
 
     Args:
         chain: the arm.
@@ -56,39 +55,37 @@ def linearise(
 def equilibrium(
     chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> Array:
-    """Joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`.
+    """Return the joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`.
 
     Raises:
         InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
     """
-    mechanism = dynamics.build(chain, payload, gravity)
     q = np.zeros(chain.size)
     q[chain.active] = theta
     if not any(chain.gravity if gravity is None else gravity):
         return q
-    p = chain.passive
-    K = np.diag(chain.stiffness)
-    for _ in range(_NEWTON_STEPS):
-        residual = dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q
-        tangent = (K + dynamics.gravity_stiffness(mechanism, q))[np.ix_(p, p)]
-        try:
-            step = np.linalg.solve(tangent, -residual[p])
-        except np.linalg.LinAlgError:
-            break
-        q[p] += step * min(1.0, _LARGEST_TURN / max(float(np.abs(step).max()), 1e-300))
-        if np.abs(step).max() < 1e-12:
-            if np.linalg.eigvalsh(tangent)[0] <= 0:
-                break  # balanced, and about to fall over
-            return q
-    raise InsufficientDataError(
-        "position of rest", "Newton's method found none", "check gravity, masses and bending stiffness"
-    )
+    mechanism, p, K = dynamics.build(chain, payload, gravity), chain.passive, np.diag(chain.stiffness)
+
+    def residual(phi: Array) -> Array:
+        q[p] = phi
+        return (dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q)[p]
+
+    def tangent(phi: Array) -> Array:
+        q[p] = phi
+        return np.asarray((K + dynamics.gravity_stiffness(mechanism, q))[np.ix_(p, p)])
+
+    found = optimize.root(residual, q[p], jac=tangent, method="hybr", options={"xtol": 1e-13})
+    step = np.linalg.lstsq(tangent(found.x), residual(found.x), rcond=None)[0]
+    # A position in which the arm is balanced, and about to fall over, is none.
+    if not np.abs(step).max(initial=0.0) < _TOLERANCE or np.linalg.eigvalsh(tangent(found.x)).min(initial=np.inf) <= 0:
+        raise InsufficientDataError("position of rest", "none was found", "check gravity, masses and bending stiffness")
+    return q
 
 
 def modes(
     chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> Modes:
-    """Vibration modes of the chain with its active joints free to turn.
+    """Return the vibration modes of the chain with its active joints free to turn.
 
     Args:
         chain: the arm.
@@ -101,7 +98,7 @@ def modes(
 
 
 def modes_of(M: Array, D: Array, K: Array, equilibrium: Array) -> Modes:
-    """Modes of M x'' + D x' + K x = 0; the damping of a mode is its share of D (exact for light damping).
+    """Return the modes of M x'' + D x' + K x = 0; the damping of a mode is its share of D (exact for light damping).
 
     Raises:
         ShapeError: a mass matrix that is not positive definite.

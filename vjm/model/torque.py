@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,7 +23,7 @@ def torque_errors(
     gravity: tuple[float, float] | None = None,
     mechanism: dynamics.Mechanism | None = None,
 ) -> Array:
-    """Active and passive torque errors (eq. 14), from one batched RNEA.
+    """Return active and passive torque errors (eq. 14), from one batched RNEA.
 
     tau_ea = tau_a - M11 theta'' - M12 phi'' - h1 and tau_ep = -(M21 theta'' + M22 phi'' + h2 + K phi + D phi').
 
@@ -51,14 +53,12 @@ def torque_errors(
     return errors
 
 
-def objective(errors: ArrayLike, weights: ArrayLike | None = None) -> float:
-    """J of eq. (15): time mean of the weighted squares of the torque errors.
+def objective(weighted_errors: Iterable[ArrayLike]) -> float:
+    """Return J of eq. (15), here as a mean: of the squares of all weighted torque errors.
 
     Args:
-        errors: (T, m) [N m]; NaN rows of joints without measured torque count nothing.
-        weights: (m, m) symmetric weight, the inverse of the errors' noise covariance [1/(N m)^2]; identity when None.
+        weighted_errors: of each recording, (T, m) errors times F^T for a weight W = F^T F, the inverse of their noise
+            covariance; in units of the noise, NaN rows of joints without measured torque count nothing.
     """
-    values = np.nan_to_num(np.asarray(errors, dtype=float))
-    if weights is None:
-        return float(np.mean(np.sum(values**2, axis=1)))
-    return float(np.mean(np.einsum("ti,ij,tj->t", values, np.asarray(weights, dtype=float), values)))
+    values = np.concatenate([np.ravel(errors) for errors in weighted_errors])
+    return float(np.mean(values[np.isfinite(values)] ** 2))

@@ -212,7 +212,7 @@ def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
     turn = np.zeros((wanted.size, given.size))
     turn[wanted.active, given.active] = 1.0
     for one, two, here, there in links:
-        curvature = curvature_spline(one.joint_arcs, one.cells, one.length, one.distal)
+        curvature = curvature_spline(one)
         turn[there, here] = two.cells[:, None] * curvature(two.joint_arcs)
         if two.root_stiffness is None:
             continue
