@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.chain.layout import Layout, free_layout
+from vjm.chain.layout import Layout, layout_of_lengths
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ChoiceError
 from vjm.records import Array, Recording
@@ -196,7 +196,7 @@ class Parametrisation:
 
     def _cuts(self, i: int, link: LinkChain, x: Array) -> Layout:
         ratios = np.exp(np.r_[self._values(i, "length", x)[1], 0.0])
-        return free_layout(link.length * ratios / ratios.sum(), link.distal)
+        return layout_of_lengths(link.length * ratios / ratios.sum(), link.distal)
 
     def _inertial(self, i: int, link: LinkChain, lengths: Array, x: Array) -> dict[str, Array]:
         first = self._first_moving(i)

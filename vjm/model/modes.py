@@ -68,7 +68,8 @@ def equilibrium(
 
     def residual(phi: Array) -> Array:
         q[p] = phi
-        return (dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q)[p]
+        unbalanced: Array = dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q
+        return unbalanced[p]
 
     def tangent(phi: Array) -> Array:
         q[p] = phi
