@@ -231,7 +231,7 @@ def choose_orders(rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recordi
             settings = ShapeSettings(family, tuple(orders))
             fit = estimate_angles(rig, cuts, recording, settings, 1.0, 1.0).shapes[i]
             lateral = fit.evaluate(link.markers) + fit.residuals
-            orders[i] = max(orders[i], choose_order(link.markers, lateral, link.length, family).order)
+            orders[i] = max(orders[i], choose_order(link.markers, lateral, link.length, family))
     return tuple(orders)
 
 

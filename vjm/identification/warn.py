@@ -28,7 +28,7 @@ def marker_warnings(link: Link, modes: int | None) -> list[str]:
     """Whether the markers can show the modes asked for (eq. 1): as many as the virtual joints asked for."""
     if modes is None:
         return []
-    seen, needed = visible_modes(len(link.markers)), required_markers(link.length, modes)
+    seen, needed = visible_modes(len(link.markers)), required_markers(modes)
     if needed <= len(link.markers):
         return []
     return [

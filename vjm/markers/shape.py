@@ -1,9 +1,9 @@
-"""How many shape functions the markers support, and how many markers the modes need (eq. 1)."""
+"""Shape functions of a link fitted to markers (eqs. 1-7)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -15,10 +15,11 @@ from vjm.records import Array
 
 FamilyName = Literal["polynomial", "clamped-polynomial", "trigonometric", "cantilever"]
 FAMILIES: tuple[str, ...] = get_args(FamilyName)
+BoolArray = NDArray[np.bool_]
 
 
 def basis(family: str, order: int, x: ArrayLike, length: float, derivative: int = 0) -> Array:
-    """Basis functions Y_1 .. Y_order, or one of their derivatives by x.
+    """Return the basis functions Y_1 .. Y_order, or one of their derivatives by x.
 
     Args:
         family: `polynomial`, x^1 .. x^order as in the paper's eq. (2); `clamped-polynomial`, x^2 .. x^(order + 1), with
@@ -52,14 +53,6 @@ def _powers(x: Array, exponents: NDArray[np.intp], derivative: int) -> Array:
     return result
 
 
-def _polynomial(x: Array, orders: NDArray[np.intp], derivative: int) -> Array:
-    return _powers(x, orders, derivative)
-
-
-def _clamped_polynomial(x: Array, orders: NDArray[np.intp], derivative: int) -> Array:
-    return _powers(x, orders + 1, derivative)
-
-
 def _trigonometric(x: Array, orders: NDArray[np.intp], derivative: int) -> Array:
     k = (2 * orders - 1) * np.pi / 2
     if derivative == 0:
@@ -68,7 +61,7 @@ def _trigonometric(x: Array, orders: NDArray[np.intp], derivative: int) -> Array
 
 
 def cantilever_roots(count: int) -> Array:
-    """(count,) roots beta l of 1 + cos(z) cosh(z) = 0, smallest first."""
+    """Return the (count,) roots beta l of 1 + cos(z) cosh(z) = 0, smallest first."""
     centers = (np.arange(1, count + 1) - 0.5) * np.pi
     # Divided by cosh, the equation keeps its roots and stays of order one.
     return np.array([brentq(lambda z: np.cos(z) + 1 / np.cosh(z), c - 0.4, c + 0.4, xtol=1e-14) for c in centers])
@@ -94,22 +87,21 @@ def _cantilever(x: Array, orders: NDArray[np.intp], derivative: int) -> Array:
 
 
 _FUNCTIONS: dict[str, Callable[[Array, NDArray[np.intp], int], Array]] = {
-    "polynomial": _polynomial,
-    "clamped-polynomial": _clamped_polynomial,
+    "polynomial": _powers,
+    "clamped-polynomial": lambda x, orders, derivative: _powers(x, orders + 1, derivative),
     "trigonometric": _trigonometric,
     "cantilever": _cantilever,
 }
 
 
-_HUBER = 2.5  # residuals beyond this many sigma lose weight in the robust fit
-_ROBUST_PASSES = 8
-_MAD_TO_SIGMA = 1.4826
 _CHUNK = 50_000  # frames a batch, bounds the memory
+_HUBER = 2.5  # standard deviations beyond which residuals lose weight in the robust fit; few of Gaussian noise are
+_ROBUST_PASSES = 8  # most reweightings; frames settle in two to five
 
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """A shape function y(x, t) = sum_o a_o(t) Y_o(x).
+    """Shape function y(x, t) = sum_o a_o(t) Y_o(x).
 
     Attributes:
         family: of the basis functions.
@@ -128,159 +120,109 @@ class ShapeFit:
     residuals: Array
 
     def evaluate(self, x: ArrayLike, derivative: int = 0) -> Array:
-        """(T, p) shape, slope or second derivative at p places [m, -, 1/m]; x is (p,) or (T, p) [m]."""
+        """Return (T, p) shape, slope or second derivative [m, -, 1/m] at p places (p,) or (T, p) [m]."""
         functions = basis(self.family, self.order, x, self.length, derivative)
-        values: Array = np.einsum("...po,...o->...p", functions, self.coefficients)
-        return values
-
-    def velocity(self, x: ArrayLike, rates: ArrayLike) -> Array:
-        """(T, p) lateral velocity v(x, t) [m/s] from the coefficients' rates (T, order) [m/s]."""
-        functions = basis(self.family, self.order, x, self.length)
-        values: Array = np.einsum("...po,...o->...p", functions, np.asarray(rates, dtype=float))
-        return values
-
-    @property
-    def marker_rms(self) -> Array:
-        """(k,) root mean square residual of each marker [m]."""
-        with np.errstate(invalid="ignore"):
-            result: Array = np.sqrt(np.nanmean(self.residuals**2, axis=0))
-        return result
+        return np.asarray(np.einsum("...po,...o->...p", functions, self.coefficients))
 
 
 def fit_shape(
-    x: ArrayLike,
-    y: ArrayLike,
-    length: float,
-    family: str = "cantilever",
-    order: int = 1,
-    weights: ArrayLike | None = None,
-    robust: bool = False,
+    x: ArrayLike, y: ArrayLike, length: float, family: str = "cantilever", order: int = 1, robust: bool = False
 ) -> ShapeFit:
-    """Fit shape functions to markers in the link frame.
+    """Fit shape functions to markers in the link frame by least squares.
 
     Args:
         x: (k,) arc lengths, or (T, k) measured positions along the link [m].
         y: (T, k) lateral positions [m]; NaN where a marker is missing.
         length: l of the link [m].
-        family: see `vjm.shape.families.basis`.
+        family: see `basis`.
         order: number of functions.
-        weights: (k,) inverse variances, relative to each other; equal when None.
         robust: Huber weights, so that single wild markers do not bend the curve.
 
     Raises:
         ShapeError: arrays that do not fit together, or fewer markers than functions.
         ChoiceError: unknown family.
     """
-    lateral = np.asarray(y, dtype=float)
-    along = np.asarray(x, dtype=float)
+    lateral, along = np.asarray(y, dtype=float), np.asarray(x, dtype=float)
     k = lateral.shape[-1]
     if lateral.ndim != 2 or along.shape not in ((k,), lateral.shape):
         raise ShapeError("x, y", (along.shape, lateral.shape), "y (T, k) and x (k,) or (T, k)")
     if not 1 <= order <= k:
         raise ShapeError("order", order, f"1 to the number of markers, {k}")
-    weight = np.ones(k) if weights is None else np.asarray(weights, dtype=float)
-    if weight.shape != (k,) or not (weight > 0).all():
-        raise ShapeError("weights", weight.tolist(), f"{k} positive numbers")
-    functions = basis(family, order, along if along.ndim == 1 else np.zeros(k), length)
-    solve = _solve_fixed if along.ndim == 1 and not robust else _solve_varying
-    coefficients = np.concatenate(
-        [
-            solve(family, order, length, along if along.ndim == 1 else along[rows], lateral[rows], weight, robust)
-            for rows in _chunks(len(lateral))
-        ]
-        or [np.empty((0, order))]
-    )
-    fitted = ShapeFit(family, order, length, coefficients, np.empty((0, 0)), np.empty((0, 0)))
-    if along.ndim == 2:
-        functions = basis(family, order, np.nanmedian(along, axis=0), length)
-    inverse = np.linalg.pinv(np.sqrt(weight)[:, None] * functions) * np.sqrt(weight)
-    return ShapeFit(family, order, length, coefficients, inverse @ inverse.T, lateral - fitted.evaluate(along))
+    known = np.isfinite(lateral) & np.isfinite(along)
+    typical = basis(family, order, along if along.ndim == 1 else np.nanmedian(along, axis=0), length)
+    coefficients = np.full((len(lateral), order), np.nan)
+    for first in range(0, len(lateral), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        if along.ndim == 1 and not robust:
+            coefficients[rows] = _solve_fixed(typical, lateral[rows], known[rows])
+            continue
+        functions = typical
+        if along.ndim == 2:
+            functions = basis(family, order, np.where(known[rows], along[rows], 0.0), length)
+        coefficients[rows] = _solve_varying(functions, lateral[rows], known[rows], robust)
+    inverse = np.linalg.pinv(typical)
+    fitted = ShapeFit(family, order, length, coefficients, inverse @ inverse.T, np.empty((0, 0)))
+    return replace(fitted, residuals=lateral - fitted.evaluate(along))
 
 
-def _chunks(count: int) -> list[slice]:
-    return [slice(start, start + _CHUNK) for start in range(0, count, _CHUNK)]
-
-
-def _solve_fixed(family: str, order: int, length: float, x: Array, y: Array, weight: Array, _robust: bool) -> Array:
+def _solve_fixed(functions: Array, lateral: Array, known: BoolArray) -> Array:
     """Markers at fixed places: one pseudo-inverse for each pattern of missing markers."""
-    functions = basis(family, order, x, length)
-    known = np.isfinite(y)
-    result = np.full((len(y), order), np.nan)
+    order = functions.shape[-1]
+    coefficients = np.full((len(lateral), order), np.nan)
     patterns, which = np.unique(known, axis=0, return_inverse=True)
     for p, pattern in enumerate(patterns):
-        if pattern.sum() < order:
-            continue
-        root = np.sqrt(weight[pattern])
-        inverse = np.linalg.pinv(root[:, None] * functions[pattern]) * root
-        rows = which.ravel() == p
-        result[rows] = y[rows][:, pattern] @ inverse.T
-    return result
+        if pattern.sum() >= order:
+            rows = which.ravel() == p
+            coefficients[rows] = lateral[rows][:, pattern] @ np.linalg.pinv(functions[pattern]).T
+    return coefficients
 
 
-def _solve_varying(family: str, order: int, length: float, x: Array, y: Array, weight: Array, robust: bool) -> Array:
+def _solve_varying(functions: Array, lateral: Array, known: BoolArray, robust: bool) -> Array:
     """Markers at measured places, or robust: normal equations of every frame in one batch."""
-    places = np.broadcast_to(x, y.shape)
-    known = np.isfinite(y) & np.isfinite(places)
-    functions = basis(family, order, np.where(known, places, 0.0), length)
-    values = np.where(known, y, 0.0)
-    result = np.full((len(y), order), np.nan)
+    order = functions.shape[-1]
+    coefficients = np.full((len(lateral), order), np.nan)
     usable = known.sum(axis=1) >= order
-    functions, values, base = functions[usable], values[usable], np.where(known, weight, 0.0)[usable]
-    solution = _normal_equations(functions, values, base)
+    functions, known = np.broadcast_to(functions, (*known.shape, order))[usable], known[usable]
+    values, weight = np.where(known, lateral[usable], 0.0), known.astype(float)
+    solution = _solve_normal_equations(functions, values, weight)
     for _ in range(_ROBUST_PASSES if robust and len(solution) else 0):
-        residual = np.abs(values - np.einsum("tko,to->tk", functions, solution)) * np.sqrt(weight)
-        scale = _MAD_TO_SIGMA * float(np.median(residual[base > 0]))
+        residual = np.abs(values - np.einsum("tko,to->tk", functions, solution))
+        scale = 1.4826 * float(np.median(residual[known]))  # standard deviation of Gaussian noise of that median
         trust = np.minimum(1.0, _HUBER * max(scale, 1e-300) / np.maximum(residual, 1e-300))
-        doubted = ((trust < 1) & (base > 0)).any(axis=1)  # the others' solution is the plain one
+        doubted = ((trust < 1) & known).any(axis=1)  # the others' solution is the plain one
         if not doubted.any():
             break
-        solution[doubted] = _normal_equations(functions[doubted], values[doubted], (base * trust)[doubted])
-    result[usable] = solution
-    return result
+        solution[doubted] = _solve_normal_equations(functions[doubted], values[doubted], (weight * trust)[doubted])
+    coefficients[usable] = solution
+    return coefficients
 
 
-def _normal_equations(functions: Array, values: Array, weight: Array) -> Array:
-    """Weighted least squares of a batch by QR-free normal equations of scaled columns."""
+def _solve_normal_equations(functions: Array, values: Array, weight: Array) -> Array:
+    """Weighted least squares (T, order) of a batch."""
     scaled = np.sqrt(weight)[..., None] * functions
-    gram = np.einsum("tko,tkp->top", scaled, scaled)
+    normal = np.einsum("tko,tkp->top", scaled, scaled)
     right = np.einsum("tko,tk->to", scaled, np.sqrt(weight) * values)
-    solution: Array = np.einsum("top,tp->to", np.linalg.pinv(gram, rcond=1e-13, hermitian=True), right)
-    return solution
+    return np.asarray(np.einsum("top,tp->to", np.linalg.pinv(normal, rcond=1e-13, hermitian=True), right))
 
 
-@dataclass(frozen=True)
-class OrderChoice:
-    """Cross-validated number of shape functions.
+def required_markers(modes: int) -> int:
+    """Return the least number of markers k >= 2 l / lambda_min (eq. 1) that shows the first bending modes.
 
-    Attributes:
-        order: the number chosen.
-        errors: (o_max,) root mean square error of predicting a left-out marker [m], for 1 .. o_max functions; NaN
-            where leaving one out leaves too few.
+    lambda_min is the wavelength of the highest of them on a clamped link, 2 pi l / (beta l): the length cancels.
     """
-
-    order: int
-    errors: Array
-
-
-def required_markers(length: float, modes: int) -> int:
-    """Least number of markers k >= 2 l / lambda_min (eq. 1) to see the first `modes` bending modes.
-
-    lambda_min is the wavelength of the highest of them on a clamped link, 2 pi l / (beta l).
-    """
-    shortest = 2 * np.pi * length / float(cantilever_roots(modes)[-1])
-    return int(np.ceil(2 * length / shortest))
+    return int(np.ceil(float(cantilever_roots(modes)[-1]) / np.pi))
 
 
 def visible_modes(markers: int) -> int:
-    """Number of bending modes that `markers` markers can tell apart (eq. 1 turned round)."""
+    """Return the number of bending modes that `markers` markers can tell apart (eq. 1)."""
     count = 1
-    while required_markers(1.0, count + 1) <= markers and count < markers:
+    while required_markers(count + 1) <= markers and count < markers:
         count += 1
     return count
 
 
-def choose_order(x: ArrayLike, y: ArrayLike, length: float, family: str = "cantilever") -> OrderChoice:
-    """Number of shape functions by leave-one-marker-out cross-validation, bounded by o_max = k - 1 (k = 1: one).
+def choose_order(x: ArrayLike, y: ArrayLike, length: float, family: str = "cantilever") -> int:
+    """Return the number of shape functions, at most k - 1, that predicts left-out markers best (cross-validation).
 
     Args:
         x: (k,) arc lengths of the markers [m].
@@ -290,13 +232,12 @@ def choose_order(x: ArrayLike, y: ArrayLike, length: float, family: str = "canti
     """
     places, lateral = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     complete = lateral[np.isfinite(lateral).all(axis=1)]
-    k = places.size
-    errors = np.full(max(k - 1, 1), np.nan)
-    if len(complete) == 0 or k == 1:
-        return OrderChoice(1, errors)
-    for order in range(1, k):
+    if len(complete) == 0 or places.size == 1:
+        return 1
+    errors = []
+    for order in range(1, places.size):
         functions = basis(family, order, places, length)
-        hat = functions @ np.linalg.pinv(functions)
+        leverage = np.diag(functions @ np.linalg.pinv(functions))
         residual = fit_shape(places, complete, length, family, order).residuals
-        errors[order - 1] = np.sqrt(np.mean((residual / np.maximum(1 - np.diag(hat), 1e-9)) ** 2))
-    return OrderChoice(int(np.nanargmin(errors)) + 1, errors)
+        errors.append(np.sqrt(np.mean((residual / np.maximum(1 - leverage, 1e-9)) ** 2)))
+    return int(np.argmin(errors)) + 1

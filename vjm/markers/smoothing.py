@@ -1,4 +1,4 @@
-"""Angles' rates and accelerations from sampled angles: smoothing splines, and the paper's interpolating spline."""
+"""Rates and accelerations of sampled angles, by smoothing splines or by the paper's interpolating spline."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ from vjm.records import Array
 
 # Degree 7 keeps the second derivative right to 0.1 % at four samples a period, where a cubic spline is 20 % off.
 _DEGREE = 7
-_PENALTY = 4  # order of the penalised difference
+_DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # penalised: the fourth
 _ROUGHEST, _SMOOTHEST = -4.0, 10.0  # log10 of the penalty searched
-INTERPOLATION_STEP = 0.004  # s, the paper's grid
-_KERNEL_TAIL = 0.02  # of the kernel's energy may lie outside the recording at the first and last instants kept
 
 
 @dataclass(frozen=True)
@@ -44,18 +42,18 @@ class Derivatives:
     smoothing: float | None
 
     def noise(self, sample_noise: ArrayLike) -> Array:
-        """(3, m) 1-sigma noise of value, rate and acceleration for sample noise (m,)."""
+        """Return the (3, m) 1-sigma noise of value, rate and acceleration for sample noise (m,)."""
         result: Array = np.sqrt(np.diag(self.gains))[:, None] * np.asarray(sample_noise, dtype=float)
         return result
 
 
-def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_STEP) -> Derivatives:
-    """Cubic-spline interpolation on a fine grid, as in the paper.
+def interpolate(time: ArrayLike, values: ArrayLike, step: float = 0.004) -> Derivatives:
+    """Interpolate by a cubic spline on a fine grid, as in the paper.
 
     Args:
         time: (T,) [s].
         values: (T, m); frames with NaN are left out.
-        step: of the grid [s].
+        step: of the grid [s]; the paper's is the default.
 
     Raises:
         InsufficientDataError: fewer than four frames.
@@ -74,13 +72,13 @@ def interpolate(time: ArrayLike, values: ArrayLike, step: float = INTERPOLATION_
     impulse[t.size // 2] = 1.0
     response = CubicSpline(t, impulse)
     # Averaged over the grid, the response to one sample says how much noise a grid instant carries.
-    spread = np.stack([response(grid, d) for d in range(3)]) * np.sqrt(t.size / grid.size)
+    responses = np.stack([response(grid, d) for d in range(3)]) * np.sqrt(t.size / grid.size)
     return Derivatives(
         grid,
         spline(grid),
         spline(grid, 1),
         spline(grid, 2),
-        spread @ spread.T,
+        responses @ responses.T,
         np.ones(grid.size, dtype=bool),
         None,
     )
@@ -98,7 +96,7 @@ class Smoother:
 
     @classmethod
     def of(cls, time: ArrayLike) -> Smoother:
-        """The smoother of instants (T,) [s].
+        """Return the smoother of instants (T,) [s].
 
         Raises:
             InsufficientDataError: fewer than ten instants.
@@ -130,15 +128,15 @@ class Smoother:
             return float(np.log(max(np.sum(residual**2), 1e-300) / y.size))
 
         if exponent is None:
-            exponent = _root(excess)
+            exponent = _discrepancy_root(excess)
         coefficients = self._spline.solve(y - centre, exponent)
-        gains, reach = self._spline.gains(exponent)
-        inside = (t >= t[0] + reach) & (t <= t[-1] - reach)
+        gains, half_width = self._spline.gains(exponent)
+        inside = (t >= t[0] + half_width) & (t <= t[-1] - half_width)
         value, rate, acceleration = (matrix @ coefficients for matrix in self._spline.basis)
         return Derivatives(t, value + centre, rate, acceleration, gains, inside, exponent)
 
 
-def _root(excess: Callable[[float], float]) -> float:
+def _discrepancy_root(excess: Callable[[float], float]) -> float:
     """Penalty at which the residual is as large as the noise, within the penalties searched."""
     if excess(_SMOOTHEST) <= 0:
         return _SMOOTHEST
@@ -172,12 +170,9 @@ class _PenalisedSpline:
         self.basis = [self._derivative(knots, size, d) for d in range(3)]
         self._right = self.basis[0].T
         self._gram = _bands(csr_array(self._right @ self.basis[0]), _DEGREE)
-        signs = np.array([1.0])
-        for _ in range(_PENALTY):
-            signs = np.convolve(signs, [1.0, -1.0])
-        difference = dia_array(
-            (np.repeat(signs[:, None], size, axis=1), np.arange(_PENALTY + 1)), shape=(size - _PENALTY, size)
-        ).tocsr()
+        order = _DIFFERENCE.size - 1
+        diagonals = np.repeat(_DIFFERENCE[:, None], size, axis=1)
+        difference = dia_array((diagonals, np.arange(order + 1)), shape=(size - order, size)).tocsr()
         self._penalty = _bands(csr_array(difference.T @ difference), _DEGREE)
 
     def _derivative(self, knots: Array, size: int, d: int) -> csr_array:
@@ -201,16 +196,19 @@ class _PenalisedSpline:
         return result
 
     def gains(self, exponent: float) -> tuple[Array, float]:
-        """Noise covariance (3, 3) of value, rate, acceleration at mid-record, and the kernel's reach [s]."""
+        """Noise covariance (3, 3) of value, rate, acceleration at mid-record, and the kernel's half width [s].
+
+        Two per cent of the kernel's energy may lie outside the recording at the first and last instants kept.
+        """
         middle = self.time.size // 2
         rows = np.stack([matrix[[middle], :].toarray()[0] for matrix in self.basis], axis=1)
         kernels = (self._right.T @ solveh_banded(self._banded(exponent), rows)).T
         distance = np.abs(self.time - self.time[middle])
         order = np.argsort(distance)
         energy = np.cumsum(kernels[2][order] ** 2)
-        reached = int(np.searchsorted(energy, (1 - _KERNEL_TAIL) * energy[-1]))
-        reach = float(distance[order][reached])
-        return kernels @ kernels.T, min(reach, 0.2 * float(self.time[-1] - self.time[0]))
+        last = int(np.searchsorted(energy, 0.98 * energy[-1]))
+        half_width = float(distance[order][last])
+        return kernels @ kernels.T, min(half_width, 0.2 * float(self.time[-1] - self.time[0]))
 
 
 def _as_csr(matrix: object) -> csr_array:
