@@ -44,9 +44,9 @@ Smallest = Mapping[str, Mapping[str, float]]
 def diagnose(file: Path, effects: list[str] | None) -> Result:
     """The package's own diagnosis."""
     import vjm
-    from vjm.report.result_json import diagnosis_result
+    from vjm.report.result_json import result_object
 
-    found: Result = diagnosis_result(vjm.diagnose(vjm.load_experiment(file), effects=effects, seed=0))
+    found: Result = result_object(vjm.diagnose(vjm.load_experiment(file), effects=effects, seed=0))
     return found
 
 

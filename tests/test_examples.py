@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import vjm
+from tests.model.chains import model_of
 from tests.model.urdf_contents import springs_from
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
@@ -63,7 +64,7 @@ def test_urdf_in_pinocchio(run: Runner, tmp_path: Path, joint: str) -> None:
     link = Link("beam", joint, 1.0, 0.44, 1.9, (1.0,), hub_inertia=0.02 if joint == "revolute" else 0.0)  # type: ignore[arg-type]
     chain = Chain("one beam", (uniform_chain(link, layout(1.0, 4), kelvin_voigt=3e-4),), gravity=(0.0, 0.0))
     (tmp_path / "vjm-out").mkdir()
-    write_model(chain, tmp_path / "vjm-out" / "model.json")
+    write_model(model_of(chain), tmp_path / "vjm-out" / "model.json")
     swinging, linearised = numbers(run("urdf_in_pinocchio.py").splitlines()[-1])
     assert swinging == pytest.approx(linearised, rel=1e-3)
     assert linearised == pytest.approx(modes(chain).frequencies[0], rel=1e-4)

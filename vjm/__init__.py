@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vjm.identification import Identification, bootstrap, identify, profile_interval
     from vjm.identification.check import Check, check
     from vjm.identification.comparison import Comparison, compare
+    from vjm.report.model_json import load_model
     from vjm.report.save import save
     from vjm.simulation.model import Model
 
@@ -34,6 +35,7 @@ __all__ = [
     "effects",
     "identify",
     "load_experiment",
+    "load_model",
     "profile_interval",
     "save",
 ]
@@ -55,6 +57,7 @@ _HOMES = {
     "diagnose": "vjm.diagnosis",
     "identify": "vjm.identification",
     "load_experiment": "vjm.experiment",
+    "load_model": "vjm.report.model_json",
     "profile_interval": "vjm.identification",
     "save": "vjm.report.save",
 }

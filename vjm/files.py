@@ -1,107 +1,16 @@
-"""A folder of files that are written all together or not at all."""
+"""Files and folders that are written whole or not at all, and JSON that people can read."""
 
 from __future__ import annotations
 
 import json
-import math
 import os
-import secrets
 import shutil
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
-from functools import partial
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-import numpy as np
-
-from vjm.errors import InputError, ShapeError
-
-
-def write_text_atomic(path: Path | str, text: str) -> None:
-    """Write `text` as UTF-8, all of it or none; see `write_bytes_atomic`."""
-    write_bytes_atomic(path, text.encode("utf-8"))
-
-
-def write_bytes_atomic(path: Path | str, data: bytes) -> None:
-    """Write `data` so that nobody ever sees half a file, and a failure leaves what was there before.
-
-    Args:
-        path: the file; its directory exists. A symbolic link is followed, an existing file's permissions are kept,
-            and what is no regular file (a terminal, a pipe) is written straight to.
-        data: the whole content.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
-    target = Path(path)
-    if target.exists() and not target.is_file():
-        target.write_bytes(data)
-        return
-    target = Path(os.path.realpath(target))
-    # Opened by hand, for the usual permissions: files from `tempfile` are their owner's alone.
-    temporary = target.with_name(f".vjm-{secrets.token_hex(8)}.tmp")
-    try:
-        with temporary.open("xb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        if target.exists():
-            shutil.copymode(target, temporary)
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def json_text(value: object) -> str:
-    """JSON, indented by two, with each list of plain values on one line; ends with a newline.
-
-    Args:
-        value: mappings with text keys, lists, tuples, NumPy arrays and scalars, text, numbers, booleans, None.
-            Keys keep their order.
-
-    Raises:
-        ShapeError: a number that is not finite, or a value JSON has no word for; names the place.
-    """
-    return _dumped(_plain(value, ""), "\n") + "\n"
-
-
-def _plain(value: object, place: str) -> object:
-    """`value` in JSON's own types."""
-    if isinstance(value, np.generic | np.ndarray):
-        value = value.tolist()
-    if isinstance(value, Mapping):
-        return {_key(key, place): _plain(item, f"{place}.{key}" if place else str(key)) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item, f"{place}[{i}]") for i, item in enumerate(value)]
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ShapeError(place or "value", value, "a finite number")
-    if value is not None and not isinstance(value, str | bool | int | float):
-        raise ShapeError(place or "value", type(value).__name__, "a value that JSON can hold")
-    return value
-
-
-def _key(key: object, place: str) -> str:
-    if not isinstance(key, str):
-        raise ShapeError(place or "value", f"key {key!r}", "text as keys")
-    return key
-
-
-def _dumped(value: object, newline: str) -> str:
-    inner = newline + "  "
-    if isinstance(value, dict) and value:
-        rows = [f"{_scalar(key)}: {_dumped(item, inner)}" for key, item in value.items()]
-        return "{" + inner + f",{inner}".join(rows) + newline + "}"
-    if isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
-        return "[" + inner + f",{inner}".join(_dumped(item, inner) for item in value) + newline + "]"
-    if isinstance(value, list):
-        return "[" + ", ".join(_scalar(item) for item in value) + "]"
-    return _scalar(value)
-
-
-def _scalar(value: object) -> str:
-    # Half a surrogate pair (from an undecodable file name) has no UTF-8; JSON can escape it.
-    broken = isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value)
-    return json.dumps(value, ensure_ascii=broken, allow_nan=False)
+from vjm.errors import InputError
 
 
 class FolderError(InputError):
@@ -120,25 +29,77 @@ class FolderError(InputError):
         super().__init__(f"{path}: {problem}; {remedy}")
 
 
-def check_folder(directory: Path | str) -> Path:
-    """Make sure, before any long computation, that a folder can be made or written to.
+def json_text(value: object) -> str:
+    """Return `value` as JSON, indented by two, each list of plain values on one line.
+
+    Args:
+        value: dictionaries with text keys, lists, tuples, text, finite numbers, booleans, None.
+    """
+    return _indented(value, "\n") + "\n"
+
+
+def _indented(value: object, newline: str) -> str:
+    inner = newline + "  "
+    if isinstance(value, dict) and value:
+        rows = [f"{_plain(key)}: {_indented(item, inner)}" for key, item in value.items()]
+        return "{" + inner + f",{inner}".join(rows) + newline + "}"
+    if isinstance(value, list | tuple) and any(isinstance(item, dict | list | tuple) for item in value):
+        return "[" + inner + f",{inner}".join(_indented(item, inner) for item in value) + newline + "]"
+    return _plain(value)
+
+
+def _plain(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def encoded(text: str) -> bytes:
+    """Return text as UTF-8; of half a surrogate pair (from an undecodable file name), its JSON escape."""
+    return text.encode("utf-8", "backslashreplace")
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write `text` as UTF-8 so that nobody ever sees half a file and a failure leaves what was there before.
+
+    Args:
+        path: the file; its directory exists. A symbolic link is followed, an existing file's permissions are kept, and
+            what is no regular file (a terminal, a pipe) is written straight to.
+        text: the whole content.
 
     Raises:
-        FolderError: it cannot.
+        OSError: the file cannot be written.
+    """
+    target = Path(path)
+    if target.exists() and not target.is_file():
+        target.write_bytes(encoded(text))
+        return
+    target = Path(os.path.realpath(target))
+    # A file made in a temporary folder has the usual permissions, which one from NamedTemporaryFile has not.
+    with TemporaryDirectory(prefix=".vjm-", dir=target.parent) as stage:
+        temporary = Path(stage) / target.name
+        temporary.write_bytes(encoded(text))
+        if target.exists():
+            shutil.copymode(target, temporary)
+        os.replace(temporary, target)
+
+
+def check_folder(directory: Path | str) -> Path:
+    """Return the folder as a path if results can be written into it or it can be made; nothing is made yet.
+
+    Raises:
+        FolderError: it is no folder, its parent does not exist, or it cannot be written to.
     """
     folder = Path(directory)
-    if folder.is_dir():
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise FolderError(folder, "this folder cannot be written to", "choose another with -o DIR")
-        return folder
-    if folder.exists() or folder.is_symlink():
-        raise FolderError(folder, "this is no folder", "choose a folder with -o DIR")
-    check_parent(folder)
+    if folder.exists() and not folder.is_dir():
+        raise FolderError(folder, "this is no folder", "choose another with -o DIR")
+    if not folder.exists():
+        check_parent(folder)
+    elif not os.access(folder, os.W_OK | os.X_OK):
+        raise FolderError(folder, "this folder cannot be written to", "choose another with -o DIR")
     return folder
 
 
 def check_parent(path: Path) -> None:
-    """Make sure that a file or folder can be made where it should go.
+    """Check that a file or folder can be made where it shall stand.
 
     Raises:
         FolderError: its parent is missing, is no folder, or cannot be written to.
@@ -151,69 +112,63 @@ def check_parent(path: Path) -> None:
         raise FolderError(path, f"the folder {parent} cannot be written to", "choose another place with -o")
 
 
-def write_together(directory: Path | str, fill: Callable[[Path], None], stale: Iterable[str] = ()) -> Path:
-    """Write several files into a folder; when anything fails, the folder is as it was before.
+def write_folder(directory: Path | str, files: Mapping[str, bytes], outdated: Iterable[str] = ()) -> Path:
+    """Write several files into a folder; if anything fails, the folder is as it was before.
 
     Args:
         directory: made if it does not exist; files in it that are not written anew stay.
-        fill: writes all files into the empty folder that it is given.
-        stale: files of an earlier run, relative to the directory, to be removed unless written anew.
+        files: content by name, relative to the directory, put in place in this order.
+        outdated: names of an earlier run's files, removed unless written anew.
+
+    Returns:
+        The folder.
 
     Raises:
         FolderError: the folder cannot be written to.
     """
     folder = check_folder(directory)
-    existed = folder.exists()
+    blocked = [name for name in files if (folder / name).is_dir()]
+    if blocked:
+        raise FolderError(folder / blocked[0], "this is a folder, not a file", "remove it, or choose another -o DIR")
+    removed = [name for name in outdated if name not in files and (folder / name).is_file()]
     try:
-        folder.mkdir(exist_ok=True)
-        stage = folder / f".vjm-{secrets.token_hex(8)}.tmp"
-        try:
-            (stage / "new").mkdir(parents=True)
-            fill(stage / "new")
-            _swap(folder, stage, stale)
-        finally:
-            shutil.rmtree(stage, ignore_errors=True)
-    except BaseException as error:
-        if not existed:
-            with suppress(OSError):
-                folder.rmdir()
-        if isinstance(error, OSError):
-            problem = f"cannot be written ({error.strerror or error})"
-            raise FolderError(folder, problem, "choose another with -o DIR") from error
-        raise
+        with ExitStack() as undo:
+            _make(folder, undo)
+            with TemporaryDirectory(prefix=".vjm-", dir=folder) as stage:
+                _replace(folder, Path(stage), files, removed)
+            undo.pop_all()
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror or error})"
+        raise FolderError(folder, problem, "choose another with -o DIR") from error
     return folder
 
 
-def _swap(folder: Path, stage: Path, stale: Iterable[str]) -> None:
-    """Put the new files in place, setting the old ones aside; put those back when anything fails."""
-    new, old = stage / "new", stage / "old"
-    names = sorted(str(path.relative_to(new)) for path in new.rglob("*") if path.is_file())
-    # What describes the others comes last.
-    names.sort(key=lambda name: name == "result.json")
-    outdated = [name for name in stale if name not in names and (folder / name).is_file()]
-    blocked = [name for name in names if (folder / name).is_dir()]
-    if blocked:
-        raise FolderError(folder / blocked[0], "this is a folder, not a file", "remove it, or choose another -o DIR")
-    undo: list[Callable[[], object]] = []
-    try:
-        for name in (*outdated, *names):
-            _replace(folder / name, new / name, old / name, undo)
-    except BaseException:
-        for step in reversed(undo):
-            with suppress(OSError):
-                step()
-        raise
+def _replace(folder: Path, stage: Path, files: Mapping[str, bytes], removed: Iterable[str]) -> None:
+    """Write the new files into `stage`, then swap them with the old ones; take every step back if one fails."""
+    for name, content in files.items():
+        (stage / "new" / name).parent.mkdir(parents=True, exist_ok=True)
+        (stage / "new" / name).write_bytes(content)
+    with ExitStack() as undo:
+        for name in (*removed, *files):
+            target, old = folder / name, stage / "old" / name
+            _make(target.parent, undo)
+            if target.exists() or target.is_symlink():
+                old.parent.mkdir(parents=True, exist_ok=True)
+                undo.callback(_put_back, old, target)
+                os.replace(target, old)
+            else:
+                undo.callback(target.unlink, missing_ok=True)
+            if name in files:
+                os.replace(stage / "new" / name, target)
+        undo.pop_all()
 
 
-def _replace(target: Path, new: Path, old: Path, undo: list[Callable[[], object]]) -> None:
-    """Set an old file aside and put the new one, if there is one, in its place; note how to take each step back."""
-    if not target.parent.exists():
-        target.parent.mkdir()
-        undo.append(target.parent.rmdir)
-    if target.exists() or target.is_symlink():
-        old.parent.mkdir(parents=True, exist_ok=True)
-        os.replace(target, old)
-        undo.append(partial(os.replace, old, target))
-    if new.exists():
-        os.replace(new, target)
-        undo.append(target.unlink)
+def _make(folder: Path, undo: ExitStack) -> None:
+    if not folder.exists():
+        folder.mkdir()
+        undo.callback(folder.rmdir)
+
+
+def _put_back(old: Path, target: Path) -> None:
+    if old.exists() or old.is_symlink():
+        os.replace(old, target)

@@ -38,7 +38,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return fit
 
     def compare(*_: object, progress: Callable[[str, int, int], None]) -> Comparison:
-        return Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, {}, fit.recordings, ("careful",))
+        return Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, fit.recordings, ("careful",))
 
     monkeypatch.setattr(commands, "identify", identify)
     monkeypatch.setattr(commands, "compare", compare)
@@ -53,7 +53,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def model(tmp_path: Path) -> Path:
     path = tmp_path / "model.json"
-    write_model(demo_fit().model.chain, path)
+    write_model(demo_fit().model, path)
     return path
 
 
@@ -177,7 +177,7 @@ def test_simulate(tmp_path: Path, model: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_model_of_another_arm_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_model(elbow_fit().model.chain, tmp_path / "elbow.json")
+    write_model(elbow_fit().model, tmp_path / "elbow.json")
     status, out, err = run(capsys, "simulate", DEMO, tmp_path / "elbow.json", "-o", tmp_path / "out")
     assert (status, out) == (2, "")
     assert "upper" in err

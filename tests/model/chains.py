@@ -8,6 +8,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from vjm.chain.virtual_links import Array, Chain, LinkChain
+from vjm.records import Link, Rig
+from vjm.simulation.model import Model
 
 HOSTILE = "<a&\"b'>]]> é世\U0001f9be --"
 NAMES = st.text(
@@ -156,3 +158,9 @@ class Plane:
                 jacobian[:, k], spin[k] = (-arm[1], arm[0]), 1.0
             total += mass * jacobian.T @ jacobian + turning * np.outer(spin, spin)
         return total
+
+
+def model_of(chain: Chain) -> Model:
+    """A model of an arm without markers that has this chain."""
+    links = (Link(link.name, link.joint, link.length, float(link.masses.sum()), 1.9, ()) for link in chain.links)
+    return Model(chain, Rig(chain.name, tuple(links), chain.gravity), 3e-4, 1e-4)

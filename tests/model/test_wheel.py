@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.model.chains import plain_chain
+from tests.model.chains import model_of, plain_chain
 from vjm.model.urdf import chain_to_urdf
 from vjm.report.model_json import write_model
 
@@ -19,9 +19,8 @@ REPOSITORY = Path(__file__).parents[2]
 WRITE = """
 import sys, vjm
 from vjm.model.urdf import chain_to_urdf, template_folder
-from vjm.report.model_json import read_model
 print(vjm.__file__, template_folder())
-open(sys.argv[2], "w", encoding="utf-8").write(chain_to_urdf(read_model(sys.argv[1])[0]))
+open(sys.argv[2], "w", encoding="utf-8").write(chain_to_urdf(vjm.load_model(sys.argv[1]).chain))
 """
 
 
@@ -51,7 +50,7 @@ def test_wheel_holds_every_template(wheel: Path) -> None:
 def test_installed_wheel_writes_urdf_with_its_own_templates(wheel: Path, tmp_path: Path) -> None:
     site, model, urdf = tmp_path / "site", tmp_path / "model.json", tmp_path / "model.urdf"
     run(sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", site, wheel, cwd=tmp_path)
-    write_model(plain_chain(), model)
+    write_model(model_of(plain_chain()), model)
     places = run(sys.executable, "-c", WRITE, model, urdf, cwd=tmp_path, PYTHONPATH=str(site)).split()
     assert places == [str(site / "vjm" / "__init__.py"), str(site / "vjm" / "urdf_templates")]
     assert urdf.read_text(encoding="utf-8") == chain_to_urdf(plain_chain())

@@ -138,7 +138,7 @@ class Size(Entry):
 
 
 class Alternative(EffectResult):
-    chi2_worse: float | None
+    chi2_increase: float | None
 
 
 class CauseResult(Entry):
@@ -157,14 +157,14 @@ class FollowedRecording(Entry):
     role: Literal["train", "holdout"]
     marker_rms_before_m: float | None
     marker_rms_after_m: float | None
-    marker_rms_runner_up_m: float | None
+    marker_rms_next_best_m: float | None
     noise_m: float | None
 
 
 class GainResult(Entry):
     holdout_rms_before_m: float
     holdout_rms_after_m: float
-    holdout_rms_runner_up_m: float | None
+    holdout_rms_next_best_m: float | None
     noise_m: float
     reduction: float | None
     ci95: list[float | None] = Field(min_length=2, max_length=2)

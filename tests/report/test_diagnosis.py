@@ -40,9 +40,9 @@ from vjm.report.diagnosis_text import (
 )
 from vjm.report.figures import diagnosis as drawing
 from vjm.report.figures.diagnosis import before_and_after, evidence, gain_of_recordings
-from vjm.report.model_json import stored_model
+from vjm.report.model_json import read_model
 from vjm.report.page import diagnosis_page
-from vjm.report.result_json import diagnosis_result
+from vjm.report.result_json import result_object
 from vjm.report.save import save
 from vjm.report.tables import candidate_table, cause_table, followed_table
 
@@ -57,7 +57,7 @@ def plain(text: str) -> str:
 
 
 def test_result_has_the_keys_of_the_interface(diagnosis: Diagnosis) -> None:
-    result = DiagnoseResult.model_validate_json(json_text(diagnosis_result(diagnosis)))
+    result = DiagnoseResult.model_validate_json(json_text(result_object(diagnosis)))
     assert result.verdict == diagnosis.verdict
     assert [each.effect for each in result.causes] == [each.effect.id for each in diagnosis.causes]
     assert len(result.candidates) == len(diagnosis.candidates)
@@ -66,7 +66,7 @@ def test_result_has_the_keys_of_the_interface(diagnosis: Diagnosis) -> None:
 
 
 def test_rivals_are_named() -> None:
-    (cause,) = DiagnoseResult.model_validate_json(json_text(diagnosis_result(undecided()))).causes
+    (cause,) = DiagnoseResult.model_validate_json(json_text(result_object(undecided()))).causes
     assert cause.indistinguishable_from == ["clamp_compliance"]
     assert cause.alternatives[0].parameters == {"compliance": CLAMP.compliance}
     assert cause.parameters["mass"].value == 0.0133
@@ -77,7 +77,7 @@ def test_what_is_not_finite_becomes_null() -> None:
     cause = replace(found.causes[0], parameters={"mass": Size(math.inf, math.nan, "kg")}, p_value=math.nan)
     assert found.gain is not None
     gain = replace(found.gain, reduction=math.nan, interval=(-math.inf, 0.1))
-    text = json_text(diagnosis_result(replace(found, causes=(cause,), gain=gain)))
+    text = json_text(result_object(replace(found, causes=(cause,), gain=gain)))
     result = DiagnoseResult.model_validate_json(text)
     assert result.causes[0].parameters["mass"].value is None
     assert result.gain is not None
@@ -218,7 +218,7 @@ def test_figures_are_readable() -> None:
 
 def test_pictures_have_their_names(diagnosis: Diagnosis) -> None:
     drawn = pictures_of(diagnosis)
-    assert {each.name for each in drawn} <= set(saving._ALL_NAMES)
+    assert {each.name for each in drawn} <= set(saving._PICTURES)
     assert sum(each.name.startswith("cause") for each in drawn) == len(diagnosis.causes)
     for each in drawn:
         assert each.caption.endswith(".")
@@ -247,17 +247,16 @@ def test_folder_holds_a_model_that_comes_back(name: str, tmp_path: Path, monkeyp
         "figures",
     }
     DiagnoseResult.model_validate_json((folder / "result.json").read_bytes())
-    model, _, extra = stored_model(folder / "model.json", found.experiment)
+    model, _ = read_model(folder / "model.json", found.experiment)
     assert model.effects == found.model.effects
     assert model.estimates == found.parameters
-    assert extra["verdict"] == found.verdict
     carried = robot_from(folder / "model.urdf").link_map.get("beam_payload")
     assert (carried.inertial.mass if carried else 0.0) == found.model.arm.chain.links[0].payload
-    assert ("effects" in json.loads((folder / "model.json").read_text())) == bool(found.model.effects)
+    assert bool(json.loads((folder / "model.json").read_text())["effects"]) == bool(found.model.effects)
     recording = found.experiment.recordings[1]
     assert model.replay(recording).marker_rms == pytest.approx(found.model.replay(recording).marker_rms, rel=1e-6)
 
 
 def test_names_of_pictures_differ() -> None:
-    assert len(set(saving._ALL_NAMES)) == len(saving._ALL_NAMES)
-    assert set(drawing.NAMES) <= set(saving._ALL_NAMES)
+    assert len(set(saving._PICTURES)) == len(saving._PICTURES)
+    assert set(drawing.NAMES) <= set(saving._PICTURES)

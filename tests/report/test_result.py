@@ -19,16 +19,14 @@ from vjm.model.urdf import chain_to_urdf
 from vjm.records import Estimate
 from vjm.report.result_json import (
     bending_stiffness,
-    check_result,
-    comparison_result,
-    identification_result,
     model_result,
+    result_object,
     urdf_result,
 )
 
 
 def test_identification_has_the_keys_of_the_interface(fit: Identification) -> None:
-    text = json_text(identification_result(fit))
+    text = json_text(result_object(fit))
     result = IdentifyResult.model_validate_json(text)
     assert [each.file for each in result.recordings] == [each.file for each in fit.experiment.recordings]
     assert len(result.frequencies_hz) == len(result.damping_ratios) == len(fit.modes)
@@ -38,17 +36,17 @@ def test_identification_has_the_keys_of_the_interface(fit: Identification) -> No
 
 
 def test_encoder_and_simulation_are_null_where_there_are_none() -> None:
-    elbow = identification_result(elbow_fit())["recordings"]
+    elbow = result_object(elbow_fit())["recordings"]
     assert elbow[-1]["marker_rms_m"] is None
     assert elbow[-1]["problem"] == "no torque was measured"
     assert elbow[0]["theta_rms_rad"] > 0
-    assert identification_result(demo_fit())["recordings"][0]["theta_rms_rad"] is None
+    assert result_object(demo_fit())["recordings"][0]["theta_rms_rad"] is None
 
 
 def test_trajectory_fit_beside_the_torque_method() -> None:
     fit = demo_fit()
     fitted = tuple(replace(each, left_out=k) for k, each in enumerate(fit.recordings))
-    result = IdentifyResult.model_validate_json(json_text(identification_result(replace(fit, recordings=fitted))))
+    result = IdentifyResult.model_validate_json(json_text(result_object(replace(fit, recordings=fitted))))
     assert result.method == "trajectory"
     assert fit.trajectory is not None
     point = fit.trajectory.fit.point
@@ -72,14 +70,14 @@ def test_trajectory_fit_beside_the_torque_method() -> None:
 
 
 def test_torque_fit_has_no_trajectories() -> None:
-    result = IdentifyResult.model_validate_json(json_text(identification_result(torque_fit())))
+    result = IdentifyResult.model_validate_json(json_text(result_object(torque_fit())))
     assert result.objective.trajectory_chi2_per_sample is None
     assert {each.torque_marker_rms_m for each in result.recordings} == {None}
     assert {each.whiteness for each in result.recordings} == {None}
 
 
 def test_what_is_not_determined_comes_with_a_remedy() -> None:
-    result = IdentifyResult.model_validate_json(json_text(identification_result(elbow_fit())))
+    result = IdentifyResult.model_validate_json(json_text(result_object(elbow_fit())))
     remedies = {each.parameter: each.remedy for each in result.identifiable}
     assert remedies["upper.hub_inertia"] == "a driven recording whose torque changes faster"
     assert remedies["upper.bending_stiffness"] == ""
@@ -90,7 +88,7 @@ def test_what_is_not_finite_becomes_null() -> None:
     lost = replace(fit.parameters[0], std=math.inf, identifiable=False, reason="nothing moves")
     modes = (replace(fit.modes[0], frequency_measured=math.nan), *fit.modes[1:])
     broken = replace(fit, parameters=(lost, *fit.parameters[1:]), objective=math.nan, modes=modes, torque_data=())
-    result = IdentifyResult.model_validate_json(json_text(identification_result(broken)))
+    result = IdentifyResult.model_validate_json(json_text(result_object(broken)))
     assert result.objective.torque is None
     assert result.estimates[0].std is None
     assert result.frequencies_hz[0].measured is None
@@ -123,8 +121,8 @@ def test_bending_stiffness_of_free_joints_is_their_mean() -> None:
 
 def test_results_of_the_other_commands() -> None:
     fit = elbow_fit()
-    comparison = Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, {}, fit.recordings, ("careful",))
-    simulated = SimulateResult.model_validate_json(json_text(comparison_result(comparison)))
+    comparison = Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, fit.recordings, ("careful",))
+    simulated = SimulateResult.model_validate_json(json_text(result_object(comparison)))
     assert simulated.warnings == ["careful"]
     check = Check(fit.experiment, (), np.array([1.0, 2.0]), (3, 4), {"uniform": fit.parameters})
     assert [link.virtual_joints for link in parse_check(check).links] == [3, 4]
@@ -136,4 +134,4 @@ def test_results_of_the_other_commands() -> None:
 
 
 def parse_check(check: Check) -> CheckResult:
-    return CheckResult.model_validate_json(json_text(check_result(check)))
+    return CheckResult.model_validate_json(json_text(result_object(check)))

@@ -12,10 +12,10 @@ import pytest
 from tests.model.urdf_contents import robot_from
 from tests.report.fits import demo_fit, pictures_of
 from tests.report.schema import IdentifyResult, SimulateResult
-from vjm.files import FolderError, write_together
+from vjm.files import FolderError, write_folder
 from vjm.identification.comparison import Comparison, compare
 from vjm.report import save as saving
-from vjm.report.model_json import read_model, stored_model
+from vjm.report.model_json import load_model, read_model
 from vjm.report.save import save
 
 
@@ -34,25 +34,25 @@ def test_folder_holds_everything(tmp_path: Path) -> None:
     names = {path.name for path in folder.iterdir()}
     assert names == {"result.json", "model.json", "model.urdf", "report.html", "figures"}
     IdentifyResult.model_validate_json((folder / "result.json").read_bytes())
-    chain, extra = read_model(folder / "model.json")
-    assert chain.stiffness.tolist() == fit.model.chain.stiffness.tolist()
-    assert extra["method"] == "trajectory"
+    model = load_model(folder / "model.json")
+    assert model.chain.stiffness.tolist() == fit.model.chain.stiffness.tolist()
+    assert model.rig == fit.model.rig
     assert tuple(robot_from(folder / "model.urdf").actuated_joint_names) == fit.model.chain.joint_names
     assert {path.stem for path in (folder / "figures").iterdir()} == {picture.name for picture in pictures_of(fit)}
 
 
 def test_saved_model_comes_back_with_its_errors(tmp_path: Path) -> None:
     fit = demo_fit()
-    model, covariance, extra = stored_model(save(fit, tmp_path / "out") / "model.json", fit.experiment)
+    model, covariance = read_model(save(fit, tmp_path / "out") / "model.json", fit.experiment)
     assert model.estimates == fit.parameters
     assert covariance.tolist() == fit.covariance.tolist()
     quiet = [each for each in fit.experiment.recordings if each.kind == "quiet"]
     experiment = type(fit.experiment)(fit.experiment.rig, tuple(quiet))
     steps: list[tuple[str, int, int]] = []
-    comparison = compare(experiment, model, covariance, extra, lambda *step: steps.append(step))
+    comparison = compare(experiment, model, covariance, lambda *step: steps.append(step))
     folder = save(comparison, tmp_path / "again")
     SimulateResult.model_validate_json((folder / "result.json").read_bytes())
-    assert read_model(folder / "model.json")[1] == extra
+    assert read_model(folder / "model.json")[1].tolist() == covariance.tolist()
     assert steps
     assert isinstance(comparison, Comparison)
 
@@ -93,19 +93,16 @@ def test_a_failure_in_the_middle_leaves_the_folder_as_it_was(
     for name, data in old.items():
         (tmp_path / name).write_bytes(data)
 
-    def fill(stage: Path) -> None:
-        (stage / "figures").mkdir()
-        for name in ("result.json", "report.html", "model.json", "figures/tip_1.png", "figures/fit.png"):
-            (stage / name).write_text("new")
-
+    names = ("result.json", "report.html", "model.json", "figures/tip_1.png", "figures/fit.png")
+    files = dict.fromkeys(names, b"new")
     monkeypatch.setattr("vjm.files.os.replace", failing_replace(at, error))
     expected = FolderError if isinstance(error, OSError) else KeyboardInterrupt
     if at <= 8:  # one stale figure and two old files are set aside, five new ones put in place
         with pytest.raises(expected):
-            write_together(tmp_path, fill, ["figures/tip_4.png"])
+            write_folder(tmp_path, files, ["figures/tip_4.png"])
         assert contents(tmp_path) == old
     else:
-        write_together(tmp_path, fill, ["figures/tip_4.png"])
+        write_folder(tmp_path, files, ["figures/tip_4.png"])
         assert (tmp_path / "report.html").read_text() == "new"
     assert not list(tmp_path.glob(".vjm-*"))
 
@@ -114,7 +111,7 @@ def test_a_failure_while_writing_makes_no_folder(tmp_path: Path, monkeypatch: py
     def broken(*_: object) -> None:
         raise RuntimeError("the disk is on fire")
 
-    monkeypatch.setattr(saving, "write_model", broken)
+    monkeypatch.setattr(saving, "model_text", broken)
     with pytest.raises(RuntimeError, match="on fire"):
         save(demo_fit(), tmp_path / "out")
     assert not list(tmp_path.iterdir())

@@ -17,7 +17,7 @@ from tests.report.fits import _chain, two_link_experiment
 from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, magnitude
 from vjm.errors import ModelFileError
 from vjm.experiment import Experiment
-from vjm.report.model_json import stored_chain, stored_effects, stored_model, write_model
+from vjm.report.model_json import load_model, read_model, write_model
 from vjm.simulation.model import Model
 
 
@@ -32,6 +32,7 @@ def present(experiment: Experiment) -> tuple[Effect, ...]:
 
 
 elbow = cache(two_link_experiment)
+PAYLOAD_OF_TWO = TipPayload(link=1, mass=0.1)
 
 
 def two_links(effects: tuple[Effect, ...]) -> tuple[Experiment, Model]:
@@ -40,7 +41,7 @@ def two_links(effects: tuple[Effect, ...]) -> tuple[Experiment, Model]:
 
 
 def written(model: Model, file: Path) -> dict[str, Any]:
-    write_model(model.chain, file, {}, stored_effects(model))
+    write_model(model, file)
     content: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     return content
 
@@ -53,23 +54,25 @@ def test_every_effect_comes_back_exactly(tmp_path: Path) -> None:
     assert [each["effect"] for each in content["effects"]] == [each.id for each in effects]
     assert {each["link"] for each in content["effects"]} == {None, "upper", "fore"}
     assert content["effects"][-1]["parameters"] == {"stiffness": None}
-    assert stored_model(tmp_path / "model.json", experiment)[0].effects == effects
-    chain, found = stored_chain(tmp_path / "model.json")
-    assert chain.links[0].name == "upper"
-    assert [each.values for each in found] == [each.values for each in effects]
+    assert read_model(tmp_path / "model.json", experiment)[0].effects == effects
+    assert load_model(tmp_path / "model.json").effects == effects
 
 
-def test_a_model_without_effects_has_no_such_key(tmp_path: Path) -> None:
-    experiment, model = two_links(())
-    assert "effects" not in written(model, tmp_path / "model.json")
-    assert stored_model(tmp_path / "model.json", experiment)[0].effects == ()
+def test_effects_of_reference_recordings_come_first(tmp_path: Path) -> None:
+    _, model = two_links((PAYLOAD_OF_TWO, TorqueGain(link=1, gain=1.1, column=1)))
+    content = written(replace(model, reference_effects=1), tmp_path / "model.json")
+    assert [each["in_reference"] for each in content["effects"]] == [True, False]
+    content["effects"].reverse()
+    (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
+    back = load_model(tmp_path / "model.json")
+    assert (back.effects, back.reference_effects) == (model.effects, 1)
 
 
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
         ({"effect": "gremlin"}, r"key 'effects\[0\]\.effect': got 'gremlin'; expected one of tip_payload"),
-        ({"link": "tail"}, r"effects\[0\]\.link: got 'tail'; expected null or one of \['upper', 'fore'\]"),
+        ({"link": "tail"}, r"effects\[0\]\.link': got 'tail'; expected null or one of \['upper', 'fore'\]"),
         ({"link": "upper"}, r"key 'effects\[0\]\.link': got 'upper'; expected one of \['fore'\]"),
         ({"parameters": {"mass": 0.1, "colour": 1.0}}, r"key 'effects\[0\]\.parameters\.colour': unknown key"),
         ({"parameters": {}}, r"key 'effects\[0\]\.parameters\.mass': missing"),
@@ -85,7 +88,7 @@ def test_faults_name_the_key(tmp_path: Path, change: dict[str, Any], fault: str)
     content["effects"][0] |= change
     (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(ModelFileError, match=fault):
-        stored_model(tmp_path / "model.json", experiment)
+        read_model(tmp_path / "model.json", experiment)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +100,7 @@ def test_a_marker_that_is_not_there_is_refused(tmp_path: Path, marker: float, fa
     content["effects"][0]["parameters"]["marker"] = marker
     (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(ModelFileError, match=fault):
-        stored_model(tmp_path / "model.json", experiment)
+        read_model(tmp_path / "model.json", experiment)
 
 
 @dataclass(frozen=True)
@@ -114,8 +117,8 @@ def test_a_users_own_effect_comes_back_where_it_is_given(tmp_path: Path) -> None
     experiment, model = two_links((Own(twist=0.2), TorqueGain(link=1, gain=1.1, column=1)))
     written(model, tmp_path / "model.json")
     with pytest.raises(ModelFileError, match="got 'own'"):
-        stored_model(tmp_path / "model.json", experiment)
-    found = stored_model(tmp_path / "model.json", experiment, (*BUILTIN, Own()))[0]
+        read_model(tmp_path / "model.json", experiment)
+    found = read_model(tmp_path / "model.json", experiment, (*BUILTIN, Own()))[0]
     assert found.effects == model.effects
 
 
@@ -123,10 +126,15 @@ def test_a_value_at_its_bound_but_for_rounding_is_read(tmp_path: Path) -> None:
     experiment, model = two_links((TipPayload(link=1, mass=-1e-18),))
     content = written(model, tmp_path / "model.json")
     content["effects"] = [
-        {"effect": "structural_damping", "link": "upper", "parameters": {"loss_factor": 0.30000000000000004}}
+        {
+            "effect": "structural_damping",
+            "link": "upper",
+            "parameters": {"loss_factor": 0.30000000000000004},
+            "in_reference": False,
+        }
     ]
     (tmp_path / "model.json").write_text(json.dumps(content), encoding="utf-8")
-    assert stored_model(tmp_path / "model.json", experiment)[0].effects[0].values["loss_factor"] > 0.3
+    assert read_model(tmp_path / "model.json", experiment)[0].effects[0].values["loss_factor"] > 0.3
 
 
 def test_urdf_has_payload_and_friction(tmp_path: Path) -> None:

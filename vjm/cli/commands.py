@@ -24,7 +24,7 @@ from vjm.cli.arguments import DEFAULT_JOBS, DEFAULT_MAX_EFFECTS, DEFAULT_METHOD,
 from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
 from vjm.experiment import load_experiment
-from vjm.files import FolderError, check_folder, check_parent, json_text, write_text_atomic, write_together
+from vjm.files import FolderError, check_folder, check_parent, encoded, json_text, write_folder, write_text
 from vjm.identification import identify
 from vjm.identification.comparison import Comparison, compare
 from vjm.identification.records import Identification
@@ -32,8 +32,8 @@ from vjm.identification.virtual_joints import choose_virtual_joints
 from vjm.markers.shape import visible_modes
 from vjm.records import Estimate
 from vjm.report.diagnosis_text import carried_points, diagnosis_verdict
-from vjm.report.model_json import stored_chain, stored_model
-from vjm.report.result_json import check_result, comparison_result, diagnosis_result, identification_result, urdf_result
+from vjm.report.model_json import load_model, read_model
+from vjm.report.result_json import result_object, urdf_result
 from vjm.report.save import REPORT, save
 from vjm.report.tables import (
     Table,
@@ -178,7 +178,7 @@ def demo(arguments: argparse.Namespace) -> None:
         later = folder / "later.toml"
         diagnosis = _diagnose(arguments, later, place, None, DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED)
     if arguments.json:
-        print_json({**identification_result(found), "diagnosis": diagnosis_result(diagnosis)})
+        print_json({**result_object(found), "diagnosis": result_object(diagnosis)})
     else:
         _print_diagnosis(arguments, diagnosis, place)
 
@@ -188,7 +188,7 @@ def identification(arguments: argparse.Namespace) -> None:
     chosen = arguments.method, arguments.virtual_joints, arguments.parameters
     fit = _identify(arguments, arguments.experiment, *chosen)
     if arguments.json:
-        print_json(identification_result(fit))
+        print_json(result_object(fit))
     else:
         _print_identification(arguments, fit)
 
@@ -221,7 +221,7 @@ def diagnosing(arguments: argparse.Namespace) -> None:
     chosen = arguments.effects, arguments.max_effects, arguments.jobs, arguments.seed
     diagnosis = _diagnose(arguments, arguments.experiment, arguments.out, *chosen)
     if arguments.json:
-        print_json(diagnosis_result(diagnosis))
+        print_json(result_object(diagnosis))
     else:
         _print_diagnosis(arguments, diagnosis, arguments.out)
 
@@ -267,10 +267,10 @@ def simulation(arguments: argparse.Namespace) -> None:
     check_folder(arguments.out)
     with progress(arguments) as report:
         experiment = load_experiment(arguments.experiment)
-        comparison = compare(experiment, *stored_model(arguments.model, experiment), progress=report)
+        comparison = compare(experiment, *read_model(arguments.model, experiment), progress=report)
         _save(comparison, arguments.out, report)
     if arguments.json:
-        print_json(comparison_result(comparison))
+        print_json(result_object(comparison))
     elif not arguments.quiet:
         summary = Summary(experiment.rig.name)
         summary.verdict(comparison_verdict(comparison))
@@ -294,10 +294,9 @@ def checking(arguments: argparse.Namespace) -> None:
         check_folder(arguments.out)
     with progress(arguments):
         found = check(load_experiment(arguments.experiment))
-    result = check_result(found)
+    result = result_object(found)
     if arguments.out is not None:
-        text = json_text(result)
-        write_together(arguments.out, lambda stage: write_text_atomic(stage / "result.json", text))
+        write_folder(arguments.out, {"result.json": encoded(json_text(result))})
     if arguments.json:
         print_json(result)
     elif not arguments.quiet:
@@ -357,7 +356,7 @@ def urdf(arguments: argparse.Namespace) -> None:
 
 def _write_urdf(file: Path, text: str) -> None:
     try:
-        write_text_atomic(file, text)
+        write_text(file, text)
     except OSError as error:
         raise FolderError(file, f"cannot be written ({error.strerror or error})", "choose another with -o") from error
 
@@ -365,7 +364,8 @@ def _write_urdf(file: Path, text: str) -> None:
 def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:
     """Chain and effects of a model.json, or the nominal one of an experiment file; the content says which it is."""
     if source.suffix != ".toml" and _is_json(source):
-        return stored_chain(source)
+        model = load_model(source)
+        return model.chain, model.effects
     rig = load_experiment(source).rig
     joints = [
         choose_virtual_joints(link, visible_modes(len(link.markers)), link.virtual_joints).joints for link in rig.links

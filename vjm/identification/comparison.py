@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +25,6 @@ class Comparison:
         model: the given model.
         nominal: what the experiment file's nominal values give, cut at the same places.
         covariance: (p, p) of the model's estimated parameters; empty where unknown.
-        extra: what else the model's file holds.
         recordings: fit of every recording, in the experiment's order.
         warnings: what a user should know.
     """
@@ -36,7 +33,6 @@ class Comparison:
     model: Model
     nominal: Model
     covariance: Array
-    extra: Mapping[str, Any]
     recordings: tuple[RecordingComparison, ...]
     warnings: tuple[str, ...]
 
@@ -45,16 +41,14 @@ def compare(
     experiment: Experiment,
     model: Model,
     covariance: Array | None = None,
-    extra: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """SimulatedRecording every recording with a model, and with the nominal one.
+    """Simulate every recording with a model, and with the nominal one.
 
     Args:
         experiment: the recordings.
         model: of the same rig.
         covariance: (p, p) of the model's estimated parameters; None where unknown.
-        extra: what else the model's file holds, kept as it is.
         progress: told (text, done, total) while it runs.
 
     Raises:
@@ -67,4 +61,4 @@ def compare(
     fits = fit_recordings(experiment, model, (nominal, None), progress)
     known = np.empty((0, 0)) if covariance is None else covariance
     warnings = (*experiment.warnings, *result_warnings(fits, ()))
-    return Comparison(experiment, model, nominal, known, dict(extra or {}), fits, warnings)
+    return Comparison(experiment, model, nominal, known, fits, warnings)

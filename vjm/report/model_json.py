@@ -1,59 +1,51 @@
-"""What model.json holds beside the chain, and the model it gives back."""
+"""Models as model.json: every number comes back exactly, and faults are told by file and key."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import ModelFileError, ShapeError
 from vjm.experiment.noise import sensor_noise
-from vjm.files import json_text, write_text_atomic
-from vjm.identification.records import Identification
-from vjm.records import Array, Estimate, Experiment
-from vjm.report.result_json import finite
+from vjm.files import json_text, write_text
+from vjm.records import Array, Estimate, Experiment, Recording, Rig
 from vjm.simulation.model import Model
 
-if TYPE_CHECKING:
-    from vjm.diagnosis.records import Diagnosis
-
-
-SCHEMA = 1
-KIND = "vjm-model"
+_MOST_SHOWN = 60  # characters of a wrong value in a message
 
 _NotNegative = Annotated[float, Field(ge=0)]
 _Positive = Annotated[float, Field(gt=0)]
+_Numbers = Annotated[list[float], BeforeValidator(lambda value: getattr(value, "tolist", lambda: value)())]
 
 
 class _Entry(BaseModel):
     """A JSON object: no key but those listed, no type coercion, finite numbers."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True, from_attributes=True)
 
 
-class LinkEntry(_Entry):
-    """One `LinkChain`, field by field; LinkChain itself checks sizes and ranges of the arrays."""
+class _LinkEntry(_Entry):
+    """A `LinkChain`, which itself checks sizes and ranges of the arrays."""
 
     name: str
     joint: Literal["revolute", "clamped"]
-    lengths: list[float]
-    masses: list[float]
-    mass_centers: list[float]
-    inertias: list[float]
-    stiffness: list[float]
-    damping: list[float]
-    cells: list[float]
+    lengths: _Numbers
+    masses: _Numbers
+    mass_centers: _Numbers
+    inertias: _Numbers
+    stiffness: _Numbers
+    damping: _Numbers
+    cells: _Numbers
     hub_inertia: _NotNegative
     payload: _NotNegative
     distal: Distal
@@ -67,366 +59,232 @@ class LinkEntry(_Entry):
     thickness: _Positive | None
 
 
-class ChainEntry(_Entry):
-    """One `Chain`."""
-
+class _ChainEntry(_Entry):
     name: str
-    gravity: Annotated[list[float], Field(min_length=2, max_length=2)]
-    links: Annotated[list[LinkEntry], Field(min_length=1)]
+    gravity: tuple[float, float]
+    links: Annotated[tuple[_LinkEntry, ...], Field(min_length=1)]
 
 
-class EffectEntry(_Entry):
-    """One effect on a chain; which effects and parameters there are is not this module's business."""
+class _EffectEntry(_Entry):
+    """An effect by its id; `None` stands for an infinite value of a parameter."""
 
     effect: str
     link: str | None
     parameters: dict[str, float | None]
-    reference_effects: bool = False
+    in_reference: bool  # it acts in recordings of condition "reference" too
 
 
-class ModelEntry(_Entry):
+class _ModelEntry(_Entry):
     """The whole file."""
 
     schema_version: Literal[1] = Field(alias="schema")
     kind: Literal["vjm-model"]
     vjm: str
-    chain: ChainEntry
-    effects: list[EffectEntry] = []
-    extra: dict[str, Any]
+    rig: Rig
+    marker_noise: _Positive
+    encoder_noise: _Positive
+    chain: _ChainEntry
+    effects: tuple[_EffectEntry, ...]
+    estimates: tuple[Estimate, ...]
+    covariance: list[_Numbers]
 
 
-@dataclass(frozen=True)
-class StoredEffect:
-    """An effect as model.json holds it.
-
-    Attributes:
-        effect: its id.
-        link: name of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
-        parameters: by name, SI; None for a value that is infinite.
-        reference_effects: whether it acts in recordings of the reference condition too.
-    """
-
-    effect: str
-    link: str | None
-    parameters: Mapping[str, float | None]
-    reference_effects: bool = False
-
-
-@dataclass(frozen=True)
-class Stored:
-    """All that a model.json holds.
-
-    Attributes:
-        chain: without the effects.
-        effects: what acts on it, in order.
-        extra: what else is known.
-    """
-
-    chain: Chain
-    effects: tuple[StoredEffect, ...]
-    extra: dict[str, Any]
-
-
-def write_model(
-    chain: Chain,
-    path: Path | str,
-    extra: Mapping[str, object] | None = None,
-    effects: Sequence[StoredEffect] = (),
-) -> None:
-    """Write a chain as model.json, whole or not at all; every number comes back exactly.
+def write_model(model: Model, path: Path | str, covariance: Array | None = None) -> None:
+    """Write a model as model.json, whole or not at all; every number comes back exactly.
 
     Args:
-        chain: the chain, without its effects.
+        model: chain, effects, estimates, and the rig with its sensors' noise.
         path: the file.
-        extra: what else is known, such as standard errors: mappings, lists, arrays, text, finite numbers, None.
-            Tuples and arrays come back as lists.
-        effects: what acts on the chain and on its sensors; a file without any has no such key.
+        covariance: (p, p) of the estimates that have a standard error; None or empty where unknown.
 
     Raises:
-        ShapeError: a number that is not finite, or a value that is out of range or that JSON cannot hold.
+        ShapeError: a number that is not finite, or a value out of range.
         OSError: the file cannot be written.
     """
-    content = {
-        "schema": SCHEMA,
-        "kind": KIND,
-        "vjm": version("vjm"),
-        "chain": {
-            "name": chain.name,
-            "gravity": chain.gravity,
-            "links": [{field.name: getattr(link, field.name) for field in fields(link)} for link in chain.links],
-        },
-        **({"effects": [vars(each) for each in effects]} if effects else {}),
-        "extra": dict(extra or {}),
-    }
-    text = json_text(content)
+    write_text(path, model_text(model, covariance))
+
+
+def model_text(model: Model, covariance: Array | None = None) -> str:
+    """Return the content of a model's model.json.
+
+    Args:
+        model, covariance: as of `write_model`.
+
+    Raises:
+        ShapeError: a number that is not finite, or a value out of range.
+    """
+    estimates = tuple(_storable(estimate) for estimate in model.estimates if math.isfinite(estimate.value))
+    known = covariance is not None and np.isfinite(covariance).all()
     try:
-        _stored(ModelEntry.model_validate(json.loads(text)))
+        entry = _ModelEntry(
+            schema=1,
+            kind="vjm-model",
+            vjm=version("vjm"),
+            rig=model.rig,
+            marker_noise=model.marker_noise,
+            encoder_noise=model.encoder_noise,
+            chain=_ChainEntry.model_validate(model.chain),
+            effects=tuple(_effect_entry(model, k) for k in range(len(model.effects))),
+            estimates=estimates,
+            covariance=covariance.tolist() if covariance is not None and known else [],
+        )
+        _check(entry)
     except ValidationError as error:
         place, problem, expected = _fault(error)
         raise ShapeError(place, problem.removeprefix("got "), expected) from None
-    write_text_atomic(path, text)
+    return json_text(entry.model_dump(by_alias=True))
 
 
-def read_model(path: Path | str) -> tuple[Chain, dict[str, Any]]:
-    """Read the chain in a model.json, without effects.
+def _effect_entry(model: Model, k: int) -> _EffectEntry:
+    effect = model.effects[k]
+    link = None if effect.link is None else model.chain.links[effect.link].name
+    values = {name: value if math.isfinite(value) else None for name, value in effect.values.items()}
+    return _EffectEntry(effect=effect.id, link=link, parameters=values, in_reference=k < model.reference_effects)
+
+
+def _storable(estimate: Estimate) -> Estimate:
+    known = estimate.std is not None and math.isfinite(estimate.std)
+    return replace(estimate, value=float(estimate.value), std=estimate.std if known else None)
+
+
+def load_model(path: Path | str) -> Model:
+    """Read the model in a model.json that vjm wrote.
 
     Args:
         path: the file.
+
+    Raises:
+        ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
+    """
+    return read_model(path)[0]
+
+
+def read_model(
+    path: Path | str, experiment: Experiment | None = None, effects: Sequence[Effect] = BUILTIN
+) -> tuple[Model, Array]:
+    """Read a model.json, for the rig that it was written with or for that of another experiment.
+
+    Args:
+        path: the file.
+        experiment: gives the rig and its sensors' noise; None: those in the file.
+        effects: those that the file may name, absent; beside the built-in ones for instance a user's own.
 
     Returns:
-        The chain, and `extra` as it was written.
+        The model, and the covariance of its estimates (empty where unknown).
 
     Raises:
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
-    """
-    found = read_stored(path)
-    return found.chain, found.extra
-
-
-def read_stored(path: Path | str) -> Stored:
-    """Read all that a model.json holds.
-
-    Args:
-        path: the file.
-
-    Raises:
-        ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
+        ShapeError: a model of another arm than the experiment's.
     """
     try:
-        content = json.loads(
-            Path(path).read_bytes(),
-            parse_float=_finite,
-            parse_constant=_finite,
-            object_pairs_hook=_unique,
-        )
+        entry = _ModelEntry.model_validate_json(Path(path).read_bytes())
+        _check(entry)
+        chain = _chain(entry.chain)
     except OSError as error:
         raise ModelFileError(path, error.strerror or str(error), "a readable model.json") from error
-    except (ValueError, RecursionError) as error:
-        raise ModelFileError(path, f"no usable JSON: {error}", "a model.json written by vjm") from error
-    try:
-        return _stored(ModelEntry.model_validate(content))
     except ValidationError as error:
         place, problem, expected = _fault(error)
         raise ModelFileError(path, f"key '{place}': {problem}" if place else problem, expected) from None
     except ShapeError as error:
-        raise ModelFileError(path, f"key 'chain': {error.name}: {error.given}", error.expected) from error
+        raise ModelFileError(path, f"key '{error.name}': {error.given}", error.expected) from error
+    rig = experiment.rig if experiment else entry.rig
+    recordings = experiment.recordings if experiment else ()
+    noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
+    ordered = sorted(enumerate(entry.effects), key=lambda item: not item[1].in_reference)
+    catalogue = {effect.id: effect for effect in effects}
+    known = [(f"effects[{k}]", _valued(path, f"effects[{k}]", item, chain, catalogue)) for k, item in ordered]
+    model = Model(chain, rig, *noise, entry.estimates, (), sum(item.in_reference for item in entry.effects))
+    placed = tuple(_placed(path, key, effect, rig, recordings) for key, effect in known)
+    covariance = np.array(entry.covariance, dtype=float).reshape(len(entry.covariance), len(entry.covariance))
+    return replace(model, effects=placed), covariance
 
 
-def _stored(entry: ModelEntry) -> Stored:
-    chain = _chain(entry.chain)
-    names = [None, *(link.name for link in chain.links)]
-    for k, effect in enumerate(entry.effects):
-        if effect.link not in names:
-            raise ShapeError(f"effects[{k}].link", f"got {effect.link!r}", f"null or one of {names[1:]}")
-    return Stored(chain, tuple(StoredEffect(**effect.model_dump()) for effect in entry.effects), entry.extra)
+def _check(entry: _ModelEntry) -> None:
+    """Check what concerns several keys: links that differ in name, and are the rig's; a covariance that fits."""
+    links = [(link.name, link.joint) for link in entry.chain.links]
+    if len({name for name, _ in links}) < len(links):
+        raise ShapeError("chain.links", f"names {[name for name, _ in links]}", "names that differ")
+    if links != [(link.name, link.joint) for link in entry.rig.links]:
+        raise ShapeError("rig.links", [(link.name, link.joint) for link in entry.rig.links], f"the chain's {links}")
+    count = sum(estimate.std is not None for estimate in entry.estimates)
+    sizes = [len(row) for row in entry.covariance]
+    if sizes and sizes != [count] * count:
+        raise ShapeError("covariance", f"rows of {sizes}", f"{count} rows of {count}, or none")
 
 
-def _chain(entry: ChainEntry) -> Chain:
-    links = tuple(LinkChain(**link.model_dump()) for link in entry.links)
-    names = [link.name for link in links]
-    if len(set(names)) < len(names):
-        raise ShapeError("links", f"names {names}", "names that differ")
-    return Chain(entry.name, links, (entry.gravity[0], entry.gravity[1]))
-
-
-def _finite(text: str) -> float:
-    value = float(text)
-    if not math.isfinite(value):
-        raise ValueError(f"the number {text} is not finite")
-    return value
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the key '{next(name for name in names if names.count(name) > 1)}' occurs twice")
-    return found
+def _chain(entry: _ChainEntry) -> Chain:
+    try:
+        return Chain(entry.name, tuple(LinkChain(**link.model_dump()) for link in entry.links), entry.gravity)
+    except ShapeError as error:
+        raise ShapeError("chain", f"{error.name}: {error.given}", error.expected) from error
 
 
 def _fault(error: ValidationError) -> tuple[str, str, str]:
-    """Place, problem and what was expected, of the first fault; unknown keys first: they may explain missing ones."""
-    detail = min(error.errors(include_url=False), key=lambda each: each["type"] != "extra_forbidden")
-    return _place(detail), *_explained(detail)
-
-
-def _place(detail: ErrorDetails) -> str:
+    """Return place, problem and expectation of the first fault; unknown keys first: they may explain missing ones."""
+    detail = min(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in detail["loc"]]
-    return "".join(parts).removeprefix(".")
-
-
-def _explained(detail: ErrorDetails) -> tuple[str, str]:
-    if detail["type"] == "extra_forbidden":
-        return "unknown key", f"only the keys of model.json, schema {SCHEMA}"
+    place = "".join(parts).removeprefix(".")
+    if detail["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        return place, "unknown key", "only the keys of model.json, schema 1"
     if detail["type"] == "missing":
-        return "missing", "this key"
-    shown = repr(detail["input"])
-    return f"got {shown if len(shown) <= 60 else shown[:57] + '...'}", detail["msg"].removeprefix("Input should be ")
+        return place, "missing", "this key"
+    if detail["type"] == "json_invalid":
+        return place, f"no usable JSON ({detail['ctx']['error']})", "a model.json written by vjm"
+    text = repr(detail["input"])
+    shown = text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."
+    return place, f"got {shown}", detail["msg"].removeprefix("Input should be ")
 
 
-def identification_extra(fit: Identification) -> dict[str, Any]:
-    """How the model was found: method, estimates and their covariance."""
-    covariance = fit.covariance if np.isfinite(fit.covariance).all() else np.empty((0, 0))
-    return {
-        "method": fit.method,
-        "parameters": fit.parametrisation,
-        "status": fit.status,
-        "estimates": _estimates(fit.parameters),
-        "covariance": covariance,
-    }
-
-
-def diagnosis_extra(diagnosis: Diagnosis) -> dict[str, Any]:
-    """How the extended model was found: the verdict, the chain's estimates, and the effects' standard errors."""
-    return {
-        "method": "diagnosis",
-        "verdict": diagnosis.verdict,
-        "estimates": _estimates(diagnosis.parameters),
-        "causes": [
-            {
-                "effect": cause.effect.id,
-                "std": {name: finite(size.std) for name, size in cause.parameters.items()},
-            }
-            for cause in diagnosis.causes
-        ],
-    }
-
-
-def _estimates(estimates: Sequence[Estimate]) -> list[dict[str, Any]]:
-    return [
-        {**asdict(each), "value": finite(each.value), "std": finite(each.std)}
-        for each in estimates
-        if finite(each.value) is not None
-    ]
-
-
-def stored_effects(model: Model) -> list[StoredEffect]:
-    """A model's effects as model.json holds them."""
-    names = [link.name for link in model.chain.links]
-    return [
-        StoredEffect(
-            effect.id,
-            None if effect.link is None else names[effect.link],
-            {name: value if math.isfinite(value) else None for name, value in effect.values.items()},
-            k < model.reference_effects,
-        )
-        for k, effect in enumerate(model.effects)
-    ]
-
-
-def stored_model(
-    path: Path | str, experiment: Experiment, effects: Sequence[Effect] = BUILTIN
-) -> tuple[Model, Array, dict[str, Any]]:
-    """The model in a model.json, for an experiment's rig.
-
-    Args:
-        path: the file.
-        experiment: gives the rig and the sensors' noise.
-        effects: those that the file may name, absent; beside the built-in ones for instance a user's own.
-
-    Returns:
-        The model, the covariance of its estimates (empty if unknown), and all that the file holds beside the model.
-
-    Raises:
-        ModelFileError: no usable model.json; names the key.
-        ShapeError: a model of another arm.
-    """
-    stored = read_stored(path)
-    try:
-        estimates = TypeAdapter(tuple[Estimate, ...]).validate_python(stored.extra.get("estimates", ()))
-        rows = TypeAdapter(list[list[float]]).validate_python(stored.extra.get("covariance", []))
-        covariance = np.array(rows, dtype=float) if rows else np.empty((0, 0))
-    except (ValidationError, ValueError) as error:
-        raise ModelFileError(path, "key 'extra' holds no usable estimates", "a model.json written by vjm") from error
-    noise = sensor_noise(experiment.rig, experiment.recordings)
-    model = Model(stored.chain, experiment.rig, *noise, estimates)
-    # Those that act everywhere come first.
-    ordered = sorted(stored.effects, key=lambda each: not each.reference_effects)
-    read = _read_effects(path, stored.chain, ordered, effects)
-    placed = tuple(_placed(path, k, effect, experiment) for k, effect in enumerate(read))
-    reference_effects = sum(each.reference_effects for each in ordered)
-    return replace(model, effects=placed, reference_effects=reference_effects), covariance, stored.extra
-
-
-def stored_chain(path: Path | str, effects: Sequence[Effect] = BUILTIN) -> tuple[Chain, tuple[Effect, ...]]:
-    """The chain in a model.json and the effects on it, where there is no rig to place sensors' effects.
-
-    Args:
-        path: the file.
-        effects: those that the file may name, absent.
-
-    Raises:
-        ModelFileError: no usable model.json; names the key.
-    """
-    stored = read_stored(path)
-    return stored.chain, _read_effects(path, stored.chain, stored.effects, effects)
-
-
-def _read_effects(
-    path: Path | str, chain: Chain, stored: Sequence[StoredEffect], effects: Sequence[Effect]
-) -> tuple[Effect, ...]:
-    known = {effect.id: effect for effect in effects}
+def _valued(path: Path | str, key: str, entry: _EffectEntry, chain: Chain, catalogue: Mapping[str, Effect]) -> Effect:
+    """Return an effect with its link and with the values of its parameters, all given and within their bounds."""
     names = [link.name for link in chain.links]
-    found = []
-    for k, each in enumerate(stored):
-        if each.effect not in known:
-            expected = f"one of {', '.join(known)}"
-            raise ModelFileError(path, f"key 'effects[{k}].effect': got {each.effect!r}", expected)
-        link = None if each.link is None else names.index(each.link)
-        values = _values(path, f"effects[{k}].parameters", known[each.effect].parameters(), each.parameters)
-        found.append(replace(known[each.effect], link=link, **values))
-    return tuple(found)
+    if entry.effect not in catalogue:
+        expected = f"one of {', '.join(catalogue)}"
+        raise ModelFileError(path, f"key '{key}.effect': got {entry.effect!r}", expected)
+    if entry.link is not None and entry.link not in names:
+        raise ModelFileError(path, f"key '{key}.link': got {entry.link!r}", f"null or one of {names}")
+    effect = catalogue[entry.effect]
+    parameters = {parameter.name: parameter for parameter in effect.parameters()}
+    values: dict[str, Any] = {}
+    for name, value in {**dict.fromkeys(parameters), **entry.parameters}.items():
+        fault = f"key '{key}.parameters.{name}'"
+        if name not in parameters:
+            raise ModelFileError(path, f"{fault}: unknown key", f"only {', '.join(parameters) or 'no parameter'}")
+        if name not in entry.parameters:
+            raise ModelFileError(path, f"{fault}: missing", "this key")
+        expected = _expected(parameters[name], value)
+        if expected:
+            raise ModelFileError(path, f"{fault}: got {'null' if value is None else f'{value:g}'}", expected)
+        number = math.inf if value is None else value
+        values[name] = int(number) if parameters[name].integer else number
+    return replace(effect, link=None if entry.link is None else names.index(entry.link), **values)
 
 
-def _values(
-    path: Path | str, key: str, parameters: Sequence[Parameter], given: Mapping[str, float | None]
-) -> dict[str, float]:
-    """Values of an effect's parameters, every one of them given and within its bounds."""
-    names = [each.name for each in parameters]
-    for name in given:
-        if name not in names:
-            raise ModelFileError(path, f"key '{key}.{name}': unknown key", f"only {', '.join(names) or 'no parameter'}")
-    found: dict[str, float] = {}
-    for each in parameters:
-        if each.name not in given:
-            raise ModelFileError(path, f"key '{key}.{each.name}': missing", "this key")
-        value = given[each.name]
-        found[each.name] = math.inf if value is None else value
-        if value is None and not math.isinf(each.null):
-            raise ModelFileError(path, f"key '{key}.{each.name}': got null", f"a number {each.unit}".rstrip())
-        if value is not None and not _within(each, value):
-            expected = f"{each.lower:g} to {each.upper:g} {each.unit}".rstrip()
-            raise ModelFileError(path, f"key '{key}.{each.name}': got {value:g}", expected)
-        if value is not None and each.integer:
-            if value != int(value):
-                raise ModelFileError(path, f"key '{key}.{each.name}': got {value:g}", "a whole number")
-            found[each.name] = int(value)
-    return found
-
-
-def _within(parameter: Parameter, value: float) -> bool:
-    """Whether a value is within its bounds, but for rounding."""
+def _expected(parameter: Parameter, value: float | None) -> str:
+    """Return in words which values a parameter may have; empty if this is one of them, but for rounding."""
+    if value is None:
+        return "" if math.isinf(parameter.null) else f"a number {parameter.unit}".rstrip()
     bounds = parameter.lower, parameter.upper
-    return bounds[0] <= value <= bounds[1] or any(math.isclose(value, each, rel_tol=1e-9) for each in bounds)
+    if not bounds[0] <= value <= bounds[1] and not any(math.isclose(value, bound, rel_tol=1e-9) for bound in bounds):
+        return f"{bounds[0]:g} to {bounds[1]:g} {parameter.unit}".rstrip()
+    return "a whole number" if parameter.integer and value != int(value) else ""
 
 
-def _placed(path: Path | str, k: int, effect: Effect, experiment: Experiment) -> Effect:
-    """An effect with all that it must know of the rig, as its own `variants` do."""
-    rig = experiment.rig
+def _placed(path: Path | str, key: str, effect: Effect, rig: Rig, recordings: Sequence[Recording]) -> Effect:
+    """Return an effect with all that it must know of the rig, which its `variants` there know."""
     places = effect.places(rig)
-    whole = [each.name for each in effect.parameters() if each.integer]
-    variants = [each for each in effect.variants(rig, experiment.recordings) if each.link == effect.link]
-    alike = [each for each in variants if all(getattr(each, name) == getattr(effect, name) for name in whole)]
-    if alike:
-        values: dict[str, Any] = {**effect.values}
-        return replace(alike[0], **values)
-    named = "null" if effect.link is None else repr(rig.links[effect.link].name)
-    if effect.link not in places and effect.link is not None:
+    if effect.link is None and None not in places:
+        return effect
+    name = "null" if effect.link is None else repr(rig.links[effect.link].name)
+    if effect.link not in places:
         names = [rig.links[place].name for place in places if place is not None]
-        raise ModelFileError(path, f"key 'effects[{k}].link': got {named}", f"one of {names}" if names else "null")
-    if variants and whole:
-        name = whole[0]
-        there = sorted({getattr(each, name) for each in variants})
-        problem = f"key 'effects[{k}].parameters.{name}': got {getattr(effect, name)}"
-        raise ModelFileError(path, problem, f"one of {there}, on link {named}")
-    return effect
+        raise ModelFileError(path, f"key '{key}.link': got {name}", f"one of {names}" if names else "null")
+    whole = [parameter.name for parameter in effect.parameters() if parameter.integer]
+    there = [variant for variant in effect.variants(rig, recordings) if variant.link == effect.link]
+    for variant in there:
+        if all(getattr(variant, name) == getattr(effect, name) for name in whole):
+            values: dict[str, Any] = {**effect.values}
+            return replace(variant, **values)
+    choices = sorted({getattr(variant, whole[0]) for variant in there}) if whole else []
+    problem = f"key '{key}.parameters.{whole[0]}': got {getattr(effect, whole[0])}" if whole else f"key '{key}'"
+    raise ModelFileError(path, problem, f"one of {choices}, on link {name}")

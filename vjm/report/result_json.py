@@ -1,88 +1,89 @@
-"""result.json: what a command found, as plain dictionaries; every number finite, or None."""
+"""The content of result.json as plain dictionaries; every number is finite or None."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import uncertainties
 
 from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain
+from vjm.effects.effect import Effect
+from vjm.identification.check import Check
+from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification, ModeComparison
 from vjm.records import Array, Estimate, RecordingComparison
 from vjm.simulation.model import Model
 
-if TYPE_CHECKING:
-    from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain
-    from vjm.effects.effect import Effect
-    from vjm.identification.check import Check
-    from vjm.identification.comparison import Comparison
-
-
 Result = dict[str, Any]
+Uncertain = Any  # a float, or a ufloat of the package uncertainties
 
 
 def finite(value: float | None) -> float | None:
-    """The number; None where it is not finite."""
+    """Return the number; None if it is not finite."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def model_result(chain: Chain, estimates: Sequence[Estimate] = (), covariance: Array | None = None) -> Result:
-    """The virtual-joint model link by link, with the standard errors that follow from the estimates' covariance."""
-    known = _Known(estimates, covariance)
+    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'.
+
+    Args:
+        chain: the model.
+        estimates: what was identified.
+        covariance: (p, p) of those with a standard error; None: uncorrelated.
+    """
+    known = _uncertain(estimates, covariance)
     return {"links": [_link(link, known) for link in chain.links]}
 
 
 def bending_stiffness(
     link: LinkChain, estimates: Sequence[Estimate], covariance: Array | None = None
 ) -> tuple[float, float | None]:
-    """A link's bending stiffness EI and its standard error [N m^2].
+    """Return a link's bending stiffness EI and its standard error [N m^2]; None where it was not estimated.
 
-    The estimate `LINK.bending_stiffness` where there is one; else the mean over the virtual joints of stiffness times
-    cell, the cells being taken as known.
+    It is the estimate `LINK.bending_stiffness` where there is one; else the mean over the virtual joints of stiffness
+    times cell, the cells being taken as known.
 
     Args:
         link: the identified link.
-        estimates: what was identified.
-        covariance: (p, p) of those with a standard error; None: uncorrelated.
+        estimates, covariance: as of `model_result`.
     """
-    found = next((each for each in estimates if each.name == f"{link.name}.bending_stiffness"), None)
-    if found is not None:
-        return found.value, finite(found.std)
-    weights = link.cells / link.virtual_joints
-    slopes = {f"{link.name}.stiffness_{j + 1}": float(weight) for j, weight in enumerate(weights)}
-    return float(weights @ link.stiffness), _Known(estimates, covariance).std(slopes)
+    bending = _bending_stiffness(link, _uncertain(estimates, covariance))
+    return float(uncertainties.nominal_value(bending)), _std(bending)
 
 
-class _Known:
-    """Standard errors of what follows from the estimates."""
-
-    def __init__(self, estimates: Sequence[Estimate], covariance: Array | None) -> None:
-        self.estimates = estimates
-        estimated = [each for each in estimates if each.std is not None]
-        self.index = {each.name: k for k, each in enumerate(estimated)}
-        self.covariance = np.diag([(each.std or 0.0) ** 2 for each in estimated])
-        if covariance is not None and covariance.shape == self.covariance.shape:
-            self.covariance = covariance
-
-    def std(self, slopes: Mapping[str, float]) -> float | None:
-        """Of a quantity with these derivatives by the estimates; None where none of them was estimated."""
-        known = {name: slope for name, slope in slopes.items() if name in self.index}
-        if not known:
-            return None
-        rows = [self.index[name] for name in known]
-        slope = np.array(list(known.values()))
-        return finite(float(np.sqrt(max(slope @ self.covariance[np.ix_(rows, rows)] @ slope, 0.0))))
+def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, Uncertain]:
+    """Return the estimates that have a standard error by name, correlated as their covariance says."""
+    estimated = [estimate for estimate in estimates if finite(estimate.std) is not None]
+    stds = np.array([estimate.std for estimate in estimated], dtype=float)
+    if covariance is None or covariance.shape != (stds.size, stds.size) or not np.isfinite(covariance).all():
+        covariance = np.diag(stds**2)
+    values = [estimate.value for estimate in estimated]
+    correlated = uncertainties.correlated_values(values, covariance) if estimated else ()
+    return dict(zip([estimate.name for estimate in estimated], correlated, strict=True))
 
 
-def _link(link: LinkChain, known: _Known) -> Result:
-    value, std = bending_stiffness(link, known.estimates, known.covariance)
+def _bending_stiffness(link: LinkChain, known: Mapping[str, Uncertain]) -> Uncertain:
+    joints = [known.get(f"{link.name}.stiffness_{j + 1}", float(K)) for j, K in enumerate(link.stiffness)]
+    mean = sum(K * float(cell) for K, cell in zip(joints, link.cells, strict=True)) / link.virtual_joints
+    return known.get(f"{link.name}.bending_stiffness", mean)
+
+
+def _std(value: Uncertain) -> float | None:
+    """Return the standard error; None where the value rests on nothing that was estimated."""
+    return finite(value.std_dev) if isinstance(value, uncertainties.UFloat) else None
+
+
+def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
+    bending = _bending_stiffness(link, known)
     fields = zip(link.lengths, link.mass_centers, link.masses, link.inertias, strict=True)
     return {
         "name": link.name,
-        "bending_stiffness": {"value": finite(value), "std": std},
+        "bending_stiffness": {"value": finite(uncertainties.nominal_value(bending)), "std": _std(bending)},
         "hub_inertia": finite(link.hub_inertia),
         "virtual_links": [
             {"length": finite(length), "mass_center": finite(center), "mass": finite(mass), "inertia": finite(inertia)}
@@ -92,24 +93,28 @@ def _link(link: LinkChain, known: _Known) -> Result:
     }
 
 
-def _joint(link: LinkChain, j: int, known: _Known) -> Result:
+def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
     stiffness, damping = float(link.stiffness[j]), float(link.damping[j])
-    bending, time = f"{link.name}.bending_stiffness", f"{link.name}.kelvin_voigt_time"
     # K = EI / cell and D = tau K where the link's own EI and tau were estimated, else each by itself.
-    of_stiffness = {bending: 1 / float(link.cells[j]), f"{link.name}.stiffness_{j + 1}": 1.0}
-    ratio = damping / stiffness if stiffness > 0 else 0.0
-    of_damping = {bending: ratio / float(link.cells[j]), time: stiffness, f"{link.name}.damping_{j + 1}": 1.0}
+    bending = known.get(f"{link.name}.bending_stiffness", stiffness * float(link.cells[j]))
+    time = known.get(f"{link.name}.kelvin_voigt_time", damping / stiffness if stiffness > 0 else 0.0)
+    uniform = bending / float(link.cells[j])
     return {
-        "stiffness": {"value": finite(stiffness), "std": known.std(of_stiffness)},
-        "damping": {"value": finite(damping), "std": known.std(of_damping)},
+        "stiffness": {"value": finite(stiffness), "std": _std(known.get(f"{link.name}.stiffness_{j + 1}", uniform))},
+        "damping": {"value": finite(damping), "std": _std(known.get(f"{link.name}.damping_{j + 1}", time * uniform))},
     }
 
 
-SCHEMA = 1
+def result_object(result: Check | Identification | Comparison | Diagnosis) -> Result:
+    """Return the result object of a command, as result.json holds it."""
+    if isinstance(result, Identification):
+        return _identification(result)
+    if isinstance(result, Comparison):
+        return _comparison(result)
+    return _check(result) if isinstance(result, Check) else _diagnosis(result)
 
 
-def identification_result(fit: Identification) -> Result:
-    """The result object of `vjm identify`."""
+def _identification(fit: Identification) -> Result:
     summary = fit.trajectory
     return {
         **_common("identify", fit.experiment.rig.name, fit.warnings),
@@ -126,7 +131,7 @@ def identification_result(fit: Identification) -> Result:
             "torque": finite(fit.objective),
             "trajectory_chi2_per_sample": finite(None if summary is None else summary.chi2_per_sample),
         },
-        "recordings": [{**recording_result(each), "whiteness": _whiteness(fit, each)} for each in fit.recordings],
+        "recordings": [{**_recording(each), "whiteness": _whiteness(fit, each)} for each in fit.recordings],
         "status": fit.status,
         "remedy": fit.remedy,
         "identifiable": [_identifiable(estimate) for estimate in fit.parameters],
@@ -134,27 +139,25 @@ def identification_result(fit: Identification) -> Result:
     }
 
 
-def comparison_result(comparison: Comparison) -> Result:
-    """The result object of `vjm simulate`."""
+def _comparison(comparison: Comparison) -> Result:
     model = comparison.model
     return {
         **_common("simulate", comparison.experiment.rig.name, comparison.warnings),
         "model": model_result(model.chain, model.estimates, comparison.covariance),
         "frequencies_hz": [{"model": finite(each), "measured": None} for each in model.modes().frequencies],
         "effects": [_effect(each, model) for each in model.effects],
-        "recordings": [recording_result(each) for each in comparison.recordings],
+        "recordings": [_recording(each) for each in comparison.recordings],
     }
 
 
-def diagnosis_result(diagnosis: Diagnosis) -> Result:
-    """The result object of `vjm diagnose`; `model` is the extended model's chain, on which the causes act."""
+def _diagnosis(diagnosis: Diagnosis) -> Result:
     model, symptoms = diagnosis.model, diagnosis.symptoms
     return {
         **_common("diagnose", diagnosis.experiment.rig.name, diagnosis.warnings),
         "notes": list(diagnosis.notes),
         "verdict": diagnosis.verdict,
         "causes": [_cause(cause, model) for cause in diagnosis.causes],
-        "recordings": [_followed(each) for each in diagnosis.recordings],
+        "recordings": [_diagnosed_recording(each) for each in diagnosis.recordings],
         "gain": None if diagnosis.gain is None else _gain(diagnosis.gain),
         "candidates": [_candidate(each, model) for each in diagnosis.candidates],
         "remaining": {
@@ -189,7 +192,7 @@ def _cause(cause: Cause, model: Model) -> Result:
         "chi2_gain": finite(cause.gain),
         "indistinguishable_from": list(dict.fromkeys(alternative.effect.id for alternative in cause.alternatives)),
         "alternatives": [
-            {**_effect(each.effect, model), "chi2_worse": finite(each.worse)} for each in cause.alternatives
+            {**_effect(each.effect, model), "chi2_increase": finite(each.worse)} for each in cause.alternatives
         ],
         "evidence": cause.evidence,
     }
@@ -207,16 +210,16 @@ def _candidate(candidate: Candidate, model: Model) -> Result:
     }
 
 
-def _followed(followed: RecordingComparison) -> Result:
-    replays = followed.reference, followed.simulated, followed.alternative
+def _diagnosed_recording(fit: RecordingComparison) -> Result:
+    replays = fit.reference, fit.simulated, fit.alternative
     before, after, next_best = (finite(None if each is None else each.marker_rms) for each in replays)
     return {
-        "file": followed.recording.file,
-        "role": followed.recording.role,
+        "file": fit.recording.file,
+        "role": fit.recording.role,
         "marker_rms_before_m": before,
         "marker_rms_after_m": after,
-        "marker_rms_runner_up_m": next_best,
-        "noise_m": finite(followed.noise[0]),
+        "marker_rms_next_best_m": next_best,
+        "noise_m": finite(fit.noise[0]),
     }
 
 
@@ -224,15 +227,14 @@ def _gain(gain: Gain) -> Result:
     return {
         "holdout_rms_before_m": finite(gain.before),
         "holdout_rms_after_m": finite(gain.after),
-        "holdout_rms_runner_up_m": finite(gain.next_best),
+        "holdout_rms_next_best_m": finite(gain.next_best),
         "noise_m": finite(gain.noise),
         "reduction": finite(gain.reduction),
         "ci95": [finite(each) for each in gain.interval],
     }
 
 
-def check_result(check: Check) -> Result:
-    """The result object of `vjm check`; `identifiable` has a list for each choice of `--parameters`."""
+def _check(check: Check) -> Result:
     rig = check.experiment.rig
     joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
     return {
@@ -249,7 +251,7 @@ def check_result(check: Check) -> Result:
 
 
 def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
-    """The result object of `vjm urdf`; holds the text itself where no file was asked for."""
+    """Return the result object of `vjm urdf`; it holds the text itself where no file was asked for."""
     return {
         **_common("urdf", chain.name, ()),
         "file": file,
@@ -258,8 +260,7 @@ def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
     }
 
 
-def recording_result(fit: RecordingComparison) -> Result:
-    """How well one recording is followed."""
+def _recording(fit: RecordingComparison) -> Result:
     replay, nominal = fit.simulated, fit.reference
     return {
         "file": fit.recording.file,
@@ -276,7 +277,7 @@ def recording_result(fit: RecordingComparison) -> Result:
 
 def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
     return {
-        "schema": SCHEMA,
+        "schema": 1,
         "command": command,
         "vjm": version("vjm"),
         "experiment": experiment,
@@ -293,16 +294,15 @@ def _frequency(mode: ModeComparison) -> Result:
 
 
 def _whiteness(fit: Identification, recording: RecordingComparison) -> Result | None:
-    """Whether what is left of a recording is noise; None for one that whole trajectories were not fitted to."""
-    known = () if fit.trajectory is None else fit.trajectory.whiteness
-    found = next((each for each in known if each.file == recording.recording.file), None)
-    if found is None:
-        return None
-    return {
-        "chi2_per_sample": finite(found.chi2),
-        "largest_correlation": finite(found.correlation),
-        "coloured": bool(found.coloured),
-    }
+    """Return whether a recording's residual is noise; None for one that whole trajectories were not fitted to."""
+    for whiteness in () if fit.trajectory is None else fit.trajectory.whiteness:
+        if whiteness.file == recording.recording.file:
+            return {
+                "chi2_per_sample": finite(whiteness.chi2),
+                "largest_correlation": finite(whiteness.correlation),
+                "coloured": bool(whiteness.coloured),
+            }
+    return None
 
 
 def _identifiable(estimate: Estimate) -> Result:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.errors import ShapeError
-from vjm.files import write_text_atomic
+from vjm.files import write_text
 from vjm.model import dynamics
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import chain_to_urdf
@@ -119,7 +119,7 @@ class Model:
     def to_urdf(self, path: Path | str) -> Path:
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all; returns the path."""
         file = Path(path)
-        write_text_atomic(file, extended_urdf(self.chain, self.effects))
+        write_text(file, extended_urdf(self.chain, self.effects))
         return file
 
 
