@@ -42,12 +42,12 @@ def recording_of(rig: Rig, chain: Chain, seed: int, rows: int) -> Recording:
     waves = 2 * np.pi * np.outer(t, [0.5, 1.3, 2.9, 6.1]) + rng.uniform(0, 6, 4)
     torque = (np.sin(waves) @ [0.05, 0.04, 0.02, 0.02])[:, None]
     markers = np.full((rows, len(MARKERS), 2), np.nan)
-    empty = Recording(f"r{seed}.csv", "driven", "train", t, np.zeros((rows, 1)), torque, markers)
+    empty = Recording(t, markers, np.zeros((rows, 1)), torque, kind="driven", role="train", file=f"r{seed}.csv")
     rest = np.zeros((1, chain.size))
     q = sample(rollouts([Arm(chain)], [empty], rest, rest)[0], t)[0][:, 0]
     markers[::10] = Arcs.of(rig).markers(chain, q[::10]) + NOISE * rng.standard_normal(markers[::10].shape)
     theta = q[:, :1] + ENCODER_NOISE * rng.standard_normal((rows, 1))
-    return Recording(f"r{seed}.csv", "driven", "train", t, theta, torque, markers)
+    return Recording(t, markers, theta, torque, kind="driven", role="train", file=f"r{seed}.csv")
 
 
 def fit(rows: int, joints: int) -> None:

@@ -31,7 +31,7 @@ def recording(frames: int) -> Recording:
     markers = marker_positions(chain, q, (np.array(RIG.links[0].markers),), (False,))
     markers += np.random.default_rng(0).normal(scale=3e-4, size=markers.shape)
     none = np.empty((frames, 0))
-    return Recording("beam.csv", "decay", "train", time, none, none, markers)
+    return Recording(time, markers, none, none, kind="decay", role="train", file="beam.csv")
 
 
 def main() -> None:

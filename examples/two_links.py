@@ -46,7 +46,7 @@ def main() -> None:
     push = 1.2 * np.sin(2 * np.pi * time)  # N m
     torque = np.stack([push, -0.1 * push], axis=1)
     unknown = np.full((time.size, 8, 2), np.nan)  # the markers are what the simulation gives
-    drive = Recording("drive", "driven", "train", time, np.full((time.size, 2), np.nan), torque, unknown)
+    drive = Recording(time, unknown, np.full((time.size, 2), np.nan), torque, kind="driven", role="train", file="drive")
     motion = simulate(chain, RIG, drive, q=np.zeros(chain.size), v=np.zeros(chain.size))
     print(f"at t = {time[-1]:g} s: joints at {np.degrees(motion.theta[-1]).round(1)} degrees")
 

@@ -20,8 +20,8 @@ FRONT = PACKAGE / "__init__.py"  # the public names, imported when first used
 # The way data flows. A stage may import stages of earlier lines and itself; never one of its own line or a later one.
 ORDER = (
     ("errors",),
-    ("records", "files"),
     ("experiment",),
+    ("records", "files"),
     ("chain",),
     ("markers",),
     ("model",),
@@ -171,6 +171,12 @@ def test_libraries_stay_where_they_are_wrapped(library: str) -> None:
 def test_only_the_command_line_prints() -> None:
     calls = [(path, call) for path, call in nodes(ast.Call) if PACKAGE / "cli" not in path.parents]
     assert [place(path, call) for path, call in calls if ast.unparse(call.func) == "print"] == []
+
+
+def test_recordings_are_cleaned_in_one_place() -> None:
+    """Whoever fits or compares models takes `Experiment.cleaned_recordings`."""
+    calls = [path for path, call in nodes(ast.Call) if ast.unparse(call.func).split(".")[-1] == "cleaned"]
+    assert [path.relative_to(PACKAGE).as_posix() for path in calls] == ["experiment/experiment.py"]
 
 
 def test_records_are_frozen() -> None:

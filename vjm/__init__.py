@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from vjm.diagnosis import Diagnosis, diagnose
     from vjm.diagnosis.check_effect import check_effect
     from vjm.errors import InputError, VjmError
-    from vjm.experiment import Experiment, load_experiment
+    from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
     from vjm.identification import Identification, bootstrap, identify, profile_interval
     from vjm.identification.check import Check, check
     from vjm.identification.comparison import Comparison, compare
@@ -25,7 +25,10 @@ __all__ = [
     "Experiment",
     "Identification",
     "InputError",
+    "Link",
     "Model",
+    "Recording",
+    "Rig",
     "VjmError",
     "bootstrap",
     "check",
@@ -48,7 +51,10 @@ _HOMES = {
     "Experiment": "vjm.experiment",
     "Identification": "vjm.identification",
     "InputError": "vjm.errors",
+    "Link": "vjm.experiment",
     "Model": "vjm.simulation.model",
+    "Recording": "vjm.experiment",
+    "Rig": "vjm.experiment",
     "VjmError": "vjm.errors",
     "bootstrap": "vjm.identification",
     "check": "vjm.identification.check",
@@ -78,4 +84,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "__version__"]

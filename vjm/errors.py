@@ -6,6 +6,7 @@ where the fault is and what was expected.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -19,32 +20,38 @@ class InputError(VjmError):
 
 
 class ExperimentError(InputError):
-    """A fault in an experiment file.
+    """A fault in an experiment file, or in a record built in Python.
 
     Attributes:
-        file: the experiment file.
+        file: the experiment file; None for a record built in Python.
         table: the TOML table, counted from 1 and named, as `link[1] beam` or `recording[2] slew.csv`; empty for the
-            file as a whole.
+            file as a whole; the record, as `link beam`.
         key: the key inside the table; empty where the table itself is at fault.
         expected: what would have been right.
     """
 
-    def __init__(self, file: Path | str, table: str, key: str, problem: str, expected: str) -> None:
-        self.file = Path(file)
+    def __init__(self, file: Path | str | None, table: str, key: str, problem: str, expected: str) -> None:
+        self.file = None if file is None else Path(file)
         self.table = table
         self.key = key
         self.problem = problem
         self.expected = expected
         place = ", ".join(part for part in (f"[{table}]" if table else "", f"key '{key}'" if key else "") if part)
-        super().__init__(f"{file}: {place + ': ' if place else ''}{problem}; expected {expected}")
+        parts = ["" if file is None else str(file), place, f"{problem}; expected {expected}"]
+        super().__init__(": ".join(part for part in parts if part))
+
+    def at(self, file: Path, table: str = "") -> ExperimentError:
+        """Return the same fault as one of a file's table; an empty table leaves it as it is."""
+        return ExperimentError(file, table or self.table, self.key, self.problem, self.expected)
 
 
 class RecordingError(InputError):
-    """A fault in a recording's CSV file.
+    """A fault in a recording.
 
     Attributes:
-        file: the CSV file.
-        row: line of the file, the header being line 1; None where no single row is at fault.
+        file: the CSV file, or the recording's name.
+        row: line of the file, the header being line 1; in arrays, index of the sample, from 0; None where no single
+            row is at fault.
         column: the column's name; None where no single column is at fault.
         expected: what would have been right.
     """
@@ -156,3 +163,19 @@ class SimulationDivergedError(VjmError):
         self.step = step
         self.remedy = remedy
         super().__init__(f"the simulation diverged after t = {time:.6g} s with steps of {step:.3g} s; {remedy}")
+
+
+def shown(value: object) -> str:
+    """Return a value as error messages show it: its repr, cut short."""
+    longest = 60
+    try:
+        text = repr(value)
+    except ValueError:  # an integer too long for Python to print
+        text = f"a very long {type(value).__name__}"
+    return text if len(text) <= longest else text[: longest - 3] + "..."
+
+
+def suggestion(name: str, choices: Iterable[str]) -> str:
+    """Return `, did you mean 'NAME'?` for the nearest choice; empty where none is near."""
+    near = difflib.get_close_matches(name, list(choices), n=1)
+    return f", did you mean '{near[0]}'?" if near else ""

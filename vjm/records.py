@@ -1,151 +1,53 @@
-"""What passes between the stages: the rig, its recordings, and a parameter's estimate."""
+"""Records that pass between the stages: the experiment's, a parameter's estimate, and simulated recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Joint = Literal["revolute", "clamped"]
-Kind = Literal["driven", "decay", "static", "quiet"]
-Role = Literal["train", "holdout"]
-MarkersFrame = Literal["base", "link"]
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
-Complex = NDArray[np.complex128]
+from vjm.experiment.experiment import Experiment
+from vjm.experiment.records import (
+    Array,
+    Complex,
+    Indices,
+    Joint,
+    Kind,
+    Link,
+    MarkersFrame,
+    Mask,
+    Recording,
+    Rig,
+    Role,
+)
 
-Progress = Callable[[str, int, int], None]  # told (text, done, total) now and then
+__all__ = [
+    "REFERENCE",
+    "Array",
+    "Complex",
+    "Estimate",
+    "Experiment",
+    "Indices",
+    "Joint",
+    "Kind",
+    "Link",
+    "MarkersFrame",
+    "Mask",
+    "Progress",
+    "Recording",
+    "RecordingComparison",
+    "Rig",
+    "Role",
+    "SimulatedRecording",
+    "Simulation",
+]
+
+Progress = Callable[[str, int, int], None]  # called with (text, done, total) now and then
 
 REFERENCE = "reference"  # the condition in which the effect being sought is known to be absent
-
-
-@dataclass(frozen=True)
-class Link:
-    """One flexible link of the rig.
-
-    Attributes:
-        name: unique; letters, digits and underscores.
-        joint: `revolute`, an active joint at the proximal end, or `clamped`.
-        length: undeformed [m].
-        mass: spread uniformly along the link [kg].
-        bending_stiffness: nominal EI [N m^2].
-        markers: arc length of each marker from the proximal end [m].
-        hub_inertia: about the joint axis, motor included [kg m^2]; zero for a clamped link.
-        payload: known point mass at the distal end [kg].
-        markers_frame: frame of the marker coordinates: the base frame or the link frame Sigma_i.
-        width: parallel to the joint axes [m]; None where only EI was given.
-        thickness: in the bending plane [m]; None where only EI was given.
-        youngs_modulus: nominal [Pa]; None where only EI was given.
-        virtual_joints: number n of virtual joints asked for; None: chosen from the data.
-    """
-
-    name: str
-    joint: Joint
-    length: float
-    mass: float
-    bending_stiffness: float
-    markers: tuple[float, ...]
-    hub_inertia: float = 0.0
-    payload: float = 0.0
-    markers_frame: MarkersFrame = "base"
-    width: float | None = None
-    thickness: float | None = None
-    youngs_modulus: float | None = None
-    virtual_joints: int | None = None
-
-
-@dataclass(frozen=True)
-class Rig:
-    """The arm: its links from the base outwards, gravity and the sensors' noise.
-
-    Attributes:
-        name: the experiment's name.
-        links: from the base outwards.
-        gravity: in the plane, (x, y) of the base frame [m/s^2].
-        marker_noise: 1-sigma noise of a marker coordinate [m]; None: estimated from the data.
-        encoder_noise: 1-sigma noise of an encoder [rad]; None: estimated from the data.
-    """
-
-    name: str
-    links: tuple[Link, ...]
-    gravity: tuple[float, float] = (0.0, 0.0)
-    marker_noise: float | None = None
-    encoder_noise: float | None = None
-
-    @property
-    def active_links(self) -> tuple[int, ...]:
-        """Indices of the links with an active joint, in order; columns of `theta` and `tau` follow them."""
-        return tuple(i for i, link in enumerate(self.links) if link.joint == "revolute")
-
-    @property
-    def marker_slices(self) -> tuple[slice, ...]:
-        """For each link, the markers that are its own in a recording's marker array."""
-        stops = np.cumsum([len(link.markers) for link in self.links]).tolist()
-        return tuple(slice(stop - len(link.markers), stop) for stop, link in zip(stops, self.links, strict=True))
-
-
-@dataclass(frozen=True)
-class Recording:
-    """One recording, time first; what was not measured at an instant is NaN.
-
-    Attributes:
-        file: its name as the experiment file gives it.
-        kind: `driven`, `decay`, `static` or `quiet`.
-        role: `train`, or `holdout` (never used for fitting).
-        time: (T,) [s], increasing.
-        theta: (T, number of active joints) joint angles [rad].
-        tau: (T, number of active joints) joint torques [N m].
-        markers: (T, k, 2) marker positions (x, y) [m], all links' markers one after another, each in its link's
-            `markers_frame`; a coordinate the file has no column for is NaN throughout.
-        gravity: in the plane, (x, y) of the base frame [m/s^2].
-        payload: known extra mass on the last link's tip [kg].
-        repeat: label shared by recordings that repeat one experiment.
-        condition: `reference` where the effect being sought is known to be absent.
-    """
-
-    file: str
-    kind: Kind
-    role: Role
-    time: Array
-    theta: Array
-    tau: Array
-    markers: Array
-    gravity: tuple[float, float] = (0.0, 0.0)
-    payload: float = 0.0
-    repeat: str | None = None
-    condition: str | None = None
-
-    @property
-    def frames(self) -> NDArray[np.intp]:
-        """Rows at which the camera measured anything at all."""
-        return np.flatnonzero(np.isfinite(self.markers).any(axis=(1, 2)))
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """A rig and what was recorded on it.
-
-    Attributes:
-        rig: the arm.
-        recordings: in the file's order.
-        file: the experiment file, None for an experiment built in Python.
-        warnings: what a user should know before trusting results.
-    """
-
-    rig: Rig
-    recordings: tuple[Recording, ...]
-    file: Path | None = None
-    warnings: tuple[str, ...] = ()
-
-    def with_role(self, role: Role) -> tuple[Recording, ...]:
-        """The recordings of one role, in order."""
-        return tuple(recording for recording in self.recordings if recording.role == role)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ def beam_chain(
     distal: Distal = "free",
 ) -> Chain:
     """A uniform beam of n virtual joints; in units of its length, mass and stiffness unless given."""
+    hub_inertia = hub_inertia if joint == "revolute" else 0.0
     link = Link("beam", joint, length, mass, bending_stiffness, (length,), hub_inertia=hub_inertia, payload=payload)
     cuts = layout(length, n, name, distal)
     return Chain("arm", (uniform_chain(link, cuts, kelvin_voigt=kelvin_voigt),), gravity)

@@ -54,7 +54,9 @@ def recorded(
     for k, size in enumerate((0.05 * factor, 0.12 * factor)):
         torque = size * np.sin(2 * np.pi * (0.9 + 0.3 * k) * time) + 0.4 * size * np.sin(2 * np.pi * 3.1 * time + k)
         empty = np.full((time.size, 5, 2), np.nan)
-        blank = Recording(f"drive_{k}.csv", "driven", "train", time, torque[:, None], torque[:, None], empty)
+        blank = Recording(
+            time, empty, torque[:, None], torque[:, None], kind="driven", role="train", file=f"drive_{k}.csv"
+        )
         rest = np.zeros(arm.chain.size)
         motion = simulate(arm, RIG, blank, rest, rest)
         random = np.random.default_rng([seed, k])

@@ -27,7 +27,7 @@ def coloured(seed: int, frames: int, coefficients: list[float], dropped: float) 
     kept = random.random(frames) >= dropped
     time = np.arange(frames)[kept] / 100
     empty = np.zeros((kept.sum(), 0))
-    recording = Recording("quiet.csv", "quiet", "train", time, empty, empty, noise[kept])
+    recording = Recording(time, noise[kept], empty, empty, kind="quiet", role="train", file="quiet.csv")
     return Observed.of(RIG, recording, (1e-3, 1e-4))
 
 

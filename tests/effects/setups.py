@@ -40,7 +40,16 @@ def recording_of(rig: Rig, count: int = 12, measured: bool = True) -> Recording:
     joints, markers = len(rig.active_links), sum(len(link.markers) for link in rig.links)
     theta, tau = rng.normal(size=(2, count, joints)) if measured else np.full((2, count, joints), np.nan)
     shown = rng.normal(size=(count, markers, 2))
-    return Recording("drive.csv", "driven", "train", 0.1 + 0.01 * np.arange(count), theta, tau, shown, (0.3, -0.1))
+    return Recording(
+        0.1 + 0.01 * np.arange(count),
+        shown,
+        theta,
+        tau,
+        kind="driven",
+        role="train",
+        file="drive.csv",
+        gravity=(0.3, -0.1),
+    )
 
 
 def typical_magnitude(effect: Effect, rig: Rig = RIG, factor: float = 1.0) -> Effect:

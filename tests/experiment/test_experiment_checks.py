@@ -176,7 +176,7 @@ def test_coverage_and_idle_torque() -> None:
 
 def recording(time: np.ndarray, tau: np.ndarray) -> Recording:
     markers = np.zeros((len(time), 1, 2))
-    return Recording("a.csv", "driven", "train", time, np.zeros_like(tau), tau, markers)
+    return Recording(time, markers, np.zeros_like(tau), tau, kind="driven", role="train", file="a.csv")
 
 
 def test_torque_difference() -> None:
@@ -192,8 +192,9 @@ def test_torque_difference() -> None:
 def test_camera_rate(tmp_path: Path) -> None:
     drive = load_experiment(write_experiment(tmp_path)).recordings[0]
     assert camera_rate(drive) == pytest.approx(50.0)
+    first = {key: getattr(drive, key)[:2] for key in ("time", "markers", "theta", "tau")}
     with pytest.raises(InsufficientDataError, match=r"drive_1\.csv has 1 frame "):
-        camera_rate(replace(drive, time=drive.time[:2], markers=drive.markers[:2]))
+        camera_rate(replace(drive, **first))
 
 
 def frozen(table: np.ndarray, columns: list[str]) -> None:

@@ -46,7 +46,7 @@ TOML_CASES = [  # old text, new text, table, key, words of the message
     ("length = 1.0", "lenght = 1.0", LINK, "lenght", ["unknown key", "did you mean 'length'", "1 more fault "]),
     ("mass = 0.4", "mass = 0.0", LINK, "mass", ["positive number [kg]"]),
     ("hub_inertia = 0.02", "hub_inertia = -0.02", LINK, "hub_inertia", ["zero or positive [kg m^2]"]),
-    ("payload = 0.05", "payload = 0.05\nhub_inertia = 0.0", TIP, "hub_inertia", ["clamped", "revolute"]),
+    ("payload = 0.05", "payload = 0.05\nhub_inertia = 0.01", TIP, "hub_inertia", ["clamped", "revolute"]),
     ("payload = 0.05", "payload = -0.05", TIP, "payload", ["got -0.05", "zero or positive [kg]"]),
     ("width = 0.03\n", "", LINK, "width", ["missing", "either youngs_modulus, width and thickness"]),
     ("bending_stiffness = 1.5\n", "", TIP, "bending_stiffness", ["missing", "either youngs_modulus"]),

@@ -19,6 +19,7 @@ from tests.identification.test_recovery import DEMO
 from vjm.errors import InsufficientDataError
 from vjm.experiment.cleaning import cleaned, impossible
 from vjm.identification import Identification, identify
+from vjm.records import Link
 
 Array = NDArray[np.float64]
 Change = Callable[[pd.DataFrame], pd.DataFrame]
@@ -126,7 +127,8 @@ def test_torque_missing_in_one_recording(hub_folder: Path, tmp_path: Path) -> No
         fit_changed(hub_folder, tmp_path, lambda table: table.drop(columns="beam.tau"))
     experiment = vjm.load_experiment(hub_folder / "experiment.toml")
     silent = tuple(
-        replace(r, tau=np.full_like(r.tau, np.nan)) if r.file == "drive_large.csv" else r for r in experiment.recordings
+        replace(r, kind="decay", tau=np.full_like(r.tau, np.nan)) if r.file == "drive_large.csv" else r
+        for r in experiment.recordings
     )
     fit = identify(replace(experiment, recordings=silent), virtual_joints=4)
     assert_sane(fit, within=5e-3)
@@ -135,7 +137,7 @@ def test_torque_missing_in_one_recording(hub_folder: Path, tmp_path: Path) -> No
 
 def test_torque_missing_everywhere(hub_folder: Path) -> None:
     experiment = vjm.load_experiment(hub_folder / "experiment.toml")
-    silent = tuple(replace(r, tau=np.full_like(r.tau, np.nan)) for r in experiment.recordings)
+    silent = tuple(replace(r, kind="decay", tau=np.full_like(r.tau, np.nan)) for r in experiment.recordings)
     with pytest.raises(InsufficientDataError, match="method 'torque'"):
         identify(replace(experiment, recordings=silent))
 
@@ -160,10 +162,15 @@ def test_repeats_that_are_none(hub_folder: Path) -> None:
     experiment = vjm.load_experiment(hub_folder / "experiment.toml")
     labelled = tuple(replace(r, repeat="drive") if r.role == "train" else r for r in experiment.recordings)
     fit = identify(replace(experiment, recordings=labelled), virtual_joints=4)
-    (text,) = (each for each in fit.warnings if "repeats" in each)
+    (text,) = (each for each in fit.warnings if "are labelled repeats" in each)
     assert "drive_small.csv and drive_large.csv" in text
     twice = (replace(labelled[1], file="again.csv"), *labelled[1:])
-    assert not any("repeats" in each for each in identify(replace(experiment, recordings=twice)).warnings)
+    assert not any("are labelled repeats" in each for each in identify(replace(experiment, recordings=twice)).warnings)
+
+
+def softened(link: Link, factor: float) -> Link:
+    assert link.youngs_modulus is not None
+    return replace(link, bending_stiffness=None, youngs_modulus=factor * link.youngs_modulus)
 
 
 def test_a_wrong_nominal_stiffness_does_not_matter() -> None:
@@ -171,7 +178,7 @@ def test_a_wrong_nominal_stiffness_does_not_matter() -> None:
     experiment = vjm.load_experiment(DEMO)
     for factor in (0.5, 2.0):
         (link,) = experiment.rig.links
-        rig = replace(experiment.rig, links=(replace(link, bending_stiffness=factor * link.bending_stiffness),))
+        rig = replace(experiment.rig, links=(softened(link, factor),))
         fit = identify(replace(experiment, rig=rig), virtual_joints=4)
         assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
 
@@ -180,7 +187,7 @@ def test_without_torque_errors_other_stiffnesses_are_tried() -> None:
     """No frame shows all of the link, so the torque method has nothing to start from."""
     experiment = vjm.load_experiment(DEMO)
     (link,) = experiment.rig.links
-    rig = replace(experiment.rig, links=(replace(link, bending_stiffness=0.6 * link.bending_stiffness),))
+    rig = replace(experiment.rig, links=(softened(link, 0.6),))
     halves = []
     for recording in experiment.recordings:
         markers = recording.markers.copy()

@@ -24,7 +24,7 @@ def missed(seed: int, size: float, dropped: float = 0.1) -> tuple[Recording, Arr
     markers = markers + NOISE * random.standard_normal(markers.shape)
     markers[random.random(FRAMES) < dropped] = np.nan
     empty = np.zeros((FRAMES, 0))
-    return Recording("decay.csv", "decay", "train", time, empty, empty, markers), np.zeros(markers.shape)
+    return Recording(time, markers, empty, empty, kind="decay", role="train", file="decay.csv"), np.zeros(markers.shape)
 
 
 def left_out(recording: Recording, simulated: Array) -> NDArray[np.bool_]:

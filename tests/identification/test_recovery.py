@@ -56,13 +56,13 @@ def chain_recordings(joint: str, n: int, seed: int, free: bool = False) -> tuple
     recordings = []
     for k in range(2):
         empty = Recording(
-            f"r{k}.csv",
-            "driven" if active else "decay",
-            "train",
             time,
+            np.zeros((time.size, n, 2)),
             np.zeros((time.size, active)),
             0.1 * np.repeat(waves[:, None], active, axis=1),
-            np.zeros((time.size, n, 2)),
+            kind="driven" if active else "decay",
+            role="train",
+            file=f"r{k}.csv",
         )
         start = np.zeros((1, truth.size))
         start[0, truth.passive] = 0.05 * rng.normal(size=n)

@@ -38,7 +38,7 @@ def arm(links: int, joints: int = N, markers: tuple[float, ...] | None = None) -
 def recording(chain: Chain, q: Array, markers: Array) -> Recording:
     time = 0.01 * np.arange(len(q))
     theta = q[:, chain.active]
-    return Recording("r.csv", "decay", "train", time, theta, np.full_like(theta, np.nan), markers)
+    return Recording(time, markers, theta, np.full_like(theta, np.nan), kind="decay", role="train", file="r.csv")
 
 
 def bends(rng: np.random.Generator, chain: Chain, frames: int, size: float) -> Array:

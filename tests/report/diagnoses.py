@@ -62,8 +62,8 @@ def _drive(rig: Rig, number: int) -> Recording:
     sweep = np.sin(2 * np.pi * (0.4 + 0.15 * number) * time) + 0.5 * np.sin(2 * np.pi * (1.3 + 0.2 * number) * time)
     tau = 0.03 * (1 + 0.3 * number) * sweep[:, None]
     role = "holdout" if number == 2 else "train"
-    unseen = np.full((time.size, 5, 2), np.nan)
-    return Recording(f"drive_{number}.csv", "driven", role, time, np.zeros((time.size, 1)), tau, unseen)
+    unknown = np.zeros((time.size, 5, 2))  # until it is simulated
+    return Recording(time, unknown, np.zeros((time.size, 1)), tau, kind="driven", role=role, file=f"drive_{number}.csv")
 
 
 def _bent(model: Model, recording: Recording) -> Array:

@@ -195,7 +195,7 @@ def two_link_experiment() -> Experiment:
     )
     rig = Rig("elbow", links, (0.0, 0.0), 3e-4, 1e-4)
     recordings = tuple(_drive(rig, number) for number in range(3))
-    unmeasured = replace(recordings[1], file="no_torque.csv", tau=np.full_like(recordings[1].tau, np.nan))
+    unmeasured = replace(recordings[1], kind="decay", file="no_torque.csv", tau=np.full_like(recordings[1].tau, np.nan))
     return Experiment(rig, (*recordings, unmeasured))
 
 
@@ -203,13 +203,13 @@ def _drive(rig: Rig, number: int) -> Recording:
     time = np.arange(0, 1.5, 0.01)
     swing = np.array([0.4, 0.1]) * np.sin(2 * np.pi * (0.8 + 0.3 * number) * time)[:, None]
     blank = Recording(
-        f"drive_{number}.csv",
-        "driven",
-        "holdout" if number == 2 else "train",
         time,
+        np.full((time.size, 7, 2), np.nan),
         np.full((time.size, 2), np.nan),
         swing,
-        np.full((time.size, 7, 2), np.nan),
+        kind="driven",
+        role="holdout" if number == 2 else "train",
+        file=f"drive_{number}.csv",
     )
     chain = _chain(rig, 3, 1.05, 2e-3)
     moved = simulate(chain, rig, blank, np.zeros(chain.size), np.zeros(chain.size))

@@ -30,7 +30,9 @@ def seen_at(arm: Arm, q: Array, seed: int, kind: Kind = "quiet") -> Observed:
     markers = view(arm, Arcs.of(RIG), still(time, q), time)
     markers = markers + NOISE[0] * random.standard_normal(markers.shape)
     theta = q[arm.chain.active] + NOISE[1] * random.standard_normal((time.size, 1))
-    return Observed.of(RIG, Recording(f"{kind}.csv", kind, "train", time, theta, np.zeros((401, 1)), markers), NOISE)
+    return Observed.of(
+        RIG, Recording(time, markers, theta, np.zeros((401, 1)), kind=kind, role="train", file=f"{kind}.csv"), NOISE
+    )
 
 
 def stands(arm: Arm, twist: float = 0.0) -> Array:

@@ -117,7 +117,7 @@ def test_markers_in_the_links_own_frame_are_left_as_they_are() -> None:
     upper = np.stack([np.hstack([0.3 * x, 0.6 * x]), np.hstack([0.3 * y, 0.6 * y])], axis=2)
     fore = np.stack([np.full((500, 1), np.nan), 0.01 * np.sin(9 * time)[:, None]], axis=2)
     markers = np.concatenate([upper, fore], axis=1)
-    recording = Recording("a.csv", "driven", "train", time, theta, np.zeros_like(theta), markers)
+    recording = Recording(time, markers, theta, np.zeros_like(theta), kind="driven", role="train", file="a.csv")
     simulated = np.nan_to_num(markers, nan=0.4)
     camera, encoder = observe(Followed(Rig("elbow", links), recording, simulated, theta, (3e-4, 1e-4)))
     assert camera.names == ("upper.m1 along", "upper.m1 across", "upper.m2 along", "upper.m2 across", "fore.m1.y")
@@ -130,7 +130,7 @@ def test_free_motion_is_where_nothing_drives() -> None:
     time = np.arange(1000) / 100
     torque = np.where(time < 4, np.sin(6 * time), 0.0)[:, None]
     blank = np.zeros((1000, 1))
-    recording = Recording("a.csv", "driven", "train", time, blank, torque, np.zeros((1000, 5, 2)))
+    recording = Recording(time, np.zeros((1000, 5, 2)), blank, torque, kind="driven", role="train", file="a.csv")
     stretch = free_stretch(recording)
     assert stretch is not None
     assert stretch == pytest.approx((4.0, 9.99), abs=0.02)

@@ -126,7 +126,7 @@ def followed(
     markers[seen] = shown
     theta = np.empty((t.size, 0)) if clamped else theta + NOISE[1] * draw(rng, theta)
     torque = 0.1 * np.sin(2 * t[:, None]) * (kind == "driven") * np.ones_like(theta)
-    recording = Recording(file, kind, "train", t, theta, torque, markers)
+    recording = Recording(t, markers, theta, torque, kind=kind, role="train", file=file)
     simulated = np.empty((t.size, 0)) if clamped else model.theta(t)
     return Followed(CLAMPED if clamped else RIG, recording, model.markers(t, clamped), simulated, NOISE)
 

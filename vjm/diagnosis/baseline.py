@@ -12,7 +12,6 @@ from vjm.diagnosis.candidate_fit import CandidateFit, refit
 from vjm.diagnosis.discretization import CLOSE, DiscretizationBias, corrected, discretization_bias
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.experiment.cleaning import cleaned
 from vjm.identification.outliers import trimmed
 from vjm.identification.prepare import Options, read_data
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
@@ -89,7 +88,7 @@ def base_fit(experiment: Experiment, progress: Progress | None = None) -> Base:
 def _further(experiment: Experiment, search: Search) -> tuple[list[Observed], list[Observed], tuple[str, ...]]:
     """Training recordings that the first fit has not: those at rest, and those in which something may have changed."""
     known = {each.recording.file for each in search.observed}
-    train = [each for each in experiment.with_role("train") if each.file not in known]
+    train = [each for each in experiment.cleaned_recordings if each.role == "train" and each.file not in known]
     usable: list[Recording] = []
     problems: list[str] = []
     for recording in train:
@@ -102,7 +101,7 @@ def _further(experiment: Experiment, search: Search) -> tuple[list[Observed], li
     resting: list[Observed] = []
     others: list[Observed] = []
     for recording in usable:
-        seen = Observed.of(experiment.rig, cleaned(experiment.rig, recording), noise)
+        seen = Observed.of(experiment.rig, recording, noise)
         changed = referenced and recording.condition != REFERENCE
         (others if changed else resting).append(seen)
     return resting, others, tuple(problems)

@@ -229,7 +229,7 @@ def _recording(rig: Rig, plan: _Plan) -> Recording:
     wave = sum((size * np.sin(2 * np.pi * rate * time + rate) for size, rate in plan.sines), np.zeros(time.size))
     tau = np.repeat((wave * np.minimum(4 * time, 1.0))[:, None], joints, axis=1)
     theta, shown = np.zeros((time.size, joints)), np.zeros((time.size, markers, 2))
-    return Recording(plan.file, plan.kind, "train", time, theta, tau, shown, plan.gravity)
+    return Recording(time, shown, theta, tau, kind=plan.kind, role="train", file=plan.file, gravity=plan.gravity)
 
 
 def _bent(chain: Chain, first: float, second: float) -> Array:

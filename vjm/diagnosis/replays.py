@@ -10,7 +10,6 @@ from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.encoder_feedback import replayed, without_feedback
 from vjm.effects.effect import Effect
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.experiment.cleaning import cleaned
 from vjm.identification.outliers import trimmed
 from vjm.records import Array, Experiment, RecordingComparison, SimulatedRecording
 from vjm.simulation.initial_state import simulated_recording
@@ -32,7 +31,7 @@ def follow(
     """All recordings, in the experiment's order."""
     noise = base.point.runs[0].observed.noise
     known = [_trained(each, plain) if each else {} for each in (plain, best, next_best)]
-    others = [cleaned(experiment.rig, each) for each in experiment.recordings if each.file not in known[0]]
+    others = [each for each in experiment.cleaned_recordings if each.file not in known[0]]
     observed = [Observed.of(experiment.rig, each, noise) for each in others]
     after = _replayed(best, observed)
     # Of the model that follows best, what stands out is an outlier.

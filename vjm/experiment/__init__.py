@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 
-from vjm.records import Array, Experiment, Joint, Kind, Link, MarkersFrame, Recording, Rig, Role
+from vjm.experiment.experiment import Experiment
+from vjm.experiment.records import Array, Joint, Kind, Link, MarkersFrame, Recording, Rig, Role
 
 __all__ = [
     "Array",

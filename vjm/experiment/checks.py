@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.errors import InsufficientDataError
-from vjm.records import Array, Recording, Rig
+from vjm.experiment.records import Array, Recording, Rig
 
 DEFAULT_MARKER_NOISE = 1e-3  # m, where the experiment does not give it
 LARGEST_REACH = 20.0  # arm lengths; a coordinate beyond is no longer in metres

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from vjm.experiment.checks import DEFAULT_MARKER_NOISE, clipped_runs, distance_limits
-from vjm.records import Array, Mask, Recording, Rig
+from vjm.experiment.records import Array, Mask, Recording, Rig
 
 # A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found, not
 # to be left out. As a share of the distance, and at least [m].

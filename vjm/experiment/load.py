@@ -2,134 +2,43 @@
 
 from __future__ import annotations
 
-import math
 import os
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import ValidationError
+from annotated_types import MinLen
+from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError
-from vjm.experiment.checks import experiment_warnings
 from vjm.experiment.csv import read_recording
-from vjm.experiment.schema import (
-    ExperimentTable,
-    LinkTable,
-    RecordingTable,
-    experiment_error,
-    recording_gravity,
-    shown,
-    table_name,
-)
-from vjm.records import Experiment, Link, Rig
+from vjm.experiment.experiment import Experiment
+from vjm.experiment.records import Link, Recording, Rig
+from vjm.experiment.schema import STRICT, explain, table_model
 
-_SECTION_KEYS = ("youngs_modulus", "width", "thickness")
+_SECTIONS: dict[str, Any] = {
+    "base": table_model(Rig, ("gravity",), ("gravity",)),
+    "link": table_model(Link, required=("markers",)),
+    "sensors": table_model(Rig, ("marker_noise", "encoder_noise")),
+    "recording": table_model(Recording, required=("file", "role")),
+}
 
 
-def build_rig(file: Path, tables: ExperimentTable) -> Rig:
-    """The rig an experiment file describes.
-
-    Args:
-        file: the experiment file, for errors.
-        tables: its validated tables.
-
-    Raises:
-        ExperimentError: tables that contradict themselves or one another.
-    """
-    _check_names(file, tables.link)
-    links = tuple(_build_link(file, index, table) for index, table in enumerate(tables.link))
-    if not any(link.markers for link in links):
-        raise ExperimentError(file, "link[1] " + links[0].name, "markers", "no link has a marker", "at least one")
-    gravity = (tables.base.gravity[0], tables.base.gravity[1])
-    return Rig(tables.name, links, gravity, tables.sensors.marker_noise, tables.sensors.encoder_noise)
+def _several(section: str) -> Any:
+    return Annotated[list[_SECTIONS[section]], MinLen(1)]  # type: ignore[valid-type]
 
 
-def check_repeats(file: Path, tables: ExperimentTable, rig: Rig) -> None:
-    """Recordings with one `repeat` label must be of one kind, payload and gravity.
-
-    Raises:
-        ExperimentError: naming the later of two recordings that contradict each other.
-    """
-    first: dict[str, int] = {}
-    for index, table in enumerate(tables.recording):
-        if table.repeat is None:
-            continue
-        other = first.setdefault(table.repeat, index)
-        here, there = (_conditions(tables.recording[i], rig) for i in (index, other))
-        for key, value in here.items():
-            if value != there[key]:
-                place = table_name("recording", other, tables.recording[other].file)
-                problem = f"{shown(value)}, but [{place}] with the same repeat label '{table.repeat}' has another"
-                name = table_name("recording", index, table.file)
-                raise ExperimentError(file, name, key, problem, f"{shown(there[key])}, or another label")
-
-
-def _conditions(table: RecordingTable, rig: Rig) -> dict[str, object]:
-    return {"kind": table.kind, "payload": table.payload, "gravity": recording_gravity(table, rig)}
-
-
-def _check_names(file: Path, tables: list[LinkTable]) -> None:
-    first: dict[str, int] = {}
-    for index, table in enumerate(tables):
-        if first.setdefault(table.name, index) != index:
-            problem = f"'{table.name}' is already the name of link[{first[table.name] + 1}]"
-            raise ExperimentError(file, table_name("link", index, table.name), "name", problem, "a name of its own")
-
-
-def _build_link(file: Path, index: int, table: LinkTable) -> Link:
-    place = table_name("link", index, table.name)
-    _check_markers(file, place, table)
-    if table.hub_inertia is not None and table.joint == "clamped":
-        raise ExperimentError(
-            file, place, "hub_inertia", "the link is clamped and has no hub", 'this key only with joint = "revolute"'
-        )
-    return Link(
-        name=table.name,
-        joint=table.joint,
-        length=table.length,
-        mass=table.mass,
-        bending_stiffness=_bending_stiffness(file, place, table),
-        markers=tuple(table.markers),
-        hub_inertia=table.hub_inertia or 0.0,
-        payload=table.payload,
-        markers_frame=table.markers_frame,
-        width=table.width,
-        thickness=table.thickness,
-        youngs_modulus=table.youngs_modulus,
-        virtual_joints=table.virtual_joints,
-    )
-
-
-def _check_markers(file: Path, place: str, table: LinkTable) -> None:
-    previous = 0.0
-    for number, marker in enumerate(table.markers, start=1):
-        if marker > table.length:
-            expected = f"arc lengths up to the link's length, {table.length:g} m"
-            raise ExperimentError(file, place, "markers", f"item {number} is {marker:g}, beyond the link", expected)
-        if marker <= previous:
-            expected = "strictly increasing arc lengths, from the proximal end outwards"
-            problem = f"item {number} is {marker:g} after {previous:g}"
-            raise ExperimentError(file, place, "markers", problem, expected)
-        previous = marker
-
-
-def _bending_stiffness(file: Path, place: str, table: LinkTable) -> float:
-    """EI as given, or E w h^3 / 12 [N m^2]."""
-    given = [key for key in _SECTION_KEYS if getattr(table, key) is not None]
-    either = "either youngs_modulus, width and thickness, or bending_stiffness"
-    if table.bending_stiffness is not None:
-        if given:
-            raise ExperimentError(file, place, given[0], "given together with bending_stiffness", either)
-        return table.bending_stiffness
-    if table.youngs_modulus is None or table.width is None or table.thickness is None:
-        absent = next(key for key in _SECTION_KEYS if key not in given) if given else "bending_stiffness"
-        raise ExperimentError(file, place, absent, "missing", either)
-    stiffness = table.youngs_modulus * table.width * table.thickness * table.thickness * table.thickness / 12.0
-    if not (math.isfinite(stiffness) and stiffness > 0.0):
-        problem = f"bending stiffness E w h^3 / 12 comes out as {stiffness:g}"
-        raise ExperimentError(file, place, "youngs_modulus", problem, "values that give a finite positive one")
-    return stiffness
+_FIELDS: dict[str, Any] = {
+    "schema_": (int, Field(alias="schema", ge=1, le=1, description="schema = 1, the only one there is")),
+    "name": (str, table_model(Rig, ("name",)).model_fields["name"]),
+    "base": (_SECTIONS["base"], Field(description="a table [base] with gravity = [x, y] in m/s^2")),
+    "link": (_several("link"), Field(description="at least one table [[link]], from the base outwards")),
+    "sensors": (_SECTIONS["sensors"], Field(default=None, description="a table [sensors]")),
+    "recording": (_several("recording"), Field(description="at least one table [[recording]]")),
+}
+_FILE = create_model("File", __config__=STRICT, **_FIELDS)
 
 
 def load_experiment(path: str | os.PathLike[str]) -> Experiment:
@@ -138,35 +47,35 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
     Args:
         path: the TOML file; recordings are found relative to it.
 
-    Returns:
-        The experiment, with warnings.
-
     Raises:
         ExperimentError: the experiment file is unusable, or a recording it lists is missing.
         RecordingError: a recording is unusable.
     """
     file = Path(path)
-    tables = parse_experiment(file)
-    rig = build_rig(file, tables)
-    check_repeats(file, tables, rig)
-    recordings = tuple(
-        read_recording(source, table, rig)
-        for source, table in zip(_recording_files(file, tables), tables.recording, strict=True)
-    )
-    return Experiment(rig, recordings, file, tuple(experiment_warnings(rig, recordings)))
-
-
-def parse_experiment(file: Path) -> ExperimentTable:
-    """The tables of an experiment file, each valid by itself.
-
-    Raises:
-        ExperimentError: the file cannot be read, is not TOML, or has a faulty table or key.
-    """
     document = _read_toml(file)
     try:
-        return ExperimentTable.model_validate(document)
+        _FILE.model_validate(document)
     except ValidationError as error:
-        raise experiment_error(file, document, error) from error
+        raise _refusal(file, document, error) from error
+    links = []
+    for index, table in enumerate(document["link"]):
+        with _faults_of(file, _table_name(document, "link", index)):
+            links.append(Link(**table))
+    with _faults_of(file):
+        rig = Rig(document["name"], tuple(links), **document["base"], **document.get("sensors", {}))
+    files = _recording_files(file, document)
+    tables = zip(files, document["recording"], strict=True)
+    recordings = [read_recording(source, table, rig) for source, table in tables]
+    return Experiment(rig, tuple(recordings), file)
+
+
+@contextmanager
+def _faults_of(file: Path, table: str = "") -> Iterator[None]:
+    """Say of a fault in a record which file and table it stands in."""
+    try:
+        yield
+    except ExperimentError as error:
+        raise error.at(file, table) from error
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
@@ -189,13 +98,39 @@ def _read_toml(file: Path) -> dict[str, Any]:
         raise ExperimentError(file, "", "", f"not valid TOML: {error}", "valid TOML") from error
 
 
-def _recording_files(file: Path, tables: ExperimentTable) -> list[Path]:
-    """Paths of the recordings; each must exist, and none serve both fitting and holdout."""
+def _table_name(document: dict[str, Any], section: str, index: int) -> str:
+    """Return what errors call a table of an array of tables: `link[1] beam`, counted from 1."""
+    table = document[section][index]
+    label = table.get("name", table.get("file")) if isinstance(table, dict) else None
+    place = f"{section}[{index + 1}]"
+    return f"{place} {label}" if isinstance(label, str) and label else place
+
+
+def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> ExperimentError:
+    """Return the first fault pydantic found; unknown keys go first, being often the cause of missing ones."""
+    details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
+    section, *rest = details[0]["loc"]
+    model: type[BaseModel] = _FILE
+    table, key, items = "", str(section), rest
+    if section in _SECTIONS and rest:
+        model, table = _SECTIONS[str(section)], str(section)
+        if isinstance(rest[0], int):
+            table, rest = _table_name(document, table, rest[0]), rest[1:]
+        key, items = str(rest[0]) if rest else "", rest[1:]
+    problem, expected = explain(details[0], model, key, items)
+    more = len(details) - 1
+    note = f" (and {more} more fault{'s' if more > 1 else ''} in this file)" if more else ""
+    return ExperimentError(file, table, key, problem + note, expected)
+
+
+def _recording_files(file: Path, document: dict[str, Any]) -> list[Path]:
+    """Return the paths of the recordings; each must exist, and none serve both fitting and holdout."""
     paths: list[Path] = []
     first: dict[Path, int] = {}
-    for index, table in enumerate(tables.recording):
-        place = table_name("recording", index, table.file)
-        path = file.parent / table.file
+    tables = document["recording"]
+    for index, table in enumerate(tables):
+        place = _table_name(document, "recording", index)
+        path = file.parent / table["file"]
         try:
             exists, resolved = path.is_file(), path.resolve()
         except (OSError, ValueError) as error:
@@ -203,9 +138,10 @@ def _recording_files(file: Path, tables: ExperimentTable) -> list[Path]:
         if not exists:
             problem = f"{path} is a directory" if path.is_dir() else f"there is no file {path}"
             raise ExperimentError(file, place, "file", problem, "a CSV file, its path relative to the experiment file")
-        other = first.setdefault(resolved, index)
-        if tables.recording[other].role != table.role:
-            problem = f"the same file is recording[{other + 1}], of role '{tables.recording[other].role}'"
+        number = first.setdefault(resolved, index)
+        role = tables[number]["role"]
+        if role != table["role"]:
+            problem = f"the same file is recording[{number + 1}], of role '{role}'"
             raise ExperimentError(file, place, "file", problem, "a file to be either train or holdout")
         paths.append(path)
     return paths

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import get_window
 
-from vjm.records import Array, Recording, Rig
+from vjm.experiment.records import Array, Recording, Rig
 
 _QUANTILE = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
 _LEAST_SAMPLES = 16

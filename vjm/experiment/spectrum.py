@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import get_window, lfilter
 
-from vjm.records import Array
+from vjm.experiment.records import Array
 
 
 class Oscillators:

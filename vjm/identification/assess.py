@@ -10,7 +10,6 @@ from vjm.chain.curve import curve_map
 from vjm.chain.layout import chain_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.experiment.cleaning import cleaned
 from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
 from vjm.identification.outliers import without_outliers
 from vjm.identification.prepare import Data, Prepared, driving_torque, prepare
@@ -151,7 +150,7 @@ def fit_recordings(
     """
     tell = progress or (lambda *_: None)
     tell("replaying recordings", 0, 2)
-    recordings = [cleaned(experiment.rig, recording) for recording in experiment.recordings]
+    recordings = experiment.cleaned_recordings
     replayed = _replayed(model, recordings, states or {})
     kept, again = list(recordings), []
     tell("replaying recordings", 1, 2)

@@ -11,7 +11,6 @@ from scipy.linalg import block_diag
 
 from vjm.chain.layout import DEFAULT_LAYOUT, Layout, rig_layouts
 from vjm.errors import ChoiceError, InsufficientDataError
-from vjm.experiment.cleaning import cleaned
 from vjm.experiment.noise import sensor_noise
 from vjm.experiment.spectrum import MeasuredModes, measure_modes
 from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
@@ -71,14 +70,14 @@ class Data:
 
 
 def read_data(experiment: Experiment, options: Options) -> Data:
-    """Choose the recordings, clean and prepare them.
+    """Choose the recordings and prepare them.
 
     Raises:
         InsufficientDataError: nothing to fit, or a link without markers.
     """
     rig = experiment.rig
-    recordings = tuple(cleaned(rig, recording) for recording in fitted_recordings(experiment.recordings))
-    noise = sensor_noise(rig, [cleaned(rig, recording) for recording in experiment.recordings])
+    recordings = fitted_recordings(experiment.cleaned_recordings)
+    noise = sensor_noise(rig, experiment.cleaned_recordings)
     if max(motion_of(recording, noise) for recording in recordings) < _LEAST_MOTION:
         raise InsufficientDataError(
             "identification",

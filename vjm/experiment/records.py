@@ -1,0 +1,507 @@
+"""The rig and its recordings, built from files or in Python; validated when they are built."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from annotated_types import Ge, Gt, Le, MinLen, Predicate
+from numpy.typing import ArrayLike, NDArray
+
+from vjm.errors import ExperimentError, RecordingError, shown, suggestion
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Joint = Literal["revolute", "clamped"]
+Kind = Literal["driven", "decay", "static", "quiet"]
+Role = Literal["train", "holdout"]
+MarkersFrame = Literal["base", "link"]
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+Complex = NDArray[np.complex128]
+
+# Fields of the records and keys of the experiment file alike: type, constraints, and what errors say is expected.
+_Gravity = Annotated[tuple[float, float], "two finite numbers, gravity along x and y of the base frame [m/s^2]"]
+_Payload = Annotated[float, Ge(0), "a finite number, zero or positive [kg]"]
+_Metres = Annotated[float, Gt(0), "a finite positive number [m]"]
+_OptionalMetres = Annotated[float | None, Gt(0), "a finite positive number [m]"]
+
+T = TypeVar("T")
+_ARRAYS = ("time", "markers", "theta", "tau")
+_CELL = "a finite number, or NaN where nothing was measured"
+
+_MIN_FRAMES = 10  # usable ones, for a recording to be worth anything
+
+
+class _RigsGravity(tuple[float, float]):
+    """Gravity of a recording that is given none: zero until an experiment puts its rig's there."""
+
+
+_RIGS_GRAVITY = _RigsGravity((0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class Link:
+    """One flexible link of the rig.
+
+    Numbers are SI. Lists and NumPy arrays both do for `markers`. Bending stiffness comes either as such or from
+    `youngs_modulus`, `width` and `thickness`.
+
+    Attributes:
+        name: unique; letters, digits and underscores.
+        joint: `revolute`, an active joint at the proximal end, or `clamped`.
+        length: undeformed [m].
+        mass: spread uniformly along the link [kg].
+        bending_stiffness: nominal EI [N m^2]; None: E w h^3 / 12.
+        markers: arc length of each marker from the proximal end [m], increasing.
+        hub_inertia: about the joint axis, motor included [kg m^2]; zero for a clamped link.
+        payload: known point mass at the distal end [kg].
+        markers_frame: frame of the marker coordinates: the base frame or the link frame Sigma_i.
+        width: parallel to the joint axes [m]; None where only EI was given.
+        thickness: in the bending plane [m]; None where only EI was given.
+        youngs_modulus: nominal [Pa]; None where only EI was given.
+        virtual_joints: number n of virtual joints asked for; None: chosen from the data.
+
+    Raises:
+        ExperimentError: a field has the wrong type or value, or contradicts another.
+    """
+
+    name: Annotated[str, Predicate(re.compile("[A-Za-z0-9_]+").fullmatch), "a name of letters, digits and underscores"]
+    joint: Annotated[Joint, '"revolute" or "clamped"']
+    length: _Metres
+    mass: Annotated[float, Gt(0), "a finite positive number [kg]"]
+    bending_stiffness: Annotated[float, Gt(0), "a finite positive number [N m^2]"] = None  # type: ignore[assignment]
+    markers: Annotated[tuple[Annotated[float, Gt(0)], ...], "a list of finite positive numbers, arc lengths [m]"] = ()
+    hub_inertia: Annotated[float, Ge(0), "a finite number, zero or positive [kg m^2]"] = 0.0
+    payload: _Payload = 0.0
+    markers_frame: Annotated[MarkersFrame, '"base" or "link"'] = "base"
+    width: _OptionalMetres = None
+    thickness: _OptionalMetres = None
+    youngs_modulus: Annotated[float | None, Gt(0), "a finite positive number [Pa]"] = None
+    virtual_joints: Annotated[int | None, Ge(1), Le(60), "a whole number from 1 to 60"] = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _check_fields(self, self.name)
+        if self.joint == "clamped" and self.hub_inertia:
+            self._refuse("hub_inertia", "the link is clamped and has no hub", 'this key only with joint = "revolute"')
+        previous = 0.0
+        for number, marker in enumerate(self.markers, start=1):
+            if marker > self.length:
+                expected = f"arc lengths up to the link's length, {self.length:g} m"
+                self._refuse("markers", f"item {number} is {marker:g}, beyond the link", expected)
+            if marker <= previous:
+                expected = "strictly increasing arc lengths, from the proximal end outwards"
+                self._refuse("markers", f"item {number} is {marker:g} after {previous:g}", expected)
+            previous = marker
+        object.__setattr__(self, "bending_stiffness", self._section_stiffness())
+
+    def _section_stiffness(self) -> float:
+        """Return EI as given, or E w h^3 / 12 [N m^2]."""
+        section = {"youngs_modulus": self.youngs_modulus, "width": self.width, "thickness": self.thickness}
+        absent = [key for key, value in section.items() if value is None]
+        given = [key for key in section if key not in absent]
+        either = "either youngs_modulus, width and thickness, or bending_stiffness"
+        E, w, h = (value or 0.0 for value in section.values())
+        stiffness = E * w * h * h * h / 12.0
+        if self.bending_stiffness is not None:
+            # A link keeps both, and a copy of it is given both.
+            if given and (absent or not np.isclose(stiffness, self.bending_stiffness, rtol=1e-6, atol=0.0)):
+                self._refuse(given[0], "given together with bending_stiffness", either)
+            return self.bending_stiffness
+        if absent:
+            self._refuse(absent[0] if given else "bending_stiffness", "missing", either)
+        if not (np.isfinite(stiffness) and stiffness > 0.0):
+            problem = f"bending stiffness E w h^3 / 12 comes out as {stiffness:g}"
+            self._refuse("youngs_modulus", problem, "values that give a finite positive one")
+        return stiffness
+
+    def _refuse(self, key: str, problem: str, expected: str) -> None:
+        raise ExperimentError(None, f"link {self.name}", key, problem, expected)
+
+    @property
+    def marker_columns(self) -> tuple[str, ...]:
+        """Names of the columns of its markers' coordinates, x and y of each in turn."""
+        return tuple(f"{self.name}.m{number}.{axis}" for number in range(1, len(self.markers) + 1) for axis in "xy")
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The arm: its links from the base outwards, gravity and the sensors' noise.
+
+    Attributes:
+        name: the experiment's name.
+        links: from the base outwards; a bare link is fine too.
+        gravity: in the plane, (x, y) of the base frame [m/s^2].
+        marker_noise: 1-sigma noise of a marker coordinate [m]; None: estimated from the data.
+        encoder_noise: 1-sigma noise of an encoder [rad]; None: estimated from the data.
+
+    Raises:
+        ExperimentError: a field has the wrong type or value, or two links have one name.
+    """
+
+    name: Annotated[str, MinLen(1), "the experiment's name, a string that is not empty"]
+    links: tuple[Link, ...]
+    gravity: _Gravity = (0.0, 0.0)
+    marker_noise: _OptionalMetres = None
+    encoder_noise: Annotated[float | None, Gt(0), "a finite positive number [rad]"] = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        _check_fields(self, self.name)
+        links = several(self.links, Link, f"rig {self.name}", "links")
+        object.__setattr__(self, "links", links)
+        names = [link.name for link in links]
+        for index, name in enumerate(names):
+            if name in names[:index]:
+                problem = f"'{name}' is already the name of link[{names.index(name) + 1}]"
+                raise ExperimentError(None, f"link[{index + 1}] {name}", "name", problem, "a name of its own")
+        if not any(link.markers for link in links):
+            raise ExperimentError(None, f"link[1] {names[0]}", "markers", "no link has a marker", "at least one")
+
+    def __repr__(self) -> str:
+        links = [f"{link.name} ({link.joint}, {link.length:g} m, {len(link.markers)} markers)" for link in self.links]
+        return f"Rig({self.name!r}, links: {', '.join(links)}; gravity {self.gravity} m/s^2)"
+
+    @property
+    def active_links(self) -> tuple[int, ...]:
+        """Indices of the links with an active joint, in order; columns of `theta` and `tau` follow them."""
+        return tuple(i for i, link in enumerate(self.links) if link.joint == "revolute")
+
+    @property
+    def marker_slices(self) -> tuple[slice, ...]:
+        """For each link, the markers that are its own in a recording's marker array."""
+        stops = np.cumsum([len(link.markers) for link in self.links]).tolist()
+        return tuple(slice(stop - len(link.markers), stop) for stop, link in zip(stops, self.links, strict=True))
+
+
+@dataclass(frozen=True, repr=False)
+class Recording:
+    """One recording, time first; what was not measured at an instant is NaN.
+
+    Attributes:
+        time: (T,) [s], increasing.
+        markers: (T, k, 2) marker positions (x, y) [m], all links' markers one after another, each in its link's
+            `markers_frame`; a coordinate that was never measured is NaN throughout.
+        theta: (T, number of active joints) joint angles [rad]; (T,) will do for a single joint.
+        tau: (T, number of active joints) joint torques [N m]; None: not measured.
+        kind: `driven`, `decay`, `static` or `quiet`.
+        role: `train`, or `holdout` (never used for fitting).
+        file: its name, as the experiment file gives it; an experiment names those without one `recording_1` and so on.
+        gravity: in the plane, (x, y) of the base frame [m/s^2]; None: the rig's, once it is part of an experiment.
+        payload: known extra mass on the last link's tip [kg].
+        repeat: label shared by recordings that repeat one experiment.
+        condition: `reference` where the effect being sought is known to be absent.
+
+    Raises:
+        ExperimentError: a field has the wrong type or value.
+        RecordingError: an array has the wrong shape, a value is infinite, or time does not increase.
+    """
+
+    time: Array
+    markers: Array
+    theta: Array
+    tau: Array
+    kind: Annotated[Kind, '"driven", "decay", "static" or "quiet"']
+    role: Annotated[Role, '"train" or "holdout"'] = "train"
+    file: Annotated[str, "the name of a CSV file, relative to the experiment file"] = ""
+    gravity: _Gravity = _RIGS_GRAVITY
+    payload: _Payload = 0.0
+    repeat: Annotated[str | None, MinLen(1), "a label shared by recordings that repeat one experiment"] = None
+    condition: Annotated[str | None, MinLen(1), 'a label, as "reference"'] = None
+
+    def __init__(
+        self,
+        time: ArrayLike,
+        markers: ArrayLike,
+        theta: ArrayLike | None = None,
+        tau: ArrayLike | None = None,
+        *,
+        kind: Kind,
+        role: Role = "train",
+        file: str = "",
+        gravity: Sequence[float] | Array | None = None,
+        payload: float = 0.0,
+        repeat: str | None = None,
+        condition: str | None = None,
+    ) -> None:
+        scalars = {
+            "kind": kind,
+            "role": role,
+            "file": file,
+            "gravity": _RIGS_GRAVITY if gravity is None or isinstance(gravity, _RigsGravity) else gravity,
+            "payload": payload,
+            "repeat": repeat,
+            "condition": condition,
+        }
+        for key, value in scalars.items():
+            object.__setattr__(self, key, value)
+        _check_fields(self, file)
+        name = self.file or "recording"
+        instants = _array(name, "time", time, "(T,) instants [s]", (None,))
+        check_time(name, "time", instants)
+        positions = _array(name, "markers", markers, "(T, k, 2) positions [m]", (instants.size, None, 2))
+        arrays = {
+            key: _array(name, key, values, f"(T, number of active joints) {unit}", (instants.size, None))
+            for key, values, unit in (("theta", theta, "angles [rad]"), ("tau", tau, "torques [N m]"))
+            if values is not None
+        }
+        if len(arrays) == 2 and arrays["theta"].shape != arrays["tau"].shape:
+            problem, expected = f"an array of shape {arrays['tau'].shape}", f"{arrays['theta'].shape}, as theta has"
+            raise RecordingError(name, None, "tau", problem, expected)
+        unknown = np.full(next(iter(arrays.values())).shape if arrays else (instants.size, 0), np.nan)
+        for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": instants, "markers": positions}.items():
+            object.__setattr__(self, key, value)
+
+    @classmethod
+    def from_dataframe(
+        cls, frame: pd.DataFrame, rig: Rig, *, kind: Kind, role: Role = "train", **fields: Any
+    ) -> Recording:
+        """Return a recording from a table with the columns of a recording's CSV file.
+
+        Args:
+            frame: columns `t`, `LINK.theta`, `LINK.tau`, `LINK.mK.x` and `LINK.mK.y`; NaN where not measured.
+            rig: the arm, which says what columns there can be.
+            kind: `driven`, `decay`, `static` or `quiet`.
+            role: `train` or `holdout`.
+            fields: further fields of the recording: file, gravity, payload, repeat, condition.
+
+        Raises:
+            ExperimentError: a field has the wrong type or value.
+            RecordingError: a column is unknown or missing, a cell is no number, or too few frames are usable.
+        """
+        name = fields.get("file") or "recording"
+        columns = tuple(str(column) for column in frame.columns)
+        check_columns(name, columns, rig, kind)
+        values = {column: _numbers(name, column, frame[column]) for column in columns}
+        check_time(name, "t", values["t"])
+        unknown = np.full(values["t"].size, np.nan)
+
+        def gathered(names: Iterable[str]) -> Array:
+            return np.array([values.get(column, unknown) for column in names]).reshape(-1, unknown.size).T
+
+        active = [rig.links[i].name for i in rig.active_links]
+        recording = cls(
+            values["t"],
+            gathered(column for link in rig.links for column in link.marker_columns).reshape(unknown.size, -1, 2),
+            gathered(f"{link}.theta" for link in active),
+            gathered(f"{link}.tau" for link in active),
+            kind=kind,
+            role=role,
+            **{"gravity": rig.gravity, **fields},
+        )
+        check_recording(name, rig, recording)
+        return recording
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Recording):
+            return NotImplemented
+        names = sorted((field.name for field in fields(self)), key=lambda name: name in _ARRAYS)
+        pairs = ((getattr(self, name), getattr(other, name)) for name in names)
+        return all(
+            a is b or (np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b) for a, b in pairs
+        )
+
+    def __repr__(self) -> str:
+        span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if self.time.size else ""
+        arrays = ", ".join(f"{key} {getattr(self, key).shape}" for key in _ARRAYS[1:])
+        return f"Recording({self.file!r}, {self.kind}, {self.role}: {self.time.size} samples{span}, {arrays})"
+
+    def completed(self, rig: Rig, number: int) -> Recording:
+        """Return the recording with the gravity of its rig and a name by its number, where it has none of its own."""
+        gravity = rig.gravity if isinstance(self.gravity, _RigsGravity) else self.gravity
+        file = self.file or f"recording_{number}"
+        same = gravity is self.gravity and file == self.file
+        return self if same else replace(self, gravity=gravity, file=file)
+
+    @property
+    def frames(self) -> NDArray[np.intp]:
+        """Rows at which the camera measured anything at all."""
+        return np.flatnonzero(np.isfinite(self.markers).any(axis=(1, 2)))
+
+
+def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, row: int | None = None) -> None:
+    """Check that each column occurs once, that the rig knows it, and that none is missing.
+
+    Args:
+        name: the file or the recording, for errors.
+        columns: names of the columns.
+        rig: the arm.
+        kind: of the recording; a driven one needs the torques.
+        row: the header's line in a file.
+
+    Raises:
+        RecordingError: naming the column.
+    """
+    active = [rig.links[i].name for i in rig.active_links]
+    known = {"t", *(f"{link}.{quantity}" for link in active for quantity in ("theta", "tau"))}
+    known |= {column for link in rig.links for column in link.marker_columns}
+    for position, column in enumerate(columns):
+        if column in columns[:position]:
+            raise RecordingError(name, row, column, "the column occurs twice", "each column once")
+        if column not in known:
+            problem = _unknown_reason(column, rig, known) if column else "a column without a name"
+            raise RecordingError(name, row, column, problem, f"only the columns {_known_columns(rig)}")
+    for column, expected in _needed_columns(columns, rig, kind):
+        if column not in columns:
+            raise RecordingError(name, row, column, "the column is missing", expected)
+
+
+def check_recording(name: Path | str, rig: Rig, recording: Recording) -> None:
+    """Check that a recording fits its rig and that enough of it was measured.
+
+    Raises:
+        RecordingError: arrays of the wrong width, angles or torques that are needed and absent, too few usable frames.
+    """
+    counts = ", ".join(f"{link.name} {len(link.markers)}" for link in rig.links)
+    total = sum(len(link.markers) for link in rig.links)
+    active = [rig.links[i].name for i in rig.active_links]
+    if recording.markers.shape[1] != total:
+        problem = f"{recording.markers.shape[1]} markers"
+        raise RecordingError(name, None, "markers", problem, f"{total}, as the links have: {counts}")
+    width = recording.theta.shape[1]
+    if active and not width:
+        raise RecordingError(name, None, f"{active[0]}.theta", "the column is missing", _angle_of(active[0]))
+    if width != len(active):
+        expected = f"{len(active)}, one for each active joint: {', '.join(active) or 'there is none'}"
+        raise RecordingError(name, None, "theta", f"{width} column{'s' if width > 1 else ''}", expected)
+    for column, joint in enumerate(active):
+        if not np.isfinite(recording.theta[:, column]).any():
+            raise RecordingError(name, None, f"{joint}.theta", "every cell is empty", "joint angles [rad]")
+        if recording.kind == "driven" and not np.isfinite(recording.tau[:, column]).any():
+            raise RecordingError(name, None, f"{joint}.tau", "every cell is empty", "joint torques [N m]")
+    measured = np.isfinite(recording.markers)
+    usable = measured[:, :, 1]
+    for link, own in zip(rig.links, rig.marker_slices, strict=True):
+        if link.markers_frame == "base":
+            usable[:, own] &= measured[:, own, 0]
+    count = int(usable.any(axis=1).sum())
+    if count < _MIN_FRAMES:
+        problem = f"{count} usable frame{'' if count == 1 else 's'}"
+        raise RecordingError(name, None, None, problem, f"at least {_MIN_FRAMES} rows with a measured marker")
+
+
+def _check_fields(record: object, name: object) -> None:
+    from vjm.experiment.schema import check_fields  # pydantic is slow to import
+
+    check_fields(record, name)
+
+
+def several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
+    """Return records of one kind as a tuple; a bare one is fine too.
+
+    Raises:
+        ExperimentError: there is none, or something else.
+    """
+    items = (values,) if isinstance(values, kind) else tuple(values) if isinstance(values, Iterable) else (values,)
+    strangers = [item for item in items if not isinstance(item, kind)]
+    if strangers or not items:
+        problem = f"got {shown(strangers[0])}" if strangers else "there is none"
+        raise ExperimentError(None, table, key, problem, f"at least one vjm.{kind.__name__}, and nothing else")
+    return items
+
+
+def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[int | None, ...]) -> Array:
+    """Return an array of finite numbers or NaN, of a shape in which None stands for any length."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(name, None, key, f"got {shown(value)}", f"an array {expected}") from error
+    if key != "time" and array.ndim == 1 and len(shape) == 2:
+        array = array[:, None]
+    if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
+        there = "" if shape[0] is None else f" with T = {shape[0]}"
+        raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{there}")
+    _check_finite(name, key, array)
+    return array
+
+
+def _check_finite(name: str, column: str, values: Array) -> None:
+    infinite = np.isinf(values)
+    if infinite.any():
+        raise RecordingError(name, int(np.argwhere(infinite)[0, 0]), column, "an infinite value", _CELL)
+
+
+def _numbers(name: str, column: str, values: pd.Series) -> Array:
+    """Return a column of a table as numbers, NaN where it is empty."""
+    try:
+        array = values.to_numpy(dtype=np.float64, na_value=np.nan)
+    except (TypeError, ValueError) as error:
+        for row, cell in enumerate(values):
+            try:
+                float(cell)
+            except (TypeError, ValueError):
+                problem = f"{shown(cell)} is not a number"
+                raise RecordingError(
+                    name, row, column, problem, "a finite number, or NaN where nothing was measured"
+                ) from error
+        raise
+    _check_finite(name, column, array)
+    return array
+
+
+def check_time(name: str, column: str, time: Array) -> None:
+    """Check that there is a time in every row and that it increases.
+
+    Raises:
+        RecordingError: naming the row.
+    """
+    bad = np.flatnonzero(np.isnan(time))
+    if bad.size:
+        raise RecordingError(name, int(bad[0]), column, "the time is missing", "a time in every row [s]")
+    bad = np.flatnonzero(np.diff(time) <= 0.0)
+    if bad.size:
+        row = int(bad[0]) + 1
+        problem = f"time does not increase, {time[row]:.9g} after {time[row - 1]:.9g}"
+        raise RecordingError(name, row, column, problem, "a time later than the row before")
+
+
+def _known_columns(rig: Rig) -> str:
+    parts = ["t"]
+    for link in rig.links:
+        parts += [f"{link.name}.theta", f"{link.name}.tau"] if link.joint == "revolute" else []
+        count = len(link.markers)
+        numbers = "K = 1" if count == 1 else f"K = 1..{count}"
+        parts += [f"{link.name}.mK.x and {link.name}.mK.y ({numbers})"] if count else []
+    return ", ".join(parts)
+
+
+def _unknown_reason(column: str, rig: Rig, known: set[str]) -> str:
+    """Return what is wrong with the name of a column that is not among the known ones."""
+    owner, _, quantity = column.partition(".")
+    link = {link.name: link for link in rig.links}.get(owner)
+    if link is not None and quantity in ("theta", "tau"):
+        return f"unknown column: link '{owner}' is clamped and has no active joint"
+    if link is not None and re.fullmatch(r"m[1-9][0-9]*\.[xy]", quantity):
+        return f"unknown column: link '{owner}' has {len(link.markers)} markers"
+    if link is None and quantity:
+        return f"unknown column: there is no link {shown(owner)}{suggestion(column, sorted(known))}"
+    return f"unknown column{suggestion(column, sorted(known))}"
+
+
+def _needed_columns(columns: Sequence[str], rig: Rig, kind: Kind) -> Iterator[tuple[str, str]]:
+    """Yield the columns a recording needs, given those it has, and what is expected there."""
+    yield "t", "the time of each row [s]"
+    for link in rig.links:
+        if link.joint == "revolute":
+            yield f"{link.name}.theta", _angle_of(link.name)
+        if link.joint == "revolute" and kind == "driven":
+            yield f"{link.name}.tau", f"the torque that drives link '{link.name}' [N m]"
+        pairs = list(zip(link.marker_columns[::2], link.marker_columns[1::2], strict=True))
+        given = [pair for pair in pairs if pair[0] in columns or pair[1] in columns]
+        if pairs and not given:
+            yield pairs[0][1], f"columns of at least one marker of link '{link.name}'"
+        for x, y in given:
+            yield y, "x and y of a marker, both [m]"
+            if link.markers_frame == "base":
+                yield x, "both x and y of a marker measured in the base frame [m]"
+
+
+def _angle_of(link: str) -> str:
+    return f"the angle of the active joint of link '{link}' [rad]"
