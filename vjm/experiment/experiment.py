@@ -35,6 +35,9 @@ class Experiment:
         rig = Rig(self.rig.name, (self.rig,)) if isinstance(self.rig, Link) else self.rig
         if not isinstance(rig, Rig):
             raise ExperimentError(None, "experiment", "rig", f"got {shown(rig)}", "a vjm.Rig, or a single vjm.Link")
+        if not any(link.markers for link in rig.links):
+            table = f"link[1] {rig.links[0].name}"
+            raise ExperimentError(self.file, table, "markers", "no link has a marker", "at least one")
         recordings = []
         for number, recording in enumerate(several(self.recordings, Recording, "experiment", "recordings"), start=1):
             recording = recording.completed(rig, number)

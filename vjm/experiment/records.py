@@ -162,8 +162,6 @@ class Rig:
             if name in names[:index]:
                 problem = f"'{name}' is already the name of link[{names.index(name) + 1}]"
                 raise ExperimentError(None, f"link[{index + 1}] {name}", "name", problem, "a name of its own")
-        if not any(link.markers for link in links):
-            raise ExperimentError(None, f"link[1] {names[0]}", "markers", "no link has a marker", "at least one")
 
     def __repr__(self) -> str:
         links = [f"{link.name} ({link.joint}, {link.length:g} m, {len(link.markers)} markers)" for link in self.links]

@@ -15,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
-from vjm.errors import ModelFileError, ShapeError
+from vjm.errors import ExperimentError, ModelFileError, ShapeError
 from vjm.experiment.noise import sensor_noise
 from vjm.files import json_text, write_text
 from vjm.records import Array, Estimate, Experiment, Recording, Rig
@@ -187,8 +187,10 @@ def read_model(
         raise ModelFileError(path, f"key '{place}': {problem}" if place else problem, expected) from None
     except ShapeError as error:
         raise ModelFileError(path, f"key '{error.name}': {error.given}", error.expected) from error
+    except ExperimentError as error:
+        raise ModelFileError(path, f"rig, {error.table}, key '{error.key}': {error.problem}", error.expected) from error
     rig = experiment.rig if experiment else entry.rig
-    recordings = experiment.recordings if experiment else ()
+    recordings = experiment.cleaned_recordings if experiment else ()
     noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
     ordered = sorted(enumerate(entry.effects), key=lambda item: not item[1].in_reference)
     catalogue = {effect.id: effect for effect in effects}
