@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from vjm.diagnosis.directions import screen
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.directions import screen
 from vjm.diagnosis.screen import Family, build_candidates
 from vjm.effects import (
     CameraRotation,

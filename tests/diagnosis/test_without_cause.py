@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from vjm.diagnosis.replays import most_improved, without_cause
 
 from tests.report.diagnoses import pair
-from vjm.diagnosis.replays import most_improved, without_cause
 from vjm.effects import ViscousFriction
 
 

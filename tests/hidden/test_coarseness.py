@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from vjm.diagnosis.directions import screen
 
 import vjm
 from tests.hidden.conftest import Plant
 from vjm.diagnosis.baseline import base_fit
-from vjm.diagnosis.directions import screen
 from vjm.diagnosis.discretization import with_offset
 from vjm.effects import CubicStiffness
 from vjm.identification.trajectory_fit import Point

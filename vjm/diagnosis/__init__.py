@@ -1,8 +1,8 @@
-"""What a model gets wrong, why, and what is gained by adding the cause."""
+"""Diagnosis: what a model gets wrong, why, and what is gained by adding the cause."""
 
 from vjm.diagnosis.check_effect import check_effect
 from vjm.diagnosis.diagnose import diagnose
-from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Size
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining
 from vjm.records import RecordingComparison
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "Gain",
     "RecordingComparison",
     "Remaining",
-    "Size",
     "check_effect",
     "diagnose",
 ]

@@ -18,8 +18,8 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import Extension, adds_joint
-from vjm.diagnosis.directions import screen
-from vjm.diagnosis.screen import build_candidates
+from vjm.diagnosis.candidates import build_candidates
+from vjm.diagnosis.screen import screen
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation

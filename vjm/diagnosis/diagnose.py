@@ -1,27 +1,39 @@
-"""The diagnosis, from an experiment to what is missing."""
+"""Diagnosis of an experiment: the steps from its recordings to the verdict, one call each.
+
+baseline -> screen -> selection of effects -> alternatives and causes -> simulations -> residual tests
+-> next experiment -> verdict.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from vjm.diagnosis.baseline import base_fit, begin_search
-from vjm.diagnosis.records import Diagnosis
-from vjm.diagnosis.screen import candidates, chosen_effects
+import numpy as np
+
+from vjm.diagnosis.alternatives import find_alternatives
+from vjm.diagnosis.baseline import Baseline, SearchStart, begin_search, fit_baseline
+from vjm.diagnosis.candidate_fit import CandidateFit
+from vjm.diagnosis.candidates import candidate_table
+from vjm.diagnosis.causes import estimate_causes, model_of
+from vjm.diagnosis.next_experiment import propose_recordings
+from vjm.diagnosis.records import Diagnosis, Findings, Misfits
+from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.selection import (
     Rules,
     Search,
     SearchResult,
-    preexisting_effects,
-    reference_warning,
-    search_stick_slip,
+    find_preexisting_effects,
+    select_effects,
 )
-from vjm.diagnosis.verdict import conclude, insufficient, why_insufficient
-from vjm.diagnosis.workers import workers
-from vjm.effects import Effect
-from vjm.errors import ShapeError
-from vjm.records import Experiment, Progress
+from vjm.diagnosis.simulations import compare_recordings, find_symptoms, without_each_cause
+from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
+from vjm.diagnosis.workers import Workers
+from vjm.effects import BUILTIN, Effect
+from vjm.errors import ChoiceError, ShapeError
+from vjm.records import REFERENCE, Experiment, Progress
 
-_CHANGE = 1.0  # times what it leaves
+_CHANGE = 1.0  # decrease of chi^2 over what is left, where the reference recordings show more than noise: half of all
 
 
 def diagnose(
@@ -39,7 +51,7 @@ def diagnose(
         effects: what to look for, ids of built-in effects or instances of `vjm.effects.Effect`; None: all built in.
         max_effects: number of causes at most.
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
-        seed: of all that is drawn.
+        seed: of all random numbers.
         progress: told (text, done, total) while it runs.
 
     Returns:
@@ -51,33 +63,119 @@ def diagnose(
         InsufficientDataError: recordings that not even a model without effects can be fitted to.
         SimulationDivergedError: no start can be simulated.
     """
-    chosen = chosen_effects(effects)
+    chosen = _chosen_effects(effects)
     for name, value, least in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise ShapeError(name, value, f"a whole number of at least {least}")
     tell = _Stages(progress)
-    reasons = why_insufficient(experiment)
+    insufficient = why_insufficient(experiment)
     tell("fitting the model without effects")
-    base = base_fit(experiment, tell.inside)
-    with workers(jobs) as shared:
-        known = preexisting_effects(base, chosen, experiment.rig, tell, shared)
-        search_start = begin_search(base, known)
-        # What a model lacks before a change is no noise: only what explains much of the rest is a change.
-        rules = Rules(
-            matters=_CHANGE if search_start.reference_misfit > 1 else Rules.matters, most=max_effects, seed=seed
+    baseline = fit_baseline(experiment, tell.inside)
+    with Workers.start(jobs) as workers:
+        before, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers)
+        start = begin_search(baseline, before)
+        matters = _CHANGE if start.reference_misfit > 1 else Rules.matters
+        search = Search(
+            experiment.rig, start, chosen, Rules(matters=matters, most=max_effects, seed=seed), tell, workers
         )
-        search = Search(experiment.rig, search_start, chosen, rules, tell, shared)
-        first = search.judged(search_start.start)
-        table = candidates(search.candidate_set, first, rules.alpha, search.matters(search_start.start))
-        if reasons:
-            return insufficient(experiment, base, table, reasons)
-        said = reference_warning(base, known, search_start.reference_misfit)
-        search, found = search_stick_slip(search, SearchResult.nothing(search_start.start, first))
-        return conclude(experiment, base, search, found, table, said)
+        screened = search.screen(start.start)
+        table = candidate_table(search.candidate_set, screened, search.rules.alpha, search.least_decrease(start.start))
+        if insufficient:
+            start = SearchStart(baseline.fit, baseline.fit)
+            result = SearchResult.nothing(baseline.fit, screened)
+        else:
+            search, result = select_effects(search, SearchResult.nothing(start.start, screened))
+        findings = replace(
+            _findings(experiment, baseline, start, search, result),
+            insufficient=insufficient,
+            candidates=table,
+            warnings=(*experiment.warnings, *baseline.problems, warning),
+        )
+        if not insufficient and is_unexplained(findings):
+            resemblance = describe_residual(result.best.point, result.best.effects, experiment.rig)
+            findings = replace(findings, resemblance=resemblance)
+        return conclude(findings)
+
+
+def _findings(
+    experiment: Experiment, baseline: Baseline, start: SearchStart, search: Search, result: SearchResult
+) -> Findings:
+    """Results of the steps that follow the search."""
+    best, rig, noise = result.best, experiment.rig, baseline.fit.point.runs[0].observed.noise
+    search.tell("looking for effects that cannot be distinguished")
+    alternatives = find_alternatives(result, search)
+    causes = estimate_causes(result, search, alternatives)
+    search.tell("simulating the recordings")
+    next_best = search.trials.next_best(best) or result.next_best
+    recordings = compare_recordings(experiment, noise, start.before, best, next_best)
+    model, base = model_of(best, rig, noise), model_of(start.before, rig, noise)
+    ambiguous = next((cause for cause in causes if cause.alternatives), None)
+    return Findings(
+        experiment=experiment,
+        causes=without_each_cause(model, causes, recordings),
+        needed=search.still_needed(result),
+        next_best=next_best.new_effects if next_best else (),
+        model=model,
+        base=base,
+        recordings=recordings,
+        residuals=residual_test(best.point.runs),
+        repeats=compare_repeats(best.point.runs),
+        misfits=_misfits(baseline, start, best),
+        decrease=(search.start.chi2 - best.chi2) / best.chi2,
+        least_decrease=search.least_decrease(best),
+        proposals=propose_recordings(best, search.trials.with_replaced(best, ambiguous)) if ambiguous else (),
+        symptoms=find_symptoms(base, recordings),
+        noise=baseline.noise.source,
+        notes=_notes(baseline, start, best),
+        seed=search.rules.seed,
+    )
+
+
+def _misfits(baseline: Baseline, start: SearchStart, best: CandidateFit) -> Misfits:
+    changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
+    chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
+    rms = start.reference_misfit * float(np.sqrt(chi2 / max(count, 1)))
+    return Misfits(baseline.fit.misfit, start.reference_misfit, rms)
+
+
+def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[str, ...]:
+    joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in baseline.fit.point.chain.links)
+    known = "was not measured" if best.shift is None else "is measured against a finer chain"
+    notes = [f"virtual joints of the search's chain: {joints}; the error of so few {known}"]
+    if start.diverges_from_data:
+        notes.append(
+            "without a change the model follows so little of the changed recordings that the table of candidates, "
+            "which is linear, is no guide: each was fitted"
+        )
+    if best.uses_feedback:
+        notes.append(
+            "dry friction or play: while fitting, a weak spring and damper held the simulated joint near its encoder's "
+            "angles; misfits and parameters are those of such simulations, simulated recordings and the gain are open loop"
+        )
+    if best.effects and not best.fit.converged:
+        notes.append("the last fit was ended once further steps no longer mattered")
+    return tuple(notes)
+
+
+def _chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
+    """Effects by their ids; all that are built in by default."""
+    known = {effect.id: effect for effect in BUILTIN}
+    chosen: list[Effect] = []
+    for given in BUILTIN if effects is None else effects:
+        if isinstance(given, str) and given not in known:
+            raise ChoiceError("effect", given, known)
+        effect = known[given] if isinstance(given, str) else given
+        if not isinstance(effect, Effect):
+            raise ShapeError("effects", repr(effect), "ids, or instances of vjm.effects.Effect")
+        chosen.append(effect)
+    ids = [effect.id for effect in chosen]
+    if len(set(ids)) < len(ids) or not ids:
+        raise ShapeError("effects", ", ".join(ids) or "none", "at least one, each once")
+    return tuple(chosen)
 
 
 class _Stages:
-    """Tells how far a diagnosis has come; how many stages there will be is not known before."""
+    """Progress of a diagnosis, whose number of stages is not known before: each takes 15 % of what remains."""
 
     def __init__(self, progress: Progress | None) -> None:
         self.progress = progress
@@ -85,11 +183,10 @@ class _Stages:
 
     def __call__(self, text: str) -> None:
         self.stage += 1
-        if self.progress is not None:
-            self.progress(text, int(100 * (1 - 0.85**self.stage)), 100)
+        self.inside(text, 0, 1)
 
     def inside(self, text: str, done: int, total: int) -> None:
-        """A stage's own progress."""
+        """Report the progress inside a stage."""
         if self.progress is not None:
             share = 1 - 0.85 ** (self.stage + done / max(total, 1))
             self.progress(text, int(100 * share), 100)

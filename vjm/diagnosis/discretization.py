@@ -1,12 +1,9 @@
-"""What a chain shows otherwise than a beam, because its joints are few: measured against a finer chain, and corrected.
+"""Discretization error of a chain with few virtual joints: measured against a finer chain, and corrected.
 
-A chain with n joints follows recordings best with parameters that are a little off, and even then not quite: its error
-is of the order 1/n^2 of a large bend, far above the noise of many samples, and looks like effects that are not there.
-Simulating more joints is simple, searching with them slow. So a finer chain is fitted once, with the derivatives of the
-coarse one (deferred correction): where both follow the recordings as well as they can, what the finer one shows beyond
-the coarse one is known from then on, and its parameters are those of the beam.
-
-Source: V. Pereyra, Iterated deferred corrections for nonlinear operator equations, Numerische Mathematik 10, 1967.
+The predictions of a chain with n joints differ from those of a beam by a term of order 1/n^2, in recordings of large
+bends far above the noise of many samples, and its best parameters are biased. A finer chain is therefore fitted once,
+with the derivatives of the coarse one (deferred correction: Pereyra, Numerische Mathematik 10, 1967); Richardson's
+extrapolation of the differences gives the offset of the predictions and the shift of the parameters to those of a beam.
 """
 
 from __future__ import annotations
@@ -17,136 +14,128 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
-from vjm.diagnosis.candidate_fit import Extension
+from vjm.diagnosis.candidate_fit import CandidateFit, Extension
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_DAMPING
-from vjm.identification.trajectory_fit import Coordinates, Point, TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
 from vjm.model import dynamics
 from vjm.records import Array, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.run import Run, Start, run_all, transferred
 
-CLOSE = 2.0  # misfit from which coarseness is the smallest worry
-_FINER = 3  # times as many joints
-_ENDLESS = _FINER**2 / (_FINER**2 - 1)  # Richardson's extrapolation of an error of order 1/n^2
-_PASSES = 4
-_SETTLED = 1e-4  # relative fall of chi^2 from one pass to the next
+CLOSE = 2.0  # misfit up to which the discretization error is comparable with what else is missing
+_REFINEMENT = 3  # times as many joints: leaves a ninth of the error, which the extrapolation removes
+_EXTRAPOLATION = _REFINEMENT**2 / (_REFINEMENT**2 - 1)  # Richardson's, for an error of order 1/n^2
+_PASSES = 4  # corrections; each reduces the rest of the error by the error itself
+_CONVERGED = 1e-4  # relative decrease of chi^2 from one pass to the next, below a tenth of a typical noise of chi^2
 
 
 @dataclass(frozen=True)
 class DiscretizationBias:
-    """How a chain with endless joints would differ, each fitted as well as it can be.
+    """Difference between a beam and a fitted chain with few joints, each fitted as well as it can be.
 
     Attributes:
-        discretization_offset: (N,) for each recording, what it would show beyond the chain [m, rad].
-        shift: (p,) of the coordinates, from the chain's to its own.
+        offset: (N,) for each recording, the beam's predictions less the chain's [m, rad].
+        shift: (p,) the beam's coordinates less the chain's.
     """
 
-    discretization_offset: tuple[Array, ...]
+    offset: tuple[Array, ...]
     shift: Array
 
 
 def discretization_bias(point: Point, rig: Rig, rough: bool = False) -> DiscretizationBias | None:
-    """Compare a fitted chain with a finer one.
+    """Compare a fitted chain with a finer one; None where that cannot be simulated.
 
     Args:
         point: where the chain fits best.
         rig: the arm.
-        rough: whether to tell the difference with the same parameters, which is most of it, and no shift.
-
-    Returns:
-        The difference; None where the finer chain cannot be simulated.
+        rough: compare them at the same parameters, which gives most of the offset, and no shift.
     """
-    bare = with_offset(point, [None] * len(point.runs))
-    finer = _finer(bare, rig)
-    best, found, here = np.inf, None, bare
+    start = with_offset(point, None)
+    finer = _finer(start, rig)
+    best, chi2, here = None, np.inf, start
     try:
-        for left in reversed(range(1 if rough else _PASSES)):
-            shown, own = _shown(finer, here), [_predicted(here, k) for k in range(len(here.runs))]
-            chi2 = sum(_chi2(here, k, each) for k, each in enumerate(shown))
-            if not chi2 < best * (1 - _SETTLED):
+        for remaining in reversed(range(1 if rough else _PASSES)):
+            predicted = _predictions(finer, here)
+            previous, chi2 = chi2, sum(map(_chi2, here.runs, predicted))
+            if not chi2 < previous * (1 - _CONVERGED):
                 break
-            best, found = chi2, (shown, here.x)
-            if left:
-                discretization_offset = [one - two for one, two in zip(shown, own, strict=True)]
-                fit = _fitted(with_offset(here, discretization_offset), rough=True)
-                here = with_offset(fit.point, [None] * len(shown))
+            best = predicted, here.x
+            if remaining:
+                offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
+                shifted = with_offset(here, offset)
+                states = [run.state for run in shifted.runs]
+                fit = fit_trajectory(shifted.problem, shifted.x, None, states, rough=True)
+                here = with_offset(fit.point, None)
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    if found is None:
+    if best is None:
         return None
-    shown, x = found
-    discretization_offset = [_ENDLESS * (each - _predicted(bare, k)) for k, each in enumerate(shown)]
-    return DiscretizationBias(tuple(discretization_offset), _ENDLESS * (x - point.x))
+    predicted, x = best
+    offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
+    return DiscretizationBias(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
 
-def corrected(fit: TrajectoryFit, found: DiscretizationBias | None, rough: bool = False) -> TrajectoryFit:
-    """The fit once its chain's coarseness is known; a rough one is only a start for others."""
-    if found is None:
-        return fit
-    return _fitted(with_offset(fit.point, found.discretization_offset), rough)
+def corrected(candidate: CandidateFit, bias: DiscretizationBias | None, rough: bool = False) -> CandidateFit:
+    """Fit again beside a known discretization bias; a rough fit is only a start for others."""
+    if bias is None:
+        return candidate
+    point = with_offset(candidate.point, bias.offset)
+    fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs], rough=rough)
+    return CandidateFit(fit, bias.shift)
 
 
-def with_offset(point: Point, discretization_offset: Sequence[Array | None]) -> Point:
-    """The same simulations, beside what is known to be shown beyond them."""
+def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
+    """Return the same simulations with offsets (N,) of their predictions, one for each recording; None: without."""
     runs = tuple(
-        replace(run, observed=replace(run.observed, discretization_offset=each))
-        for run, each in zip(point.runs, discretization_offset, strict=True)
+        replace(run, observed=replace(run.observed, discretization_offset=own))
+        for run, own in zip(point.runs, [None] * len(point.runs) if offset is None else offset, strict=True)
     )
     return replace(point, problem=replace(point.problem, observed=tuple(run.observed for run in runs)), runs=runs)
 
 
-def _fitted(point: Point, rough: bool = False) -> TrajectoryFit:
-    return fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs], rough=rough)
-
-
 def _finer(point: Point, rig: Rig) -> Coordinates:
     """The same coordinates of a chain with more joints."""
-    step_multiple = point.problem.parametrisation
-    joints = [_FINER * link.virtual_joints for link in step_multiple.template.links]
+    own = point.problem.parametrisation
+    joints = [_REFINEMENT * link.virtual_joints for link in own.template.links]
     template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_DAMPING)
-    fine = Parametrisation(template, step_multiple.kind, step_multiple.hubs)
+    finer = Parametrisation(template, own.kind, own.hubs)
     extension = point.problem.extension
-    return replace(extension, base=fine) if isinstance(extension, Extension) else fine
+    return replace(extension, base=finer) if isinstance(extension, Extension) else finer
 
 
-def _shown(finer: Coordinates, point: Point) -> list[Array]:
-    """What the finer chain would have shown [m, rad]."""
+def _predictions(finer: Coordinates, point: Point) -> list[Array]:
+    """What the finer chain predicts for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [each.recording for each in observed])
     starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
-    states = [_carried_over(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
-    runs = run_all(arms, observed, starts, states, point.problem.step_multiple)
-    return [run.observed.predicted(run.arm, run.steps) for run in runs]
+    states = [_transferred_with_momentum(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
+    return [_predicted(run) for run in run_all(arms, observed, starts, states, point.problem.step_multiple)]
 
 
-def _carried_over(run: Run, arm: Arm) -> Array:
-    """(2 nv,) a run's initial state in a finer chain, with the same momentum of its active joints.
+def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
+    """A run's initial state (2 nv,) in a finer chain, with the same momentum of its active joints.
 
-    The rates with which fast modes begin are told differently by different chains; a joint that is free must not drift
-    away with the difference.
+    Initial rates of fast modes differ from chain to chain; a joint that turns freely must not drift by the difference.
     """
     state = transferred(run.chain, arm.chain, run.state)
     active = arm.chain.active
     if not active.size:
         return state
     recording = run.observed.recording
-    (q, v), (fine_q, fine_v) = np.split(run.state, 2), np.split(state, 2)
-    step_multiple = dynamics.mass_matrix(dynamics.build(run.chain, run.arm.inputs(recording).payload), q[None])[0]
-    fine = dynamics.mass_matrix(dynamics.build(arm.chain, arm.inputs(recording).payload), fine_q[None])[0]
-    missing = (step_multiple @ v)[run.chain.active] - (fine @ fine_v)[active]
-    fine_v[active] += np.linalg.solve(fine[np.ix_(active, active)], missing)
-    return np.concatenate([fine_q, fine_v])
+    (q, v), (finer_q, finer_v) = np.split(run.state, 2), np.split(state, 2)
+    mass = dynamics.mass_matrix(dynamics.build(run.chain, run.arm.inputs(recording).payload), q[None])[0]
+    finer_mass = dynamics.mass_matrix(dynamics.build(arm.chain, arm.inputs(recording).payload), finer_q[None])[0]
+    missing = (mass @ v)[run.chain.active] - (finer_mass @ finer_v)[active]
+    finer_v[active] += np.linalg.solve(finer_mass[np.ix_(active, active)], missing)
+    return np.concatenate([finer_q, finer_v])
 
 
-def _predicted(point: Point, k: int) -> Array:
-    run = point.runs[k]
+def _predicted(run: Run) -> Array:
     return run.observed.predicted(run.arm, run.steps)
 
 
-def _chi2(point: Point, k: int, shown: Array) -> float:
-    """Of what would have been shown."""
-    seen = point.runs[k].observed
-    left = seen.whitened(seen.weights * (seen.values - shown))
-    return float(left @ left)
+def _chi2(run: Run, predicted: Array) -> float:
+    residual = run.observed.whitened(run.observed.weights * (run.observed.values - predicted))
+    return float(residual @ residual)

@@ -1,4 +1,8 @@
-"""Explanations whose simulations are held near the angles that encoders measured, and those set free again."""
+"""Fits with encoder feedback: a weak spring and damper hold the simulated joints near the angles that were measured.
+
+A joint that sticks a moment too early is off for good, so that open-loop fits of stick-slip are lost among local
+minima. With feedback they are not (an observer in the prediction-error method: Ljung, System Identification, 1999).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +15,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import CandidateFit, refit
 from vjm.diagnosis.fit_cache import StoppingRule
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
+from vjm.identification.trajectory_fit import TrajectoryProblem
 from vjm.records import Array
 from vjm.simulation.encoder_feedback import EncoderFeedback
 from vjm.simulation.initial_state import most_likely
@@ -27,13 +31,13 @@ _FEW = 6  # simulations to improve an initial state by, open loop
 
 
 def feedback_possible(candidate_fit: CandidateFit) -> bool:
-    """Whether encoders measured anything of a joint that moves."""
+    """Return True if encoders measured anything of a joint that moves."""
     recordings = [run.observed.recording for run in candidate_fit.point.runs]
     return bool(candidate_fit.point.chain.active.size) and any(np.isfinite(each.theta).any() for each in recordings)
 
 
-def held(candidate_fit: CandidateFit) -> CandidateFit | None:
-    """The same effects, fitted with simulations held; None where that cannot be simulated.
+def fit_with_feedback(candidate_fit: CandidateFit) -> CandidateFit | None:
+    """Fit the same effects with encoder feedback; None where that cannot be simulated.
 
     A fit of recordings that it could not follow may have ended anywhere: the nominal chain is a start as well.
     """
@@ -49,17 +53,17 @@ def held(candidate_fit: CandidateFit) -> CandidateFit | None:
 
 
 def nominal_with_feedback(candidate_fit: CandidateFit) -> CandidateFit | None:
-    """The same with nothing fitted but initial states, at the nominal chain; None where that cannot be simulated."""
+    """Simulate the nominal chain with encoder feedback, fitting initial states only; None where that fails."""
     problem, x = _held_problem(candidate_fit)
     try:
         found = most_likely(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
     except (InsufficientDataError, SimulationDivergedError):
         return None
-    return CandidateFit(TrajectoryFit(Point(problem, x, tuple(run for run, _ in found)), False, 0))
+    return CandidateFit.unfitted(problem, x, [run for run, _ in found])
 
 
 def fit_open_loop(candidate_fit: CandidateFit, free: CandidateFit) -> CandidateFit | None:
-    """The effects of an explanation that was held, fitted open loop to the same recordings as a free one."""
+    """Fit the effects that were found with feedback open loop, to the same recordings as an open-loop fit."""
     observed = free.point.problem.observed
     point = candidate_fit.point
     runs = tuple(replace(run, observed=each) for run, each in zip(point.runs, observed, strict=True))
@@ -69,7 +73,7 @@ def fit_open_loop(candidate_fit: CandidateFit, free: CandidateFit) -> CandidateF
 
 
 def without_feedback(candidate_fit: CandidateFit, free: CandidateFit) -> CandidateFit:
-    """The same parameters, simulated open loop from initial states that are as likely as can be found.
+    """Simulate the same parameters open loop, from initial states that are as likely as can be found.
 
     Args:
         candidate_fit: held, or not.
@@ -85,10 +89,10 @@ def without_feedback(candidate_fit: CandidateFit, free: CandidateFit) -> Candida
     return replace(candidate_fit, fit=replace(candidate_fit.fit, point=again))
 
 
-def replayed(
+def simulate_open_loop(
     candidate_fit: CandidateFit, observed: Sequence[Observed], states: Sequence[Array | None] | None = None
 ) -> list[tuple[Run, bool]]:
-    """Recordings that were not fitted, open loop, and whether their initial states were found.
+    """Simulate recordings that were not fitted open loop; also return whether their initial states were found.
 
     Where fits were held, initial states are looked for with simulations held, and improved open loop.
 
@@ -120,7 +124,7 @@ def replayed(
 
 
 def _held_problem(candidate_fit: CandidateFit) -> tuple[TrajectoryProblem, Array]:
-    """The same recordings, held, and the coordinates (p,) with the nominal chain's."""
+    """Recordings with feedback, and the coordinates (p,) with the nominal chain's."""
     point, chain = candidate_fit.point, _nominal(candidate_fit)
     start = point.problem.parametrisation.start
     observed = tuple(_guided(run.observed, chain) for run in point.runs)
@@ -128,7 +132,7 @@ def _held_problem(candidate_fit: CandidateFit) -> tuple[TrajectoryProblem, Array
 
 
 def _guided(observed: Observed, chain: Chain) -> Observed:
-    """The same recording, whose simulations are held; a quiet one as it is, since nothing drifts in it."""
+    """Recording with feedback; a quiet one as it is, since nothing drifts in it."""
     if observed.recording.kind == "quiet":
         return observed
     frequency = _FREQUENCY * locked_frequencies(chain)[0]

@@ -1,7 +1,12 @@
-"""Explanations that were fitted, each beside the same knowledge of what the chain's coarseness does."""
+"""Fits of candidate models: begun, compared and finished by successive halving, and kept for later questions.
+
+Many refits are begun and few are finished: those that will not come near the best are given up early (successive
+halving: Jamieson and Talwalkar, AISTATS 2016). All fits share what is known of the chain's discretization error.
+"""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -10,26 +15,27 @@ import numpy as np
 
 from vjm.diagnosis.baseline import SearchStart
 from vjm.diagnosis.candidate_fit import (
+    INCOMPLETE,
     CandidateFit,
     Names,
     named,
-    parameters_unreliable,
     refit,
-    restart_from_nominal,
-    sized,
-    truncated_at_parameters,
-    truncated_fit,
+    with_start_size,
 )
 from vjm.diagnosis.discretization import CLOSE, corrected, discretization_bias, with_offset
+from vjm.diagnosis.records import Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.workers import Workers
 from vjm.effects import Effect
 from vjm.effects.effect import is_nonsmooth
-from vjm.identification.trajectory_fit import Point, TrajectoryProblem
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
 from vjm.records import Array, Rig
+from vjm.simulation.initial_state import most_likely
 
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
-OFF = 3.0  # misfit from which an explanation does not follow the recordings
+LOST_MISFIT = 3.0  # misfit from which a model does not follow the recordings
+_PERIODS = 3.0  # times the first horizon: long enough to compare models where nothing is a guide
 _NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which an explanation may be best in the end
 _EXPLAINED = 1.1  # misfit of what explains them
 _LITTLE = 2.0  # the same of whole recordings, before a fit has ended
@@ -51,7 +57,7 @@ _ROUGHLY = 1e-3  # of chi^2: well below what an effect must explain to matter
 
 @dataclass(frozen=True)
 class FitJob:
-    """A refit to try.
+    """Refit to try.
 
     Attributes:
         start: the explanation to begin with.
@@ -62,27 +68,27 @@ class FitJob:
     effects: tuple[Effect, ...]
 
 
-def proposal(start: CandidateFit, seen: Screen, chosen: Sequence[int], screen_unreliable: bool = False) -> FitJob:
-    """An explanation with further effects, of sizes that a screen guesses.
+def proposal(start: CandidateFit, screened: Screen, chosen: Sequence[int], screen_unreliable: bool = False) -> FitJob:
+    """Return the refit of a model with further effects, from sizes that a screen guesses.
 
     Args:
         start: the explanation.
-        seen: the screen.
+        screened: the score tests.
         chosen: of its effects.
         screen_unreliable: whether the start is no guide: then sizes are everyday ones.
     """
-    added = [seen.effects[k] for k in chosen]
-    guess = np.ones(sum(effect.magnitude_count for effect in added)) if screen_unreliable else seen.guess(chosen)
+    added = [screened.effects[k] for k in chosen]
+    guess = np.ones(sum(effect.magnitude_count for effect in added)) if screen_unreliable else screened.guess(chosen)
     stops = np.cumsum([effect.magnitude_count for effect in added])
     new = [
-        sized(effect, guess[stop - effect.magnitude_count : stop], start.point.chain)
+        with_start_size(effect, guess[stop - effect.magnitude_count : stop], start.point.chain)
         for stop, effect in zip(stops, added, strict=True)
     ]
     return FitJob(start, (*start.effects, *new))
 
 
-def start_fit(job: FitJob, whole: float, record: float = np.inf) -> CandidateFit | None:
-    """A refit's first steps; of recordings' beginnings, as many as may still make it one of the best.
+def _start_fit(job: FitJob, whole: float, record: float = np.inf) -> CandidateFit | None:
+    """Begin a refit; beside the recordings' first periods, with as many steps as may make it one of the best.
 
     Args:
         job: the refit.
@@ -90,74 +96,71 @@ def start_fit(job: FitJob, whole: float, record: float = np.inf) -> CandidateFit
         record: chi^2 of the best beside the beginnings so far.
     """
     nonsmooth = is_nonsmooth(job.effects)
-    if is_short(job.start, whole):
+    if _is_short(job.start, whole):
         return refit(job.start, job.effects, StoppingRule(_MOST_SHORT_STEPS, _FAR**2 * record, nonsmooth))
     # Held, a fit goes where its steps point; open loop, what a step promises may be far from what it does.
     most = _MOST_FIRST_STEPS if job.start.uses_feedback else FIRST_STEPS
     return refit(job.start, job.effects, StoppingRule(FIRST_STEPS, nonsmooth=nonsmooth, most=most))
 
 
-def is_short(candidate_fit: CandidateFit, whole: float) -> bool:
-    """Whether it is of the recordings' beginnings only."""
+def _is_short(candidate_fit: CandidateFit, whole: float) -> bool:
+    """True if it has the recordings' first periods only."""
     return candidate_fit.point.problem.longest < whole
 
 
-def near_noise(partial_fits: CandidateFit, whole: float, fewer: CandidateFit) -> bool:
-    """Whether so little is left that its fit is worth ending before others are tried.
+def _near_noise(partial_fits: CandidateFit, whole: float, fewer: CandidateFit) -> bool:
+    """True if so little remains that the fit is worth finishing before others are tried.
 
     Args:
         partial_fits: the fit.
         whole: duration of the longest recording [s].
         fewer: the best with fewer effects.
     """
-    short = is_short(partial_fits, whole)
-    little = partial_fits.point.misfit < (_EXPLAINED if short or partial_fits.uses_feedback else _LITTLE)
-    return little or (not short and explains_nearly_all(partial_fits, fewer))
+    short = _is_short(partial_fits, whole)
+    little = partial_fits.misfit < (_EXPLAINED if short or partial_fits.uses_feedback else _LITTLE)
+    return little or (not short and _explains_nearly_all(partial_fits, fewer))
 
 
-def explains_nearly_all(candidate_fit: CandidateFit, fewer: CandidateFit) -> bool:
-    """Whether it leaves next to nothing of what another with fewer effects lacked: what is left is for further ones."""
-    lacked, lacks = (max(each.point.misfit**2 - 1.0, 0.0) for each in (fewer, candidate_fit))
-    return candidate_fit.point.misfit < _LITTLE and lacks < _REST * lacked
+def _explains_nearly_all(candidate_fit: CandidateFit, fewer: CandidateFit) -> bool:
+    """True if it leaves next to nothing of what another with fewer effects lacked: the rest is for further ones."""
+    lacked, lacks = (max(each.misfit**2 - 1.0, 0.0) for each in (fewer, candidate_fit))
+    return candidate_fit.misfit < _LITTLE and lacks < _REST * lacked
 
 
-def promising(partial_fits: Sequence[CandidateFit], whole: float) -> list[CandidateFit]:
-    """The best first; of those that were tried on the recordings' beginnings, the ones that may be best in the end.
-
-    Of those that explain nothing, a few at most.
-    """
-    ordered = sorted(partial_fits, key=lambda each: each.point.misfit)
-    short = [each for each in ordered if is_short(each, whole)]
+def _promising(partial_fits: Sequence[CandidateFit], whole: float) -> list[CandidateFit]:
+    """Keep fits that may be best in the end, the best first; a few at most where none explains anything."""
+    ordered = sorted(partial_fits, key=lambda each: each.misfit)
+    short = [each for each in ordered if _is_short(each, whole)]
     if short:
-        best = short[0].point.misfit
-        near = sum(each.point.misfit < _NEAR * max(best, 1.0) for each in short)
+        best = short[0].misfit
+        near = sum(each.misfit < _NEAR * max(best, 1.0) for each in short)
         short = short[: near if best < _EXPLAINED else min(near, _KEPT)]
-    least = min((each.point.misfit for each in partial_fits), default=np.inf)
-    long = [each for each in ordered if not is_short(each, whole) and each.point.misfit < _HOPELESS * least]
+    least = min((each.misfit for each in partial_fits), default=np.inf)
+    long = [each for each in ordered if not _is_short(each, whole) and each.misfit < _HOPELESS * least]
     kept = [*(long if not long or long[0].follows else long[:_KEPT]), *short]
-    return sorted(kept, key=lambda each: each.point.misfit)
+    return sorted(kept, key=lambda each: each.misfit)
 
 
-def finish_fit(partial_fits: CandidateFit, record: float, whole: TrajectoryProblem) -> CandidateFit | None:
-    """A refit to its end; given up once it will not come near the record.
+def _finish_fit(partial_fits: CandidateFit, record: float, whole: TrajectoryProblem) -> CandidateFit | None:
+    """Finish a refit; give it up once it will not come near the record.
 
     Args:
         partial_fits: where it has come to.
         record: chi^2 of the best so far.
         whole: all of the recordings.
     """
-    short, nonsmooth = is_short(partial_fits, whole.longest), is_nonsmooth(partial_fits.effects)
+    short, nonsmooth = _is_short(partial_fits, whole.longest), is_nonsmooth(partial_fits.effects)
     if partial_fits.fit.converged and not short:
         return partial_fits
-    if not short and is_hopeless(partial_fits, record):
+    if not short and _is_hopeless(partial_fits, record):
         return partial_fits
     enough = _ABRUPT_GAINED if nonsmooth else _GAINED
     patience = StoppingRule(np.inf, record, nonsmooth, enough, rough=partial_fits.uses_feedback and not nonsmooth)
     return refit(partial_fits, partial_fits.effects, patience, whole=whole if short else None)
 
 
-def is_hopeless(partial_fits: CandidateFit, record: float) -> bool:
-    """Whether what another step promises, if that is known, is far from a record (chi^2).
+def _is_hopeless(partial_fits: CandidateFit, record: float) -> bool:
+    """True if what another step promises, if that is known, is far from a record (chi^2).
 
     A fit that does not follow the recordings begins again with their beginnings, where more may be promised.
     """
@@ -165,7 +168,7 @@ def is_hopeless(partial_fits: CandidateFit, record: float) -> bool:
 
 
 class StoppingRule:
-    """Ends a fit after some steps, or when it will not come near a record, or when it is wrong and as good as done.
+    """Stopping rule of a fit: after some steps, far from a record, or when it is wrong and as good as done.
 
     Where something sticks and slips, or little is followed, slopes are only roughly a guide: once many steps have
     gained little, none will.
@@ -194,18 +197,18 @@ class StoppingRule:
         self.record = record
         self.nonsmooth = nonsmooth
         self.enough = enough
-        self.seen: list[float] = []
+        self.history: list[float] = []
 
     def __call__(self, point: Point, predicted: float) -> bool:
-        """Whether to end it where it is, given by how much its next step may lower chi^2."""
-        self.seen.append(point.chi2)
+        """Return True to end it where it is, given the predicted decrease of chi^2 by its next step."""
+        self.history.append(point.chi2)
         share = predicted / point.chi2
         steps = self.steps if share < _MUCH else max(self.steps, self.most)
         done = any(point.misfit > misfit and share < little for misfit, little in _DONE)
         done = done or (self.rough and share < _ROUGHLY)
-        slow = self.nonsmooth or point.misfit > OFF
-        stuck = slow and len(self.seen) > _STUCK and point.chi2 > self.enough * self.seen[-_STUCK]
-        return len(self.seen) > steps or done or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
+        slow = self.nonsmooth or point.misfit > LOST_MISFIT
+        stuck = slow and len(self.history) > _STUCK and point.chi2 > self.enough * self.history[-_STUCK]
+        return len(self.history) > steps or done or stuck or point.chi2 - _MARGIN * predicted > self.record + 5 * ALIKE
 
 
 NOISE = 1.02  # misfit that leaves nothing to explain
@@ -215,13 +218,13 @@ Enough = Callable[[Sequence[CandidateFit]], bool]
 
 
 class FitCache:
-    """All that a search has fitted, by the names of the effects.
+    """Fits of a search, by the names of their effects.
 
     Attributes:
         start: the explanation from which effects are looked for.
         diverges_from_data: whether it does not follow what has changed.
         tried: explanations; hopeless ones not to their end.
-        uncorrected: those that do not know what `surplus` says.
+        uncorrected: those fitted without `discretization_offset`.
         discretization_offset: what more virtual joints would show, for each recording; None: not known yet.
     """
 
@@ -239,40 +242,40 @@ class FitCache:
         self._refit_starts: dict[Names, CandidateFit] = {}
 
     def linearization_point(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """Where slopes tell what is missing: where it does not follow the recordings, at their beginnings."""
+        """Return the fit at which derivatives guide: of the first periods where the model loses the recordings."""
         if self.screen_unreliable(candidate_fit) or candidate_fit.follows:
             return candidate_fit
         if candidate_fit.names not in self._linearization_points:
-            self._linearization_points[candidate_fit.names] = truncated_fit(candidate_fit)
+            self._linearization_points[candidate_fit.names] = _truncated_fit(candidate_fit)
         return self._linearization_points[candidate_fit.names]
 
     def refit_start(self, candidate_fit: CandidateFit, nonsmooth: bool = False) -> CandidateFit:
-        """Where fits with further effects begin: the recordings' beginnings, where its own parameters are no guide.
+        """Return the start of fits with further effects: of the first periods, where its own parameters are no guide.
 
         Args:
             candidate_fit: the effects that are there.
             nonsmooth: whether a further one sticks or rattles, which is found from wherever slopes lead.
         """
         far = self.screen_unreliable(candidate_fit)
-        if not far and (nonsmooth or not parameters_unreliable(candidate_fit)):
+        if not far and (nonsmooth or not _parameters_unreliable(candidate_fit)):
             return self.linearization_point(candidate_fit)
         if candidate_fit.names not in self._refit_starts:
             self._refit_starts[candidate_fit.names] = (
-                truncated_at_parameters(candidate_fit) if far else restart_from_nominal(candidate_fit)
+                _truncated_at_parameters(candidate_fit) if far else restart_from_nominal(candidate_fit)
             )
         return self._refit_starts[candidate_fit.names]
 
     def screen_unreliable(self, candidate_fit: CandidateFit) -> bool:
-        """Whether nothing is a guide from there."""
+        """Return True if no derivative is a guide from there."""
         return self.diverges_from_data and candidate_fit is self.start
 
     def best(self, count: int) -> CandidateFit | None:
-        """The best explanation of so many effects."""
+        """Return the best model of so many effects."""
         found = [each for each in self.tried.values() if len(each.effects) == count]
         return min(found, key=lambda each: each.chi2, default=None)
 
     def next_best(self, best: CandidateFit) -> CandidateFit | None:
-        """The next best explanation of as many effects; None where nothing else was tried, or nothing is explained.
+        """Return the next best model of as many effects; None where no other was tried, or nothing is explained.
 
         Where the best left nothing, so that no other was fitted to its end, the most promising one is now.
         """
@@ -281,13 +284,13 @@ class FitCache:
         )
         if not tried and partial_fits:
             self.tell("fitting the next best")
-            most = min(partial_fits, key=lambda each: each.point.misfit)
-            found = finish_fit(most, np.inf, self._beside(self.start).point.problem)
+            most = min(partial_fits, key=lambda each: each.misfit)
+            found = _finish_fit(most, np.inf, self._beside(self.start).point.problem)
             tried = [] if found is None else [found]
         return min(tried, key=lambda each: each.chi2, default=None)
 
     def fit(self, jobs: Sequence[FitJob], every: bool = False) -> None:
-        """A few steps for each; then to the end for those that may be the best, the most promising first.
+        """Begin all refits, then finish those that may be the best, the most promising first.
 
         Args:
             jobs: refits to try.
@@ -304,16 +307,16 @@ class FitCache:
         partial_fits: list[CandidateFit] = []
         while pending:
             together, pending = pending[: self.workers.count], pending[self.workers.count :]
-            record = min((each.chi2 for each in partial_fits if is_short(each, whole.longest)), default=np.inf)
-            found = self.workers.map(partial(start_fit, whole=whole.longest, record=record), together)
+            record = min((each.chi2 for each in partial_fits if _is_short(each, whole.longest)), default=np.inf)
+            found = self.workers.map(partial(_start_fit, whole=whole.longest, record=record), together)
             new = [each for each in found if each is not None]
             partial_fits += new
             self._partial_fits |= {each.names: each for each in new}
-            near = [each for each in new if near_noise(each, whole.longest, self._fewer(each))]
+            near = [each for each in new if _near_noise(each, whole.longest, self._fewer(each))]
             near.sort(key=lambda each: each.chi2)
             if enough(self._finish(near, whole, enough)):
                 return
-        rest = [each for each in promising(partial_fits, whole.longest) if each.names not in self.tried]
+        rest = [each for each in _promising(partial_fits, whole.longest) if each.names not in self.tried]
         self._finish(rest, whole, enough)
 
     def _finish(
@@ -326,7 +329,7 @@ class FitCache:
             if partial_fits and len(each.effects) == len(partial_fits[0].effects)
         ]
         record = min(
-            [*known, *(each.chi2 for each in partial_fits if not is_short(each, whole.longest))], default=np.inf
+            [*known, *(each.chi2 for each in partial_fits if not _is_short(each, whole.longest))], default=np.inf
         )
         ended: list[CandidateFit] = []
         waiting = [*partial_fits]
@@ -335,7 +338,7 @@ class FitCache:
             count = 1 if enough(waiting[:1]) else self.workers.count
             together, waiting = waiting[:count], waiting[count:]
             self.tell("fitting " + " and ".join(sorted({name for each in together for name, _ in each.names})))
-            found = self.workers.map(partial(finish_fit, record=record, whole=whole), together)
+            found = self.workers.map(partial(_finish_fit, record=record, whole=whole), together)
             ended += [each for each in found if each is not None]
             self.tried |= {each.names: each for each in ended}
             if enough(ended):
@@ -343,13 +346,19 @@ class FitCache:
             record = min([record, *(each.chi2 for each in ended)])
         return ended
 
+    def with_replaced(self, best: CandidateFit, cause: Cause) -> list[CandidateFit]:
+        """Return the fits in which alternatives stand in a cause's place."""
+        others = best.names - {cause.effect.key}
+        names = [others | {alternative.effect.key} for alternative in cause.alternatives]
+        return [self.tried[each] for each in names if each in self.tried]
+
     def explained(self, count: int) -> bool:
-        """Whether so many effects leave nothing but noise."""
+        """Return True if so many effects leave nothing but noise."""
         found = self.best(count)
         return found is not None and self._explained([found])
 
     def without(self, candidate_fit: CandidateFit, effect: Effect, record: float) -> CandidateFit | None:
-        """The same explanation without one of its effects, fitted again; None where that cannot be simulated.
+        """Fit a model again without one of its effects; None where that cannot be simulated.
 
         Args:
             candidate_fit: the explanation.
@@ -362,14 +371,14 @@ class FitCache:
         astray = known is not None and any(
             each.names < names and each.chi2 < known.chi2 for each in self.tried.values()
         )
-        far = known is not None and not astray and (known.point.misfit > CLOSE or known.chi2 > 2 * record)
+        far = known is not None and not astray and (known.misfit > CLOSE or known.chi2 > 2 * record)
         # Also what was fitted before may be fitted better from here.
         kept = tuple(each for each in candidate_fit.effects if each is not effect)
         steps = FIRST_STEPS if far else np.inf
         found = refit(candidate_fit, kept, StoppingRule(steps, record, is_nonsmooth(kept)))
         if far and known is not None and found is not None and found.chi2 < known.chi2:
             patience = StoppingRule(np.inf, record, is_nonsmooth(kept))
-            found = found if is_hopeless(found, record) else refit(found, kept, patience)
+            found = found if _is_hopeless(found, record) else refit(found, kept, patience)
         if found is None or (known is not None and names not in self.uncorrected and known.chi2 < found.chi2):
             return known
         self.tried[names] = found
@@ -377,18 +386,18 @@ class FitCache:
         return self.tried[names]
 
     def _explained(self, candidate_fits: Sequence[CandidateFit]) -> bool:
-        """Whether one of them leaves nothing but noise, and what the chain's coarseness may; or next to nothing."""
+        """One of them leaves nothing but noise and the chain's discretization error, or next to nothing."""
         least = COARSE if self.discretization_offset is None else NOISE
-        return any(each.point.misfit < least or explains_nearly_all(each, self._fewer(each)) for each in candidate_fits)
+        return any(each.misfit < least or _explains_nearly_all(each, self._fewer(each)) for each in candidate_fits)
 
     def _fewer(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """The best with fewer effects."""
+        """Best fit with fewer effects."""
         count = len(candidate_fit.effects)
         found = [each for each in self.tried.values() if len(each.effects) < count]
         return min(found, key=lambda each: each.chi2, default=self.start)
 
     def refresh(self, wanted: Sequence[Names]) -> None:
-        """Fit again what was fitted before the chain's coarseness was known."""
+        """Fit models again that were fitted before the chain's discretization error was known."""
         for names in self.uncorrected.intersection(wanted):
             known = self._beside(self.tried[names])
             found = refit(known, known.effects)
@@ -397,8 +406,8 @@ class FitCache:
         self.uncorrected.difference_update(wanted)
 
     def converge(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """Fitted to the very end, unless that is of no use."""
-        if candidate_fit.fit.converged or candidate_fit.point.misfit > COARSE:
+        """Fit a model to the very end, unless that is of no use."""
+        if candidate_fit.fit.converged or candidate_fit.misfit > COARSE:
             return candidate_fit
         if candidate_fit.uses_feedback or is_nonsmooth(candidate_fit.effects):
             return candidate_fit  # it is fitted open loop in the end, or was fitted as far as that leads anywhere
@@ -409,30 +418,30 @@ class FitCache:
         return found
 
     def correct_discretization(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """Once it follows the recordings, with its chain's coarseness known, which all later fits know too.
+        """Measure the chain's discretization error once a model follows the recordings, for all later fits too.
 
-        Held simulations show little of it, and what they find is fitted open loop where that is possible.
+        With encoder feedback it hardly shows; such models are fitted open loop where that is possible.
         """
-        if candidate_fit.uses_feedback or candidate_fit.point.misfit > CLOSE or is_nonsmooth(candidate_fit.effects):
+        if candidate_fit.uses_feedback or candidate_fit.misfit > CLOSE or is_nonsmooth(candidate_fit.effects):
             return candidate_fit
-        self.tell("asking what more virtual joints would show")
-        rough = candidate_fit.point.misfit > COARSE
+        self.tell("measuring the discretization error")
+        rough = candidate_fit.misfit > COARSE
         found = discretization_bias(candidate_fit.point, self.rig, rough)
         if found is None:
             return candidate_fit
-        known = CandidateFit(corrected(candidate_fit.fit, found, rough), found.shift)
-        self.discretization_offset, self.uncorrected = found.discretization_offset, {*self.tried} - {known.names}
+        known = corrected(candidate_fit, found, rough)
+        self.discretization_offset, self.uncorrected = found.offset, {*self.tried} - {known.names}
         self._linearization_points.clear()
         self._refit_starts.clear()
         self.tried[known.names] = known
         return known
 
     def _known(self, start: CandidateFit) -> CandidateFit:
-        """The start of a fit; short ones are good enough as they are."""
-        return start if is_short(start, self.start.point.problem.longest) else self._beside(start)
+        """Start of a fit; short ones are good enough as they are."""
+        return start if _is_short(start, self.start.point.problem.longest) else self._beside(start)
 
     def _beside(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """An explanation beside what is known of the chain's coarseness."""
+        """Model beside what is known of the chain's discretization error."""
         if self.discretization_offset is None or candidate_fit.names not in self.uncorrected:
             return candidate_fit
         return replace(
@@ -441,8 +450,57 @@ class FitCache:
         )
 
 
+def _truncated_fit(fit: CandidateFit) -> CandidateFit:
+    """Fit the recordings' first periods only, which the model follows better.
+
+    A fit of recordings that it cannot follow may have ended anywhere: the search begins there and at the nominal chain.
+    """
+    point = fit.point
+    nominal = point.problem.parametrisation.start
+    plain = np.concatenate([nominal, point.x[nominal.size :]])
+    part = point.problem.until(min(first_horizon(point.problem, x) for x in (point.x, plain)))
+    fits: list[TrajectoryFit] = []
+    for x, states in ((point.x, [run.state for run in point.runs]), (plain, None)):
+        with contextlib.suppress(SimulationDivergedError, InsufficientDataError):
+            fits.append(fit_trajectory(part, x, None, states, rough=True))
+    if not fits:
+        return fit
+    return CandidateFit(min(fits, key=lambda each: each.point.chi2))
+
+
+def _parameters_unreliable(fit: CandidateFit) -> bool:
+    """With encoder feedback no joint drifts, but a chain of wrong frequencies is soon in any phase too."""
+    return fit.uses_feedback and fit.misfit > INCOMPLETE and not is_nonsmooth(fit.effects)
+
+
+def _truncated_at_parameters(fit: CandidateFit) -> CandidateFit:
+    """Same parameters beside the recordings' first periods, from their most likely initial states there."""
+    point = fit.point
+    duration = _PERIODS * first_horizon(point.problem, point.x)
+    return _at_first_periods(fit, point.x, duration, [run.state for run in point.runs])
+
+
+def restart_from_nominal(fit: CandidateFit) -> CandidateFit:
+    """Return the effects beside the nominal chain and the first periods; the fit itself if that cannot be simulated."""
+    nominal = fit.point.problem.parametrisation.start
+    x = np.concatenate([nominal, fit.point.x[nominal.size :]])
+    try:
+        return _at_first_periods(fit, x, first_horizon(fit.point.problem, x))
+    except (SimulationDivergedError, InsufficientDataError):
+        return fit
+
+
+def _at_first_periods(
+    fit: CandidateFit, x: Array, duration: float, states: Sequence[Array] | None = None
+) -> CandidateFit:
+    """Coordinates x (p,) beside the recordings' first seconds, not fitted."""
+    part = fit.point.problem.until(duration)
+    found = most_likely(part.arms(x), part.observed, states, part.step_multiple)
+    return CandidateFit.unfitted(part, x, [run for run, _ in found])
+
+
 def _rivals(one: CandidateFit, best: CandidateFit) -> bool:
-    """Whether it has as many effects as the best, and others; what sticks or rattles is slow to fit, and left out."""
+    """As many effects as the best, and others; stick-slip is slow to fit, and left out."""
     slow = is_nonsmooth(one.effects) and not is_nonsmooth(best.effects)
     return len(one.effects) == len(best.effects) > best.reference_effects and one.names != best.names and not slow
 

@@ -1,32 +1,19 @@
-"""What a diagnosis says."""
+"""Records of a diagnosis: what its steps find, and what it concludes from them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from vjm.effects.effect import Effect
 from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording
-from vjm.simulation.model import Model
-from vjm.symptoms.find import Symptoms
+
+if TYPE_CHECKING:
+    from vjm.simulation.model import Model
+    from vjm.symptoms.find import Symptoms
 
 Verdict = Literal["none", "named", "set", "unknown", "insufficient"]
-
-
-@dataclass(frozen=True)
-class Size:
-    """One parameter of an effect, as estimated.
-
-    Attributes:
-        value: in `unit`.
-        std: standard error; None for what was not estimated, as an index, or is not determined.
-        unit: SI; empty where it has none.
-    """
-
-    value: float
-    std: float | None
-    unit: str
 
 
 @dataclass(frozen=True)
@@ -47,18 +34,18 @@ class Cause:
     """An effect that the recordings need.
 
     Attributes:
-        effect: with the parameters with which the model's chain follows the recordings.
-        parameters: those of a beam, whose joints have no end, with standard errors, by name.
+        effect: with the parameters at which the model's chain follows the recordings.
+        parameters: those of a beam, free of the chain's discretization error, with standard errors, by name.
         p_value: probability that noise alone makes any of the candidates look as needed as this.
-        gain: by how much chi^2 of the training recordings falls with it.
-        alternatives: effects that cannot be told from it.
+        gain: decrease of the training recordings' chi^2 by it.
+        alternatives: effects that explain the recordings as well in its place.
         evidence: in words.
         without: the recording in which the causes gain most, simulated with all effects but this one; None where it
             cannot be simulated.
     """
 
     effect: Effect
-    parameters: Mapping[str, Size]
+    parameters: Mapping[str, Estimate]
     p_value: float
     gain: float
     alternatives: tuple[Alternative, ...]
@@ -68,14 +55,14 @@ class Cause:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one place, as the search judged it beside the model without any effect.
+    """An effect at one place, as tested beside the model without effects.
 
     Attributes:
-        effect: the absent effect; an inner parameter has the value at which it would explain most.
-        z: how many standard errors its size is off the null, all other parameters being free; None where not testable.
-        p_value: of the whole search: that noise alone makes any candidate look as needed as this.
-        sizes: its sizes as a score test guesses them, by parameter.
-        smallest_detectable: size that would be found nine times in ten, by parameter.
+        effect: absent; a shape parameter has the value at which the effect would explain most.
+        z: number of standard errors of its size off the null, all other parameters being free; None if not testable.
+        p_value: probability that noise alone makes any candidate look as needed as this; None if not testable.
+        sizes: its sizes as the score test guesses them, by parameter.
+        smallest_detectable: size that is found with a probability of 90 %, by parameter.
         reason: why it cannot be tested, as a clause; empty where it can.
     """
 
@@ -88,20 +75,157 @@ class Candidate:
 
     @property
     def testable(self) -> bool:
-        """Whether the recordings can show it."""
+        """True if the recordings can show it."""
         return not self.reason
 
 
 @dataclass(frozen=True)
+class ResidualBand:
+    """Residuals of one kind of sensor of one recording in one band of frequencies.
+
+    Attributes:
+        file: the recording's.
+        sensor: `markers` or `encoder`.
+        frequencies: lowest and highest [Hz].
+        count: number of spectral coefficients.
+        excess: sum of squares beyond that of noise, in units of the noise.
+        p_value: probability of as large a sum under noise alone.
+    """
+
+    file: str
+    sensor: str
+    frequencies: tuple[float, float]
+    count: int
+    excess: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class ResidualTest:
+    """Test of whether the residuals of all recordings are noise.
+
+    Attributes:
+        bands: the least likely first.
+        p_value: probability that noise alone gives as much in any band, or in all together.
+        excess: sum of squares of all bands beyond that of noise, in units of the noise.
+    """
+
+    bands: tuple[ResidualBand, ...]
+    p_value: float
+    excess: float
+
+
+@dataclass(frozen=True)
+class RepeatComparison:
+    """Marker residuals of recordings that repeat each other, in units of the noise.
+
+    Noise alone gives one for both, since no two recordings share it. A model error that recurs is in the first only,
+    one that differs from recording to recording in both.
+
+    Attributes:
+        common: RMS of the sum of two recordings' residuals over the square root of two.
+        individual: RMS of their difference over the square root of two.
+        noise: standard deviation of a marker coordinate [m].
+    """
+
+    common: float
+    individual: float
+    noise: float
+
+    @property
+    def recurring_share(self) -> float:
+        """Share of the mean square beyond noise that recurs; NaN where there is none."""
+        common, individual = (max(rms**2 - 1.0, 0.0) for rms in (self.common, self.individual))
+        return common / (common + individual) if common + individual > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A recording to make, and what it would be worth.
+
+    Attributes:
+        text: as in "repeat slew.csv with twice the torque".
+        evidence: difference of chi^2 that it will make between the best fit and the nearest alternative.
+    """
+
+    text: str
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Misfits:
+    """RMS weighted residuals of a model before and after a change; one where they are noise.
+
+    Attributes:
+        baseline: of the reference recordings (of all training recordings, where none is), by the model without effects.
+        reference: of the reference recordings, as far as it counts as noise in the search; at least one.
+        changed: of the other recordings, by the best model.
+    """
+
+    baseline: float
+    reference: float
+    changed: float
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Results of the steps of a diagnosis, from which its verdict follows.
+
+    Attributes:
+        experiment: what was diagnosed.
+        causes: new effects of the best model.
+        needed: candidates that are still significant beside the best model, the most needed first.
+        next_best: effects of the next best model.
+        model, base: the best model, and the model before any change.
+        recordings: simulated by both models.
+        residuals: test of the best model's residuals.
+        repeats: residuals of recordings that repeat each other; None where there are none.
+        misfits: before and after the change.
+        decrease: of chi^2 by the causes, as a share of what they leave.
+        least_decrease: decrease of chi^2 below which nothing matters.
+        insufficient: why the recordings support no statement, a sentence each; empty where they do.
+        candidates: table of the effects that were looked for.
+        proposals: recordings that would distinguish the first ambiguous cause from its alternatives, the best first.
+        symptoms: what the model before any change gets wrong.
+        noise: in words, how the camera's noise was estimated.
+        resemblance: in words, the generic force that the residuals resemble; empty where none was looked for.
+        warnings, notes: of the steps.
+        seed: of the bootstrap.
+    """
+
+    experiment: Experiment
+    causes: tuple[Cause, ...]
+    needed: tuple[Effect, ...]
+    next_best: tuple[Effect, ...]
+    model: Model
+    base: Model
+    recordings: tuple[RecordingComparison, ...]
+    residuals: ResidualTest
+    repeats: RepeatComparison | None
+    misfits: Misfits
+    decrease: float
+    least_decrease: float
+    insufficient: tuple[str, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    proposals: tuple[Proposal, ...] = ()
+    symptoms: Symptoms | None = None
+    noise: str = ""
+    resemblance: str = ""
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    seed: int = 0
+
+
+@dataclass(frozen=True)
 class Gain:
-    """What the extended model gains on held-out recordings.
+    """Improvement of held-out recordings by the causes.
 
     Attributes:
         before, after: RMS of the marker residuals [m].
         noise: of a marker coordinate [m].
         reduction: 1 - after / before.
         interval: of the reduction, 95 %, by a block bootstrap.
-        next_best: RMS of the markers with the next best explanation [m]; None where there is none.
+        next_best: RMS of the marker residuals of the next best model [m]; None where there is none.
     """
 
     before: float
@@ -114,10 +238,10 @@ class Gain:
 
 @dataclass(frozen=True)
 class Remaining:
-    """Whether what the extended model leaves is noise.
+    """Residuals of the best model.
 
     Attributes:
-        p_value: that noise alone leaves as much; None where it cannot be judged.
+        p_value: probability that noise alone leaves as much; None where it cannot be judged.
         description: where it acts and what it looks like; empty where nothing remains.
     """
 
@@ -137,13 +261,13 @@ class Diagnosis:
         model: with the causes found.
         base: without them.
         parameters: of the extended model's chain.
-        recordings: replayed without and with the causes.
+        recordings: simulated without and with the causes.
         gain: on held-out recordings; None where there are none.
-        remaining: whether what is left is noise.
+        remaining: whether the residuals are noise.
         symptoms: what the model without effects gets wrong, before any cause is named.
         next_experiment: the recording that would tell what these cannot; None where there is nothing to tell.
-        noise: in words, how the sensors' noise was judged.
-        next_best: effects of the next best explanation; empty where nothing else was fitted.
+        noise: in words, how the sensors' noise was estimated.
+        next_best: effects of the next best model; empty where no other was fitted.
         warnings: what a user should know before trusting the result.
         notes: what was decided on the way, and why.
     """
@@ -163,4 +287,17 @@ class Diagnosis:
     noise: str = ""
     next_best: tuple[Effect, ...] = ()
     warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+
+
+def most_improved(recordings: Sequence[RecordingComparison]) -> RecordingComparison | None:
+    """Return the recording in which causes gain most; held-out ones count twice. None where none can be simulated."""
+    usable = [each for each in recordings if each.reference is not None and each.simulated is not None]
+    moving = [each for each in usable if each.recording.kind != "quiet" and each.recording.frames.size >= 40]  # legible
+    return max(moving or usable, key=_improvement, default=None)
+
+
+def _improvement(comparison: RecordingComparison) -> float:
+    before, after = (0.0 if one is None else one.marker_rms for one in (comparison.reference, comparison.simulated))
+    weight = 2.0 if comparison.recording.role == "holdout" else 1.0
+    return weight * (before**2 - after**2) / comparison.noise[0] ** 2

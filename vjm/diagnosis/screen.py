@@ -1,42 +1,51 @@
-"""Which effects are looked for, where, and how sure one must be: p-values of the whole search."""
+"""Score tests of absent effects: what each would explain of a fit's residuals if it alone were added.
+
+Every effect is linearised about its null, one direction in the space of the residuals for each of its sizes. What the
+fit's own coordinates and initial states can do is projected out of the directions and the residuals; the fall of chi^2
+along what remains is the score statistic (Rao 1948; Engle, Handbook of Econometrics 2, chapter 13), without a refit.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from vjm.diagnosis.records import Candidate
-from vjm.effects import BUILTIN, Effect
-from vjm.effects.effect import Key
-from vjm.errors import ChoiceError, ShapeError
+from vjm.diagnosis.candidate_fit import adds_joint
+from vjm.diagnosis.workers import ALONE, Workers
+from vjm.effects.effect import Effect, Key
+from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
-from vjm.records import Array, Recording, Rig
-from vjm.simulation.run import Run
+from vjm.records import REFERENCE, Array, Mask
+from vjm.simulation.arm import Arm
+from vjm.simulation.least_squares import SquareRootInformation
+from vjm.simulation.run import Run, Start, run_all, transferred
+from vjm.simulation.sensitivity import Moved
 
-_ABSORBED = 1e-7  # share of a direction's square left once all else has been projected out, below which it is none
+_ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
+_STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
+_JOINT_STEP = 0.05  # the same for the second-order quotient over a joint's compliance
+_LARGEST = 1e12  # slope in units of the noise, beyond which its square has no digits left beside the others
 
 
 @dataclass(frozen=True)
 class Screen:
-    """What is left of candidates' directions and of the residuals once all other parameters are chosen best.
+    """Score tests of absent effects, from their directions once all other parameters have been projected out.
 
     Attributes:
         effects: V absent effects.
-        parts: the columns of each one's sizes.
-        R: (c + 1, c + 1) triangle with R^T R their inner products; the last column stands for the residuals.
-        whole: (c,) squares of the directions before anything was projected out; infinite where they have no end.
+        parts: columns of each one's sizes.
+        R: (c + 1, c + 1) factor; R^T R are the directions' inner products, the last column stands for the residuals.
+        unprojected: (c,) squares of the directions before the projection; infinite where a slope diverges.
     """
 
     effects: tuple[Effect, ...]
     parts: tuple[slice, ...]
     R: Array
-    whole: Array
+    unprojected: Array
 
     @cached_property
     def products(self) -> Array:
@@ -45,72 +54,80 @@ class Screen:
         return result
 
     @cached_property
-    def absorbed(self) -> NDArray[np.bool_]:
-        """(V,) whether other parameters explain all that an effect would do."""
-        left = np.diag(self.products)[:-1] <= _ABSORBED * self.whole
-        return np.array([bool(left[part].any()) for part in self.parts])
+    def absorbed(self) -> Mask:
+        """(V,) true for effects whose action other parameters can take over entirely."""
+        vanishing = np.diag(self.products)[:-1] <= _ABSORBED * self.unprojected
+        return np.array([bool(vanishing[part].any()) for part in self.parts])
 
     @cached_property
     def statistics(self) -> Array:
-        """(V,) by how much each alone would lower chi^2; zero where absorbed, or on the wrong side of a bound."""
+        """(V,) fall of chi^2 by each effect alone; zero if absorbed, or if its best size is on the wrong side."""
         return np.array([self._gain([k]) for k in range(len(self.effects))])
 
     @cached_property
     def p_values(self) -> Array:
-        """(V,) that noise alone makes this one effect look as needed."""
-        return tail(self.statistics, *self.kinds)
+        """(V,) probability that noise alone gives one effect as large a statistic."""
+        return self.tail(self.statistics)
 
-    @property
-    def kinds(self) -> tuple[Array, Array]:
-        """(V,) numbers of sizes, and (V,) whether the null is a bound of the only size."""
-        sizes = np.array([part.stop - part.start for part in self.parts])
-        return sizes, np.array([is_one_sided(effect) for effect in self.effects])
+    @cached_property
+    def sizes(self) -> Array:
+        """(V,) number of sizes of each effect."""
+        return np.array([part.stop - part.start for part in self.parts])
+
+    @cached_property
+    def one_sided(self) -> Mask:
+        """(V,) true where the null is a bound of an effect's only size."""
+        bounds = [effect.bounds for effect in self.effects]
+        at_bound = [bool(lower[0] == 0 or upper[0] == 0) for lower, upper in bounds]
+        return np.asarray(np.logical_and(at_bound, self.sizes == 1))
+
+    def tail(self, statistics: Array) -> Array:
+        """Return probabilities of larger statistics (..., V) under noise: chi-square, half of it at a bound."""
+        p = np.asarray(stats.chi2.sf(statistics, self.sizes))
+        return np.where(self.one_sided, np.where(statistics > 0, p / 2, 1.0), p)
 
     def one_each(self, chosen: Iterable[int]) -> list[int]:
-        """Of several variants of one effect at one place the one that explains most; the most needed first."""
-        return one_each(self.effects, sorted(chosen, key=lambda k: -self.statistics[k]))
+        """Return, of several variants of an effect at a place, the one that explains most; the most needed first."""
+        return first_of_each(self.effects, sorted(chosen, key=lambda k: -self.statistics[k]))
 
     def pair(self, one: int, other: int) -> float:
-        """By how much two effects together would lower chi^2."""
+        """Return the fall of chi^2 by two effects together."""
         return self._gain([one, other])
 
     def guess(self, chosen: Sequence[int]) -> Array:
-        """(s,) best sizes of some effects together, in everyday sizes."""
+        """Return the best sizes (s,) of some effects together, in units of their typical magnitudes."""
         columns = self._columns(chosen)
-        found = np.linalg.lstsq(self.R[:, columns], self.R[:, -1], rcond=1e-10)[0]
-        return np.asarray(found)
+        return np.asarray(np.linalg.lstsq(self.R[:, columns], self.R[:, -1], rcond=1e-10)[0])
 
     def std(self, k: int) -> Array:
-        """(s,) standard errors of effect k's sizes, each with the others known, in everyday sizes."""
+        """Return standard errors (s,) of effect k's sizes, each with the others known, in typical magnitudes."""
         return np.asarray(1 / np.sqrt(np.maximum(np.diag(self.products)[self.parts[k]], 1e-300)))
 
     @cached_property
     def likeness(self) -> Array:
-        """(V, V) largest cosine between what two effects can do to the residuals."""
+        """(V, V) cosine of the smallest angle between the directions of two effects."""
         bases = [np.linalg.qr(self.R[:, part])[0] for part in self.parts]
-        found = np.eye(len(bases))
+        cosines = np.eye(len(bases))
         for i, one in enumerate(bases):
             for j, other in enumerate(bases[:i]):
-                found[i, j] = found[j, i] = np.linalg.norm(one.T @ other, 2)
-        return found
+                cosines[i, j] = cosines[j, i] = np.linalg.norm(one.T @ other, 2)
+        return cosines
 
     def draws(self, count: int, seed: int) -> Array:
-        """(count, V) statistics under noise alone."""
-        c = len(self.R) - 1
-        scale = np.sqrt(np.maximum(np.diag(self.products)[:c], 1e-300))
-        directions = self.R[:, :c] / scale
+        """Return statistics (count, V) drawn under noise alone, correlated as the directions are."""
+        directions = self.R[:, :-1] / np.sqrt(np.maximum(np.diag(self.products)[:-1], 1e-300))
         noise = np.random.default_rng(seed).standard_normal((count, len(self.R))) @ directions
-        found = np.zeros((count, len(self.parts)))
+        statistics = np.zeros((count, len(self.parts)))
         for k, part in enumerate(self.parts):
             if self.absorbed[k]:
                 continue
-            if part.stop - part.start == 1:
-                one = noise[:, part.start]
-                found[:, k] = np.where(one > 0, one, 0.0) ** 2 if is_one_sided(self.effects[k]) else one**2
+            if self.sizes[k] == 1:
+                score = noise[:, part.start]
+                statistics[:, k] = np.where(score > 0, score, 0.0) ** 2 if self.one_sided[k] else score**2
             else:
-                inside = np.linalg.pinv(directions[:, part].T @ directions[:, part])
-                found[:, k] = np.einsum("di,ij,dj->d", noise[:, part], inside, noise[:, part])
-        return found
+                inverse = np.linalg.pinv(directions[:, part].T @ directions[:, part])
+                statistics[:, k] = np.einsum("di,ij,dj->d", noise[:, part], inverse, noise[:, part])
+        return statistics
 
     def _gain(self, chosen: Sequence[int]) -> float:
         if any(self.absorbed[k] for k in chosen):
@@ -118,222 +135,173 @@ class Screen:
         guess = self.guess(chosen)
         first = 0
         for k in chosen:
-            if is_one_sided(self.effects[k]) and guess[first] < 0:
+            if self.one_sided[k] and guess[first] < 0:
                 return 0.0 if len(chosen) == 1 else max(self._gain([other]) for other in chosen if other != k)
-            first += self.parts[k].stop - self.parts[k].start
-        columns = self._columns(chosen)
-        left = self.R[:, -1] - self.R[:, columns] @ guess
-        return float(self.R[:, -1] @ self.R[:, -1] - left @ left)
+            first += self.sizes[k]
+        unexplained = self.R[:, -1] - self.R[:, self._columns(chosen)] @ guess
+        return float(self.R[:, -1] @ self.R[:, -1] - unexplained @ unexplained)
 
     def _columns(self, chosen: Sequence[int]) -> list[int]:
         return [column for k in chosen for column in range(self.parts[k].start, self.parts[k].stop)]
 
 
-def tail(statistics: Array, sizes: Array, one_sided: Array) -> Array:
-    """(V,) probability of larger statistics under noise: chi-square, half of it at a bound."""
-    found = np.asarray(stats.chi2.sf(statistics, sizes))
-    return np.where(one_sided, np.where(statistics > 0, found / 2, 1.0), found)
-
-
-def is_one_sided(effect: Effect) -> bool:
-    """Whether the null is a bound of an effect's only size."""
-    lower, upper = effect.bounds
-    return effect.magnitude_count == 1 and bool(lower[0] == 0 or upper[0] == 0)
-
-
-def one_each(effects: Sequence[Effect], order: Iterable[int]) -> list[int]:
-    """Of several variants of one effect at one place the first in an order."""
+def first_of_each(effects: Sequence[Effect], order: Iterable[int]) -> list[int]:
+    """Return, of several variants of an effect at a place, the first in an order."""
     first: dict[Key, int] = {}
     for k in order:
         first.setdefault(effects[k].key, k)
     return list(first.values())
 
 
-_DRAWS = 4000
-_SURELY = 1.2816  # standard deviations: nine times in ten
-_TONES = 3  # peaks of the residuals' spectrum that are looked at
-_FINER = 4  # points of the spectrum a bin
-_APART = 2.0  # bins between peaks
-
-
-def chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """The effects to look for.
-
-    Args:
-        effects: ids of built-in ones, or instances; None: all that are built in.
-
-    Raises:
-        ChoiceError: an id that is not known.
-        ShapeError: the same effect twice, or something that is no effect.
-    """
-    known = {effect.id: effect for effect in BUILTIN}
-    found: list[Effect] = []
-    for each in BUILTIN if effects is None else effects:
-        if isinstance(each, str) and each not in known:
-            raise ChoiceError("effect", each, known)
-        effect = known[each] if isinstance(each, str) else each
-        if not isinstance(effect, Effect):
-            raise ShapeError("effects", repr(effect), "ids, or instances of vjm.effects.Effect")
-        found.append(effect)
-    names = [effect.id for effect in found]
-    if len(set(names)) < len(names) or not names:
-        raise ShapeError("effects", ", ".join(names) or "none", "at least one, each once")
-    return tuple(found)
-
-
 @dataclass(frozen=True)
-class CandidateSet:
-    """What is looked for.
+class Directions:
+    """Linearised problem of a fit with absent effects, initial states projected out.
 
     Attributes:
-        variants: absent effects, one a place and choice of inner parameters.
-        times: (V,) as how many independent looks each counts.
-        untestable: effects that the recordings cannot show, with the reason.
+        effects: V absent effects.
+        parts: columns of each one's sizes, counted from the first effect's.
+        rows: (r, p + c + 1) derivatives by p coordinates and c sizes, then residuals; true up to a rotation.
+        unprojected: (c,) squares of the effects' directions before anything was projected out.
     """
 
-    variants: tuple[Effect, ...]
-    times: Array
-    untestable: tuple[tuple[Effect, str], ...]
-
-
-def build_candidates(effects: Sequence[Effect], rig: Rig, point: Point) -> CandidateSet:
-    """The variants of effects that a fit's recordings can show."""
-    recordings: list[Recording] = [run.observed.recording for run in point.runs]
-    variants: list[Effect] = []
-    times: list[float] = []
-    untestable = []
-    for effect in effects:
-        reason = effect.untestable(rig, recordings)
-        if reason or not effect.places(rig):
-            untestable.append((effect, reason or "the rig has no place for it"))
-            continue
-        own, looks = effect.variants(rig, recordings), 1.0
-        for parameter in effect.parameters():
-            if parameter.from_spectrum:
-                own, looks = _at_spectral_peaks(own, parameter.name, point.runs)
-        variants += own
-        times += [looks] * len(own)
-    return CandidateSet(tuple(variants), np.array(times), tuple(untestable))
-
-
-def _at_spectral_peaks(variants: Sequence[Effect], name: str, runs: Sequence[Run]) -> tuple[tuple[Effect, ...], float]:
-    """Return a variant for each place and peak of the residuals' spectra, and as how many independent looks one counts.
-
-    Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
-    """
-    time = max((run.observed.recording.time[run.observed.frames] for run in runs), key=lambda t: float(np.ptp(t)))
-    duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
-    frequencies = np.arange(1 / duration, 0.45 / step, 1 / (_FINER * duration))
-    quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
-    peaks: list[float] = []
-    for chosen in (quiet, runs):
-        power, first = _power(chosen, frequencies), len(peaks)
-        for k in np.argsort(power)[::-1].tolist() if chosen else ():
-            if all(abs(frequencies[k] - other) > _APART / duration for other in peaks):
-                peaks.append(float(frequencies[k]))
-            if len(peaks) == first + _TONES:
-                break
-    at_places = {variant.link: variant for variant in variants}
-    changes: list[dict[str, Any]] = [{name: peak} for peak in peaks]
-    found = tuple(replace(variant, **change) for variant in at_places.values() for change in changes)
-    return found, duration * 0.45 / step / max(len(found), 1)
-
-
-def _power(runs: Sequence[Run], frequencies: Array) -> Array:
-    """(F,) power of the residuals, all recordings, marker coordinates and encoders together."""
-    power = np.zeros(frequencies.size)
-    for run in runs:
-        seen, time = run.observed, run.observed.recording.time - run.observed.recording.time[0]
-        markers, angles = seen.spread(run.residual)
-        for instants, residual in ((time[seen.frames], markers), (time, angles)):
-            known = np.isfinite(residual).any(axis=1)
-            if known.any():
-                # Hann's window: what drifts slowly must not leak into all other frequencies.
-                window = np.sin(np.pi * instants[known] / max(float(time[-1]), 1e-300)) ** 2
-                waves = np.exp(-2j * np.pi * np.outer(frequencies, instants[known])) * window
-                power += np.sum(np.abs(waves @ np.nan_to_num(residual[known])) ** 2, axis=1) / np.sum(window**2)
-    return power
-
-
-@dataclass(frozen=True)
-class Family:
-    """How p-values of single looks become those of the whole search.
-
-    Attributes:
-        looks: number of independent looks that the search amounts to.
-        times: (V,) as of `Looked`.
-        seen: the screen.
-    """
-
-    looks: float
-    times: Array
-    seen: Screen
+    effects: tuple[Effect, ...]
+    parts: tuple[slice, ...]
+    rows: Array
+    unprojected: Array
 
     @classmethod
-    def of(cls, seen: Screen, times: Array, alpha: float, seed: int) -> Family:
-        """From the smallest p-values that noise alone gives, candidates being alike as they are (maximum statistic)."""
-        if not seen.effects:
-            return cls(1.0, times, seen)
-        draws = seen.draws(_DRAWS, seed)
-        sizes, one_sided = seen.kinds
-        smallest = np.min(_several(tail(draws, sizes, one_sided), times), axis=1)
-        level = max(float(np.quantile(smallest, alpha)), 1e-12)
-        return cls(max(1.0, float(np.log1p(-alpha) / np.log1p(-level))), times, seen)
+    def of(
+        cls, point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = ALONE
+    ) -> Directions:
+        """Linearise absent effects about their nulls beside a fit.
 
-    @property
-    def p_values(self) -> Array:
-        """(V,) of the whole search."""
-        return _several(_several(self.seen.p_values, self.times), np.full(len(self.times), self.looks))
+        Args:
+            point: the fit.
+            present: effects that it already has.
+            variants: absent effects, one for each place and choice of shape parameters.
+            workers: share the work.
+        """
+        joints = [k for k, variant in enumerate(variants) if adds_joint(variant, point.chain)]
+        joints.sort(key=lambda k: not variants[k].nonsmooth)  # the slowest first: none is waited for at the end
+        secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
+        jobs = [
+            (_one_recording(point, run), {k: secant[n] for k, secant in zip(joints, secants, strict=True)})
+            for n, run in enumerate(point.runs)
+        ]
+        linearized = workers.map(partial(_linearized, present, variants), jobs)
+        parts = _parts([variant.magnitude_count for variant in variants])
+        unprojected = sum((squares for _, squares in linearized), start=np.zeros(parts[-1].stop if parts else 0))
+        return cls(tuple(variants), parts, np.vstack([rows for rows, _ in linearized]), unprojected)
 
-    def p_of_fit(self, effect: Effect, fall: float) -> float:
-        """Of the whole search, that noise alone lets a fitted effect lower chi^2 by so much (likelihood ratio)."""
-        times = [t for t, each in zip(self.times.tolist(), self.seen.effects, strict=True) if each.key == effect.key]
-        single = np.array([stats.chi2.sf(fall, effect.coordinates.size)])
-        return float(_several(_several(single, np.array([max(times, default=1.0)])), np.array([self.looks]))[0])
+    def screen(self, present: tuple[Effect, slice] | None = None, chosen: Sequence[int] | None = None) -> Screen:
+        """Project the fit's coordinates out.
 
-    def threshold(self, alpha: float) -> Array:
-        """(V,) z that a candidate must reach to be below alpha."""
-        single = -np.expm1(np.log1p(-alpha) / (self.looks * self.times))
-        sizes, one_sided = self.seen.kinds
-        return np.asarray(np.sqrt(stats.chi2.isf(np.where(one_sided, 2 * single, single), sizes)))
+        Args:
+            present: an effect of the fit with its coordinates, whose sizes are kept as if it were absent; it comes
+                first.
+            chosen: some of the absent effects; None: all.
+        """
+        coordinates = self.rows.shape[1] - 1 - self.unprojected.size
+        chosen = range(len(self.effects)) if chosen is None else chosen
+        effects, counts = [self.effects[k] for k in chosen], [self.effects[k].magnitude_count for k in chosen]
+        sizes = [column for k in chosen for column in range(self.parts[k].start, self.parts[k].stop)]
+        unprojected, kept = self.unprojected[sizes], list[int]()
+        if present is not None:
+            effect, part = present
+            kept = [*range(part.start, part.start + effect.magnitude_count)]
+            effects, counts = [effect, *effects], [len(kept), *counts]
+            unprojected = np.r_[np.zeros(len(kept)), unprojected]
+        others = [k for k in range(coordinates) if k not in kept]
+        rows = self.rows[:, [*others, *kept, *(coordinates + k for k in sizes), -1]]
+        information = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
+        return Screen(tuple(effects), _parts(counts), information.eliminated(len(others)).R, unprojected)
 
 
-def _several(p: Array, looks: Array) -> Array:
-    """Probability that the smallest of several independent p-values is as small."""
-    result: Array = -np.expm1(looks * np.log1p(-np.minimum(p, 1 - 1e-16)))
-    return result
+def screen(point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = ALONE) -> Screen:
+    """Return the score tests of absent effects beside a fit; arguments as for `Directions.of`."""
+    return Directions.of(point, present, variants, workers).screen()
 
 
-def candidates(candidate_set: CandidateSet, family: Family, alpha: float, floor: float) -> tuple[Candidate, ...]:
-    """Every effect that was looked for, the most needed first, those that cannot be tested last.
+def _parts(counts: Sequence[int]) -> tuple[slice, ...]:
+    stops = np.cumsum(counts, dtype=int).tolist()
+    return tuple(slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True))
 
-    Args:
-        candidate_set: the variants.
-        family: p-values.
-        alpha: of the whole search.
-        floor: fall of chi^2 below which an effect does not matter, whatever its p-value.
+
+def _one_recording(point: Point, run: Run) -> Point:
+    return replace(point, runs=(run,), problem=replace(point.problem, observed=(run.observed,)))
+
+
+def _linearized(
+    present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Point, Mapping[int, Array]]
+) -> tuple[Array, Array]:
+    """Factor (r, p + c + 1) of one recording's problem, initial state eliminated, and the squares of its directions.
+
+    The job is a point with that recording alone, and the slopes (N,) that were found by simulation, by variant.
     """
-    seen, p = family.seen, family.p_values
-    wanted = np.maximum(family.threshold(alpha), np.sqrt(floor)) + _SURELY
-    found = []
-    for k in seen.one_each(range(len(seen.effects))):
-        effect = seen.effects[k]
-        if seen.absorbed[k]:
-            reason = "whatever its size, other parameters explain these recordings as well"
-            found.append(Candidate(effect, None, None, {}, {}, reason))
-            continue
-        guess = effect.at(np.r_[seen.guess([k]), effect.coordinates[effect.magnitude_count :]])
-        sizes = {each.name: float(guess.values[each.name]) for each in effect.parameters() if not each.shape_parameter}
-        least = _least(effect, wanted[k] * seen.std(k))
-        found.append(Candidate(effect, float(np.sqrt(seen.statistics[k])), float(p[k]), sizes, least))
-    return (*found, *(Candidate(effect, None, None, {}, {}, reason) for effect, reason in candidate_set.untestable))
+    point, secants = job
+    (run,), (coordinates,) = point.runs, point.problem.moved(point.x)
+    moved = [each for variant in variants for each in _moved(run, point, present, variant)]
+    parts, squares = _parts([variant.magnitude_count for variant in variants]), np.zeros(len(moved))
+    weights = np.sqrt(run.observed.loss.slope(run.residual**2))
+
+    def rows() -> Iterator[tuple[Array, Array]]:
+        for measured, slopes in run.slopes((*coordinates, *moved)):
+            directions = slopes[:, slopes.shape[1] - len(moved) :]
+            for k, secant in secants.items():
+                directions[:, parts[k].start] = secant[measured]
+            # About a motion that is all wrong a slope may diverge: the effect cannot be judged there.
+            diverging = ~(np.abs(directions) < _LARGEST).all(axis=0)
+            directions[:, diverging] = 0.0
+            squares[diverging] = np.inf
+            squares[:] += np.sum(directions**2, axis=0)
+            yield weights[measured, None] * slopes, weights[measured] * run.residual[measured]
+
+    initial = 2 * run.basis.slow
+    columns = initial + len(coordinates) + len(moved)
+    information = SquareRootInformation.of(rows(), columns).with_rows(*run.preferred(columns))
+    return information.eliminated(initial).R, squares
 
 
-def _least(effect: Effect, coordinates: Array) -> dict[str, float]:
-    """Sizes at coordinates (s,), as differences from the null (reciprocal ones as values)."""
-    named = [each for each in effect.parameters() if not each.shape_parameter]
-    found = {}
-    for each, coordinate in zip(named, coordinates.tolist(), strict=False):
-        value = each.value(coordinate)
-        found[each.name] = value if each.reciprocal else abs(value - each.null)
-    return found
+def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
+    """The effect with one of its sizes off the null."""
+    coordinates = np.where(np.arange(variant.coordinates.size) < variant.magnitude_count, 0.0, variant.coordinates)
+    coordinates[size] = magnitude
+    return variant.at(coordinates)
+
+
+def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -> list[Moved]:
+    """The arm with each size of an effect off its null; unchanged if the slope is zero or found by simulation."""
+    if run.observed.recording.condition == REFERENCE or adds_joint(variant, point.chain):
+        return [Moved(run.arm, _STEP)] * variant.magnitude_count
+    effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
+    return [Moved(Arm.of(point.chain, (*present, effect)), _STEP) for effect in effects]
+
+
+def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
+    """For each recording, slopes (N,) of the predictions by the size of an effect that is a joint of its own.
+
+    A chain without the joint has no derivative by it; a compliant joint also shifts frequencies, soon out of
+    proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible.
+    """
+    null = [run.residual for run in point.runs]
+    try:
+        one, two = _residuals(point, present, [_with_size(variant, 0, n * _JOINT_STEP) for n in (1, 2)])
+    except SimulationDivergedError:
+        return [np.full(residual.size, np.inf) for residual in null]
+    return [(3 * r0 - 4 * r1 + r2) / (2 * _JOINT_STEP) for r0, r1, r2 in zip(null, one, two, strict=True)]
+
+
+def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect]) -> list[list[Array]]:
+    """For each further effect and each recording, the residuals (N,) with it, all else being as it is."""
+    arms, states, starts = [], [], []
+    for effect in added:
+        extended = Arm.of(point.chain, (*present, effect))
+        for run in point.runs:
+            absent = run.observed.recording.condition == REFERENCE
+            arms.append(run.arm if absent else extended)
+            states.append(run.state if absent else transferred(run.chain, extended.chain, run.state))
+            starts.append(Start.of(arms[-1], run.observed.recording))
+    count = len(point.runs)
+    observed = [run.observed for run in point.runs] * len(added)
+    residuals = [run.residual for run in run_all(arms, observed, starts, states, point.problem.step_multiple)]
+    return [residuals[first : first + count] for first in range(0, len(residuals), count)]

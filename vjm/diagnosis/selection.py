@@ -1,16 +1,36 @@
-"""What was missing already before a change: looked for in the reference recordings alone."""
+"""Selection of effects: forward steps by score tests and refits, with backward elimination, until nothing is needed.
+
+Each round screens the candidates beside the best model, refits the most significant, and keeps the best if it lowers
+chi^2 by more than chance and by more than matters. Joints that stick, slip or rattle are looked for with simulations
+held near the encoders' angles. The same search in the reference recordings alone finds what was there before a change.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from vjm.diagnosis.baseline import LACKING, Base, SearchStart
-from vjm.diagnosis.candidate_fit import DIVERGED_MISFIT, CandidateFit, Extension, Names, named, sized
-from vjm.diagnosis.directions import screen
-from vjm.diagnosis.encoder_feedback import feedback_possible, fit_open_loop, held, nominal_with_feedback
+import numpy as np
+
+from vjm.diagnosis.baseline import Baseline, SearchStart
+from vjm.diagnosis.candidate_fit import (
+    DIVERGED_MISFIT,
+    INCOMPLETE,
+    CandidateFit,
+    Extension,
+    Names,
+    named,
+    with_start_size,
+)
+from vjm.diagnosis.candidates import CandidateSet, FamilyTest, build_candidates
+from vjm.diagnosis.encoder_feedback import (
+    feedback_possible,
+    fit_open_loop,
+    fit_with_feedback,
+    nominal_with_feedback,
+)
 from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell, proposal
-from vjm.diagnosis.screen import CandidateSet, Family, build_candidates
+from vjm.diagnosis.screen import screen
 from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
@@ -28,13 +48,13 @@ _PAIRS = 4  # pairs refitted that no single step leads to
 
 @dataclass(frozen=True)
 class Rules:
-    """When a search goes on.
+    """Rules by which a search goes on.
 
     Attributes:
-        alpha: chance that any effect is found where there is none.
-        matters: by how much chi^2 must fall for an effect to matter, as a share of what is left then.
+        alpha: significance level of the search as a whole.
+        matters: decrease of chi^2 from which an effect matters, as a share of what remains.
         most: number of effects at most.
-        seed: of what is drawn.
+        seed: of random numbers.
     """
 
     alpha: float = 0.01
@@ -43,13 +63,13 @@ class Rules:
     seed: int = 0
 
     def least(self, chi2: float) -> float:
-        """By how much chi^2 must fall from there."""
+        """Return the decrease of chi^2 from which an effect matters."""
         return chi2 * self.matters / (1 + self.matters)
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Where a search ended.
+    """Result of a search.
 
     Attributes:
         best: the explanation.
@@ -60,19 +80,19 @@ class SearchResult:
     """
 
     best: CandidateFit
-    first: Family
-    last: Family
+    first: FamilyTest
+    last: FamilyTest
     p_values: dict[Key, float] = field(default_factory=dict)
     next_best: CandidateFit | None = None
 
     @classmethod
-    def nothing(cls, start: CandidateFit, first: Family) -> SearchResult:
-        """Before anything was looked for."""
+    def nothing(cls, start: CandidateFit, first: FamilyTest) -> SearchResult:
+        """Return the result before anything was looked for."""
         return cls(start, first, first)
 
 
 class Search:
-    """One search, with all that it has fitted."""
+    """Search for effects, with all that it has fitted."""
 
     def __init__(
         self,
@@ -91,10 +111,10 @@ class Search:
         self.start = search_start.start
         self.workers = workers
         self.trials = FitCache(rig, search_start, tell, workers)
-        self.candidate_set = self._looked(self.start)
+        self.candidate_set = self._candidates(self.start)
 
-    def again(self, start: CandidateFit) -> Search:
-        """The same search from another start, which follows the recordings."""
+    def restarted(self, start: CandidateFit) -> Search:
+        """Return the same search from another start, which follows the recordings."""
         search_start = replace(self.search_start, start=start, diverges_from_data=False)
         return Search(self.rig, search_start, self.effects, self.rules, self.tell, self.workers)
 
@@ -113,7 +133,7 @@ class Search:
             needed = self.needed(best, family)
             if not needed:
                 break
-            trial = self._tried(best, search_start.first, family, needed)
+            trial = self._best_addition(best, search_start.first, family, needed)
             if trial is None or not self._worth(best, trial):
                 break
             best = self.trials.correct_discretization(self.trials.converge(self._without_idle(trial)))
@@ -121,19 +141,21 @@ class Search:
                 key: min(_p_value(each, key) for each in (family, search_start.first))
                 for key in best.names - p_values.keys()
             }
-            family = self.judged(best)
+            family = self.screen(best)
             found = SearchResult(best, search_start.first, family, p_values)
         return found
 
-    def _tried(self, best: CandidateFit, first: Family, family: Family, needed: Sequence[int]) -> CandidateFit | None:
-        """The best explanation with one effect more."""
+    def _best_addition(
+        self, best: CandidateFit, first: FamilyTest, family: FamilyTest, needed: Sequence[int]
+    ) -> CandidateFit | None:
+        """Best model with one effect more."""
         steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.screen_unreliable(best) else _BEST]]
         if best.uses_feedback and not is_nonsmooth(best.effects):
             # Slopes show little of what sticks or rattles; held, it can be tried.
             chosen = {k for _, (k,) in steps}
-            variants = family.seen.one_each(k for k, each in enumerate(family.seen.effects) if each.nonsmooth)
+            variants = family.screen.one_each(k for k, each in enumerate(family.screen.effects) if each.nonsmooth)
             steps += [(best, [k]) for k in variants if k not in chosen]
-        near = is_nonsmooth(best.effects) and best.point.misfit < COARSE
+        near = is_nonsmooth(best.effects) and best.misfit < COARSE
         if (
             len(best.effects) == len(self.start.effects) + 1
             and not near
@@ -148,13 +170,13 @@ class Search:
             self.successive_halving(best, family, first, nonsmooth)
         return self.trials.best(len(best.effects) + 1)
 
-    def judged(self, candidate_fit: CandidateFit) -> Family:
-        """Candidates beside an explanation."""
+    def screen(self, candidate_fit: CandidateFit) -> FamilyTest:
+        """Test the candidates beside a model."""
         self.tell("looking for what is missing")
         names = candidate_fit.names
-        candidate_set = self.candidate_set if candidate_fit is self.start else self._looked(candidate_fit)
+        candidate_set = self.candidate_set if candidate_fit is self.start else self._candidates(candidate_fit)
         # What sticks and slips is slow to try, and not what could be left where all but noise is explained.
-        quick = candidate_fit is not self.start and candidate_fit.point.misfit < NOISE
+        quick = candidate_fit is not self.start and candidate_fit.misfit < NOISE
         kept = [
             k
             for k, variant in enumerate(candidate_set.variants)
@@ -162,17 +184,17 @@ class Search:
         ]
         variants = [candidate_set.variants[k] for k in kept]
         linearization_point = self.trials.linearization_point(candidate_fit)
-        seen = screen(linearization_point.point, linearization_point.effects, variants, self.workers)
-        return Family.of(seen, candidate_set.times[kept], self.rules.alpha, self.rules.seed)
+        screened = screen(linearization_point.point, linearization_point.effects, variants, self.workers)
+        return FamilyTest.of(screened, candidate_set.multiplicity[kept], self.rules.alpha, self.rules.seed)
 
-    def _looked(self, candidate_fit: CandidateFit) -> CandidateSet:
-        """What to look for: a tone where the residuals have one."""
+    def _candidates(self, candidate_fit: CandidateFit) -> CandidateSet:
+        """Candidates, with tones where the residuals have peaks."""
         return build_candidates(self.effects, self.rig, self.trials.linearization_point(candidate_fit).point)
 
-    def matters(self, candidate_fit: CandidateFit) -> float:
-        """By how much candidates beside an explanation must lower the chi^2 that they are judged by.
+    def least_decrease(self, candidate_fit: CandidateFit) -> float:
+        """Return the decrease of the chi^2 they are tested by from which candidates beside a model matter.
 
-        A share of what noise leaves: much more may be left beside an explanation that lacks something else.
+        It is a share of the noise: a model that lacks something else may leave much more.
         """
         linearization_point = self.trials.linearization_point(candidate_fit)
         least = self.rules.least(min(linearization_point.chi2, linearization_point.point.count))
@@ -184,14 +206,16 @@ class Search:
                 )
         return least
 
-    def successive_halving(self, best: CandidateFit, family: Family, first: Family, steps: Sequence[Step]) -> None:
-        """Refit explanations, giving up those that will not come near the best."""
+    def successive_halving(
+        self, best: CandidateFit, family: FamilyTest, first: FamilyTest, steps: Sequence[Step]
+    ) -> None:
+        """Refit models, giving up those that will not come near the best."""
         jobs = []
         for start, chosen in steps:
-            seen = family.seen if start is best else first.seen
-            nonsmooth = any(seen.effects[k].nonsmooth for k in chosen)
+            screened = family.screen if start is best else first.screen
+            nonsmooth = any(screened.effects[k].nonsmooth for k in chosen)
             job = proposal(
-                self.trials.refit_start(start, nonsmooth), seen, chosen, self.trials.screen_unreliable(start)
+                self.trials.refit_start(start, nonsmooth), screened, chosen, self.trials.screen_unreliable(start)
             )
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
@@ -200,7 +224,7 @@ class Search:
     def replacements(
         self, best: CandidateFit, others: Sequence[Effect], added: Sequence[Effect], guesses: Sequence[Array]
     ) -> None:
-        """Fit explanations in which a cause is replaced, from the best without it.
+        """Fit models in which a cause is replaced, from the best without it.
 
         Args:
             best: the explanation.
@@ -215,61 +239,76 @@ class Search:
         start = trials.tried.get(names, self.start)
         if new and start.names == names:
             linearization_point, afar = trials.linearization_point(start), trials.screen_unreliable(start)
-            seen = screen(linearization_point.point, linearization_point.effects, new, self.workers)
-            jobs = [proposal(trials.refit_start(start, each.nonsmooth), seen, [k], afar) for k, each in enumerate(new)]
+            screened = screen(linearization_point.point, linearization_point.effects, new, self.workers)
+            jobs = [
+                proposal(trials.refit_start(start, each.nonsmooth), screened, [k], afar) for k, each in enumerate(new)
+            ]
             trials.fit(jobs, every=True)
         elif new:  # the others were never fitted without the cause
             chain = best.point.chain
-            trials.fit([FitJob(best, (*others, sized(added[k], size, chain))) for k, size in sizes.items()], every=True)
+            trials.fit(
+                [FitJob(best, (*others, with_start_size(added[k], size, chain))) for k, size in sizes.items()],
+                every=True,
+            )
 
     def _apart(
-        self, family: Family, first: Family, best: CandidateFit, steps: Sequence[Step]
+        self, family: FamilyTest, first: FamilyTest, best: CandidateFit, steps: Sequence[Step]
     ) -> tuple[list[Step], list[Step]]:
-        """Steps that are quickly fitted, and those with what sticks and slips."""
+        """Separate steps that are quickly fitted from those with stick-slip."""
         smooth: list[Step] = []
         nonsmooth: list[Step] = []
         for start, chosen in steps:
-            seen = family.seen if start is best else first.seen
-            (nonsmooth if any(seen.effects[k].nonsmooth for k in chosen) else smooth).append((start, chosen))
+            screened = family.screen if start is best else first.screen
+            (nonsmooth if any(screened.effects[k].nonsmooth for k in chosen) else smooth).append((start, chosen))
         return smooth, nonsmooth
 
-    def needed(self, best: CandidateFit, family: Family) -> list[int]:
-        """Candidates that are needed beside an explanation, one variant each, the most needed first."""
-        seen, least, diverges_from_data = family.seen, self.matters(best), self.trials.screen_unreliable(best)
-        needed = seen.one_each(
+    def needed(self, best: CandidateFit, family: FamilyTest) -> list[int]:
+        """Return candidates that are needed beside a model, one variant each, the most needed first."""
+        screened, least, diverges_from_data = (
+            family.screen,
+            self.least_decrease(best),
+            self.trials.screen_unreliable(best),
+        )
+        needed = screened.one_each(
             k
-            for k in range(len(seen.effects))
-            if (diverges_from_data and not seen.absorbed[k])
-            or (family.p_values[k] < self.rules.alpha and seen.statistics[k] > least)
+            for k in range(len(screened.effects))
+            if (diverges_from_data and not screened.absorbed[k])
+            or (family.p_values[k] < self.rules.alpha and screened.statistics[k] > least)
         )
         if best is self.start:
             return needed
         # What sticks and slips takes as long to try as all else together: only where it is among the most needed.
-        return [k for place, k in enumerate(needed) if place < FEW or not seen.effects[k].nonsmooth]
+        return [k for place, k in enumerate(needed) if place < FEW or not screened.effects[k].nonsmooth]
 
-    def _pairs(self, first: Family, best: CandidateFit) -> list[Step]:
+    def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
+        """Return candidates that are significant and matter beside the best model, the most needed first."""
+        screened, least = result.last.screen, self.least_decrease(result.best)
+        significant = (result.last.p_values < self.rules.alpha) & (screened.statistics > least)
+        return tuple(screened.effects[k] for k in screened.one_each(np.flatnonzero(significant).tolist()))
+
+    def _pairs(self, first: FamilyTest, best: CandidateFit) -> list[Step]:
         """Pairs that explain most by the first screen, without the best single effect.
 
         Of several variants, as of a marker that is off, the best may be another beside another effect than alone.
         """
-        seen = first.seen
-        others = [k for k, effect in enumerate(seen.effects) if effect.key not in best.names]
+        screened = first.screen
+        others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.names]
         scored = [
-            (seen.pair(i, j), i, j)
+            (screened.pair(i, j), i, j)
             for n, i in enumerate(others)
             for j in others[:n]
-            if seen.effects[i].key != seen.effects[j].key
+            if screened.effects[i].key != screened.effects[j].key
         ]
         found: dict[Names, list[int]] = {}
         for _, i, j in sorted(scored, reverse=True):
-            found.setdefault(frozenset({seen.effects[i].key, seen.effects[j].key}), [i, j])
+            found.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
         return [(self.start, pair) for pair in [*found.values()][:_PAIRS]]
 
     def _worth(self, fewer: CandidateFit, more: CandidateFit) -> bool:
-        return fewer.chi2 - more.chi2 > max(self.rules.least(fewer.chi2), self.matters(fewer))
+        return fewer.chi2 - more.chi2 > max(self.rules.least(fewer.chi2), self.least_decrease(fewer))
 
     def _without_idle(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """Without effects that the others make needless."""
+        """Drop effects that the others make needless."""
         new = candidate_fit.effects[len(self.start.effects) :]
         for effect in new if len(new) > 1 else ():  # the step to a first effect is judged against the start
             fewer = self.trials.without(candidate_fit, effect, candidate_fit.chi2 * (1 + self.rules.matters))
@@ -278,14 +317,14 @@ class Search:
         return candidate_fit
 
 
-def _p_value(family: Family, key: Key) -> float:
+def _p_value(family: FamilyTest, key: Key) -> float:
     """The smallest of an effect's variants; one where it was not among the candidates."""
-    found = zip(family.seen.effects, family.p_values.tolist(), strict=True)
+    found = zip(family.screen.effects, family.p_values.tolist(), strict=True)
     return min((p for effect, p in found if effect.key == key), default=1.0)
 
 
-def search_stick_slip(search: Search, search_start: SearchResult) -> tuple[Search, SearchResult]:
-    """Look for all that is missing, open loop as far as that is a guide.
+def select_effects(search: Search, search_start: SearchResult) -> tuple[Search, SearchResult]:
+    """Add effects while they are needed, fitted open loop as far as that is a guide.
 
     A joint that sticks a moment too early is off for good, so that fits open loop are lost among accidents. What may
     stick and slip is looked for with simulations held; what does not is fitted open loop, which shows more.
@@ -319,97 +358,92 @@ def search_stick_slip(search: Search, search_start: SearchResult) -> tuple[Searc
 
 
 def _may_stick(search: Search, found: SearchResult) -> bool:
-    """Whether what sticks and slips is among the most needed, or may be hidden where nothing follows the recordings."""
+    """Stick-slip may be needed: it is among the most significant, or hidden where the model loses the recordings."""
     return bool(search.needed(found.best, found.last)) and (_is_adrift(search, found) or _is_needed(search, found))
 
 
 def _is_adrift(search: Search, found: SearchResult) -> bool:
-    """Whether the search begins where nothing follows the recordings."""
-    return found.best is search.start and found.best.point.misfit > DIVERGED_MISFIT
+    """The search begins where the model loses the recordings."""
+    return found.best is search.start and found.best.misfit > DIVERGED_MISFIT
 
 
 def _is_needed(search: Search, found: SearchResult) -> bool:
-    """Whether what sticks and slips is among the most needed."""
-    return any(found.last.seen.effects[k].nonsmooth for k in search.needed(found.best, found.last)[:FEW])
+    """Stick-slip is among the most significant candidates."""
+    return any(found.last.screen.effects[k].nonsmooth for k in search.needed(found.best, found.last)[:FEW])
 
 
 def _held(search: Search, found: SearchResult) -> tuple[Search, SearchResult] | None:
-    """The search with simulations held, and what it would have found so far; None where that cannot be simulated."""
-    start = held(search.start)
-    best = start if found.best is search.start else held(found.best)
+    """Search with encoder feedback, and what it would have found so far; None where that cannot be simulated."""
+    start = fit_with_feedback(search.start)
+    best = start if found.best is search.start else fit_with_feedback(found.best)
     if start is None or best is None:
         return None
-    if best is start and start.point.misfit > DIVERGED_MISFIT:
+    if best is start and start.misfit > DIVERGED_MISFIT:
         # Parameters that follow nothing, even held, lead away from what is missing.
         best = start = nominal_with_feedback(search.start) or start
-    other = search.again(start)
-    first = other.judged(start)
+    other = search.restarted(start)
+    first = other.screen(start)
     if best is start:
         return other, SearchResult.nothing(start, first)
     other.trials.tried[best.names] = best
-    return other, SearchResult(best, first, other.judged(best), found.p_values)
+    return other, SearchResult(best, first, other.screen(best), found.p_values)
 
 
 def _released(search: Search, found: SearchResult, best: CandidateFit, next_best: CandidateFit | None) -> SearchResult:
-    """What was found with simulations held, fitted open loop; what was before where that cannot be simulated."""
+    """Result with encoder feedback, fitted open loop; the one before where that cannot be simulated."""
     free = None if best.names == found.best.names else fit_open_loop(best, search.start)
     if free is None:
         return found
     search.trials.tried[free.names] = free
     free = search.trials.correct_discretization(search.trials.converge(free))
-    return SearchResult(free, found.first, search.judged(free), found.p_values, next_best)
+    return SearchResult(free, found.first, search.screen(free), found.p_values, next_best)
 
 
 _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
 
 
-def preexisting_effects(
-    base: Base, effects: Sequence[Effect], rig: Rig, tell: Callable[[str], None], workers: Workers
-) -> CandidateFit:
-    """The model of the reference recordings, with the effect that explains much of them, if one does.
+def find_preexisting_effects(
+    baseline: Baseline, effects: Sequence[Effect], rig: Rig, tell: Tell, workers: Workers
+) -> tuple[CandidateFit, str]:
+    """Extend the model of the reference recordings by the effect that explains much of them, if one does.
 
     Args:
-        base: the model without effects.
+        baseline: the model without effects.
         effects: what to look for.
         rig: the arm.
         tell: told what is being done.
         workers: share the work.
+
+    Returns:
+        The model, and a warning where the baseline misses the reference recordings; empty where it does not.
     """
-    if not base.others or base.point.misfit < LACKING:
-        return base.plain
-    start = CandidateFit(replace(base.fit, point=_as(base.point, None)))
+    misfit, noise = baseline.fit.misfit, 1e3 * baseline.fit.point.runs[0].observed.noise[0]
+    if not baseline.changed or misfit < INCOMPLETE:
+        return baseline.fit, ""
+    warning = (
+        f"already in the reference recordings the model misses by {misfit * noise:.2g} mm, {misfit:.3g} times the "
+        "noise: present before the change, and not counted as one"
+    )
+    start = CandidateFit(replace(baseline.fit.fit, point=_as(baseline.fit.point, None)))
     smooth = [effect for effect in effects if not effect.nonsmooth]
     search = Search(rig, SearchStart(start, start), smooth, _MUCH, tell, workers)
-    best = search.run(SearchResult.nothing(start, search.judged(start))).best
+    best = search.run(SearchResult.nothing(start, search.screen(start))).best
     if not best.effects:
-        return base.plain
+        return baseline.fit, f"{warning}; no single candidate explains it"
     problem = best.point.problem
     extension = Extension(problem.parametrisation, best.effects, reference_effects=len(best.effects))
     point = _as(replace(best.point, problem=replace(problem, extension=extension)), REFERENCE)
-    return CandidateFit(replace(best.fit, point=point))
+    known = CandidateFit(replace(best.fit, point=point))
+    values = ", ".join(f"{name} {value:.3g}" for name, value in known.effects[0].values.items())
+    remaining = noise * (known.misfit if known.misfit > INCOMPLETE else 1.0)
+    explanation = f"{known.effects[0].id} ({values}) explains it down to {remaining:.2g} mm and is part of both models"
+    return known, f"{warning}; {explanation}"
 
 
 def _as(point: Point, condition: str | None) -> Point:
-    """The same with its recordings in another condition."""
+    """Point with its recordings in another condition."""
     runs = tuple(
         replace(run, observed=replace(run.observed, recording=replace(run.observed.recording, condition=condition)))
         for run in point.runs
     )
     return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
-
-
-def reference_warning(base: Base, known: CandidateFit, reference_misfit: float) -> str:
-    """What the reference recordings show already, as a sentence; empty where it is nothing but noise."""
-    if base.point.misfit < LACKING or not base.others:
-        return ""
-    noise = 1e3 * base.point.runs[0].observed.noise[0]
-    said = (
-        f"already in the reference recordings the model misses by {base.point.misfit * noise:.2g} mm, "
-        f"{base.point.misfit:.3g} times the noise: present before the change, and not counted as one"
-    )
-    if not known.effects:
-        return f"{said}; no single candidate explains it"
-    effect = known.effects[0]
-    values = ", ".join(f"{name} {value:.3g}" for name, value in effect.values.items())
-    down_to = f"{reference_misfit * noise:.2g} mm"
-    return f"{said}; {effect.id} ({values}) explains it down to {down_to} and is part of both models"

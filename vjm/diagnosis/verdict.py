@@ -1,119 +1,86 @@
-"""From where a search ended to what is said of it."""
+"""Verdict of a diagnosis: what is missing, how sure that is, and what is gained, read from the findings of its steps.
+
+Nothing is simulated or fitted here: every function is pure, from records to the diagnosis and its texts.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from vjm.diagnosis.alternatives import find_alternatives
-from vjm.diagnosis.baseline import Base
-from vjm.diagnosis.candidate_fit import CandidateFit
-from vjm.diagnosis.fit_cache import OFF
-from vjm.diagnosis.next_experiment import Proposal, next_experiment, proposals
-from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Size, Verdict
-from vjm.diagnosis.replays import follow, found_symptoms, without_cause
-from vjm.diagnosis.residual_tests import (
-    Repeated,
-    ResidualTest,
-    described,
-    noise_told,
-    remains_told,
-    repeated,
-    residual_test,
-)
-from vjm.diagnosis.selection import Search, SearchResult
-from vjm.effects import Effect
-from vjm.effects.effect import Key
-from vjm.identification.uncertainty import Information, covariance, estimates, of_trajectory, to_physical
-from vjm.records import REFERENCE, Array, Estimate, Experiment, Recording, RecordingComparison
-from vjm.simulation.model import Model
+from vjm.diagnosis.records import Diagnosis, Findings, Gain, Remaining, RepeatComparison, Verdict
+from vjm.records import REFERENCE, Array, Experiment, Recording, RecordingComparison
 
-_SLOPE_STEP = 1e-5
+_UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard deviations
+_NO_GAIN = 0.002  # reduction of the held-out RMS that nobody would notice
+_SMALL_DECREASE = 0.02  # share of chi^2; causes that explain more are real even where held-out recordings miss them
+_CLEARLY_MORE = 2.0  # times the misfit that was there before the change
+_DISTINGUISHING = 30.0  # chi^2, three times the least that distinguishes: a linear forecast may be too large
+_LEAST_FRAMES = 30  # with any marker; an RMS is then known within 13 % (1/sqrt(2 N))
 
 
-def found_causes(
-    search: Search, found: SearchResult, alternatives: Mapping[Key, tuple[Alternative, ...]], spread: Array
-) -> tuple[Cause, ...]:
-    """The best explanation's new effects as causes, the one without which most is missed first.
+def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
+    """Return why recordings cannot support a diagnosis, a sentence each; nothing where they can."""
+    train, held_out = experiment.with_role("train"), experiment.with_role("holdout")
+    referenced = any(recording.condition == REFERENCE for recording in experiment.recordings)
+    reasons = []
+    if not held_out:
+        reasons.append(
+            "no recording is held out, so that nothing could confirm a cause: give one of another kind or amplitude "
+            'role = "holdout"'
+        )
+    if not referenced and sum(recording.kind in ("driven", "decay") for recording in train) < 2:
+        reasons.append(
+            "only one training recording moves: what is wrong in one recording looks like another initial state or "
+            "another stiffness; record at least one more, with another amplitude or drive"
+        )
+    if referenced and not any(recording.condition == REFERENCE for recording in train):
+        reasons.append('recordings with condition = "reference" are held out only: none is there to train on')
+    if referenced and all(recording.condition == REFERENCE for recording in train):
+        reasons.append(
+            'every training recording has condition = "reference", in which the effect sought is absent: none is left '
+            "that could show it"
+        )
+    reasons += [
+        f'repeats "{label}" are said to be one experiment, and differ in their condition'
+        for label in dict.fromkeys(recording.repeat for recording in experiment.recordings if recording.repeat)
+        if len({recording.condition for recording in experiment.recordings if recording.repeat == label}) > 1
+    ]
+    if held_out and all(_is_blind(recording) for recording in held_out):
+        reasons.append("the held-out recordings show next to no marker: nothing could confirm a cause")
+    return tuple(reasons)
+
+
+def _is_blind(recording: Recording) -> bool:
+    return recording.frames.size < _LEAST_FRAMES
+
+
+def estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
+    """Return the improvement of held-out recordings; None where none of them can be simulated by both models.
+
+    The interval is by a block bootstrap of the squared residuals, with blocks as long as these are correlated.
 
     Args:
-        search: can fit more.
-        found: where it ended.
-        alternatives: what explains the recordings as well, by the cause in whose place.
-        spread: (p, p) covariance of the best explanation's coordinates.
+        recordings: simulated before and after; those in the reference condition count only if there is no other.
+        seed: of the bootstrap.
     """
-    best, family, causes = found.best, found.first, []
-    scale = max(1.0, best.point.misfit**2)
-    estimated = best.extension.present(best.estimate)
-    for effect, beam, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][
-        best.reference_effects :
-    ]:
-        fewer = search.trials.tried.get(best.names - {effect.key}) or search.trials.without(best, effect, np.inf)
-        without = fewer or search.start
-        drop = without.chi2 - best.chi2
-        before, after = without.point.misfit, best.point.misfit
-        unit = "the noise" if search.search_start.reference_misfit == 1 else "what was missing before the change"
-        evidence = (
-            f"without it the model misses the training recordings by {before:.3g} times {unit}, with it by "
-            f"{after:.3g}; chi^2 falls by {drop:.3g}"
-        )
-        causes.append(
-            Cause(
-                effect,
-                _sizes(beam, spread[part, part]),
-                max(min(found.p_values.get(effect.key, 1.0), family.p_of_fit(effect, drop / scale)), 1e-300),
-                drop,
-                alternatives.get(effect.key, ()),
-                evidence,
-            )
-        )
-    return tuple(sorted(causes, key=lambda cause: -cause.gain))
-
-
-def _sizes(effect: Effect, spread: Array) -> dict[str, Size]:
-    """Parameters with standard errors, from the covariance (p, p) of the effect's coordinates."""
-    at, values = effect.coordinates, effect.values
-    slopes = {name: np.zeros(at.size) for name in values}
-    for k in range(at.size):
-        step = _SLOPE_STEP * max(abs(at[k]), 1.0)
-        moved = effect.at(at + step * np.eye(at.size)[k]).values
-        for name, value in values.items():
-            slopes[name][k] = (moved[name] - value) / step
-    found = {}
-    for each in effect.parameters():
-        slope = slopes[each.name]
-        with np.errstate(invalid="ignore"):  # of an explanation that the recordings do not determine
-            variance = float(slope @ spread @ slope)
-        std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not each.integer else None
-        found[each.name] = Size(float(values[each.name]), std, each.unit)
-    return found
-
-
-_BLOCK = 0.25  # s; residuals farther apart are taken to be independent
-_DRAWS = 2000
-
-
-def gain(followed: Sequence[RecordingComparison], seed: int) -> Gain | None:
-    """On the held-out ones among the recordings; None where none can be simulated by both models.
-
-    Args:
-        followed: recordings, replayed before and after.
-        seed: of the block bootstrap.
-    """
-    held_out = [each for each in followed if each.recording.role == "holdout" and each.reference and each.simulated]
-    changed = [each for each in held_out if each.recording.condition != REFERENCE]
-    held_out = changed or held_out  # nothing is to be gained where nothing has changed
+    held_out = [each for each in recordings if each.recording.role == "holdout" and each.reference and each.simulated]
+    held_out = [each for each in held_out if each.recording.condition != REFERENCE] or held_out
     if not held_out:
         return None
-    blocks = np.concatenate([_blocks(each) for each in held_out])
-    before, after, count, next_best = blocks.sum(axis=0)
-    draws = np.random.default_rng(seed).integers(0, len(blocks), (_DRAWS, len(blocks)))
-    sums = blocks[draws].sum(axis=1)
-    reductions = 1 - np.sqrt(sums[:, 1] / np.maximum(sums[:, 0], 1e-300))
-    low, high = np.quantile(reductions, (0.025, 0.975)).tolist()
+    frames = [_squares(each) for each in held_out]
+    before, after, next_best, count = np.sum([part.sum(axis=0) for part in frames], axis=0)
+    blocks = []
+    for part in frames:
+        # The reduction is a ratio of sums: this is how each frame moves it, to first order.
+        length = block_length(part[:, 1] - after / max(before, 1e-300) * part[:, 0])
+        blocks.append(np.add.reduceat(part[:, :2], np.arange(0, len(part), length), axis=0))
+    stacked = np.concatenate(blocks)
+    draws = np.random.default_rng(seed).integers(0, len(stacked), (2000, len(stacked)))  # quantiles to 0.15 sigma
+    sums = stacked[draws].sum(axis=1)
+    low, high = np.quantile(1 - np.sqrt(sums[:, 1] / np.maximum(sums[:, 0], 1e-300)), (0.025, 0.975)).tolist()
     return Gain(
         before=float(np.sqrt(before / count)),
         after=float(np.sqrt(after / count)),
@@ -124,294 +91,167 @@ def gain(followed: Sequence[RecordingComparison], seed: int) -> Gain | None:
     )
 
 
-def _blocks(each: RecordingComparison) -> Array:
-    """(B, 4) sums over stretches of time: squares before, after [m^2], number of values, squares of the runner-up."""
-    recording = each.recording
-    known = np.isfinite(recording.markers)
-    columns = []
-    for replay in (each.reference, each.simulated, each.alternative):
-        if replay is None:
-            columns.append(np.full(len(known), np.nan))
-            continue
-        off = np.where(known, recording.markers - replay.simulation.markers, 0.0)
-        columns.append(np.sum(off**2, axis=(1, 2)))
-    rows = np.column_stack([columns[0], columns[1], known.sum(axis=(1, 2)), columns[2]])
-    numbers = ((recording.time - recording.time[0]) / _BLOCK).astype(int)
-    starts = np.flatnonzero(np.diff(numbers, prepend=-1))
-    found: Array = np.add.reduceat(rows, starts, axis=0)
-    return found[found[:, 2] > 0]
-
-
-_LEAST_FRAMES = 30
-
-
-def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
-    """Why an experiment's recordings cannot support a diagnosis, a sentence each; none where they can."""
-    train, held_out = experiment.with_role("train"), experiment.with_role("holdout")
-    found = []
-    if not held_out:
-        found.append(
-            "no recording is held out, so that nothing could confirm a cause: give one of another kind or amplitude "
-            'role = "holdout"'
-        )
-    moving = [each for each in train if each.kind in ("driven", "decay")]
-    if len(moving) < 2 and not _referenced(experiment):
-        found.append(
-            "only one training recording moves: what is wrong in one recording looks like another initial state or "
-            "another stiffness; record at least one more, with another amplitude or drive"
-        )
-    if _referenced(experiment):
-        found += _contradictory(experiment)
-    if any(_blind(each) for each in held_out) and all(_blind(each) for each in held_out):
-        found.append("the held-out recordings show next to no marker: nothing could confirm a cause")
-    return tuple(found)
-
-
-def _referenced(experiment: Experiment) -> bool:
-    return any(each.condition == REFERENCE for each in experiment.recordings)
-
-
-def _contradictory(experiment: Experiment) -> list[str]:
-    """What is wrong with recordings in the reference condition."""
-    train = experiment.with_role("train")
-    found = []
-    if not any(each.condition == REFERENCE for each in train):
-        found.append('recordings with condition = "reference" are held out only: none is there to train on')
-    if all(each.condition == REFERENCE for each in train):
-        found.append(
-            'every training recording has condition = "reference", in which the effect sought is absent: none is left '
-            "that could show it"
-        )
-    labels: dict[str, set[str | None]] = {}
-    for each in experiment.recordings:
-        if each.repeat is not None:
-            labels.setdefault(each.repeat, set()).add(each.condition)
-    found += [
-        f'repeats "{label}" are said to be one experiment, and differ in their condition'
-        for label, conditions in labels.items()
-        if len(conditions) > 1
+def _squares(comparison: RecordingComparison) -> Array:
+    """Sums of squares before, after and by the next best model [m^2], and number of marker coordinates, by frame."""
+    residuals = [
+        np.full_like(comparison.recording.markers, np.nan) if simulated is None else simulated.simulation.markers
+        for simulated in (comparison.reference, comparison.simulated, comparison.alternative)
     ]
-    return found
+    frames = comparison.recording.frames
+    measured = comparison.recording.markers[frames]
+    known = np.isfinite(measured)
+    squares = [np.where(known, measured - markers[frames], 0.0) ** 2 for markers in residuals]
+    return np.column_stack([np.sum(part, axis=(1, 2)) for part in (*squares, known)])
 
 
-def _blind(recording: Recording) -> bool:
-    return int(np.isfinite(recording.markers).any(axis=(1, 2)).sum()) < _LEAST_FRAMES
+def block_length(series: Array) -> int:
+    """Return the optimal block length of a circular block bootstrap of a series' mean, at most a third of the series.
 
-
-_UNLIKELY = 1e-3  # that noise alone leaves so much
-_NIL = 0.002  # reduction of the held-out error that is none
-_LITTLE = 0.02  # share of chi^2; what explains more is real, whether the recordings held out show it or not
-_CLEARLY = 2.0  # times the misfit before the change
-
-
-def conclude(
-    experiment: Experiment,
-    base: Base,
-    search: Search,
-    found: SearchResult,
-    table: tuple[Candidate, ...],
-    already: str = "",
-) -> Diagnosis:
-    """What is missing, how sure that is, and what is gained.
-
-    Args:
-        experiment: what was diagnosed.
-        base: the model without effects.
-        search: can fit more.
-        found: where it ended.
-        table: the candidates.
-        already: what was missing before any change, as a sentence.
+    Source: Politis and White, Econometric Reviews 23, 2004, with the correction by Patton, Politis and White,
+    Econometric Reviews 28, 2009, whose constants these are.
     """
-    best = found.best
-    new = best.effects[best.reference_effects :]
-    scale = max(1.0, best.point.misfit**2)
-    search.tell("asking what cannot be told apart")
-    # What does not follow the recordings is no explanation that others could equal.
-    asked = new if best.point.misfit < OFF else ()
-    alternatives = find_alternatives(found, search, asked, scale)
-    information, _ = of_trajectory(best.fit, True)
-    causes = found_causes(search, found, alternatives, covariance(information))
-    search.tell("replaying the recordings")
-    model, plain = (
-        _model(experiment, base, best, information),
-        _model(experiment, base, search.search_start.before, None),
-    )
-    next_best = search.trials.next_best(best) or found.next_best
-    followed = follow(experiment, base, search.search_start.before, best, next_best)
-    effects = [cause.effect for cause in causes]
-    causes = tuple(replace(cause, without=without_cause(model, cause.effect, effects, followed)) for cause in causes)
-    gained = gain(followed, search.rules.seed)
-    left, again = residual_test(best.point.runs), repeated(best.point.runs)
-    needed = _still_needed(best, search, found)
-    remains = _remains(best, base, search, left, needed)
-    description = _described(experiment, best, left, again, found, needed) if remains else _usual(best, base, search)
-    verdict = _verdict(causes, remains)
-    diagnosis = Diagnosis(
-        experiment=experiment,
-        verdict=verdict,
-        causes=causes,
-        candidates=table,
-        model=model,
-        base=plain,
-        parameters=model.estimates,
-        recordings=followed,
-        gain=gained,
-        remaining=Remaining(left.p_value, description),
-        symptoms=found_symptoms(experiment, plain, followed, base),
-        next_experiment=next_experiment(experiment, verdict, causes, partial(_worth, search, best)),
-        noise=f"{base.noise.source}; {noise_told(again)}",
-        next_best=next_best.effects[next_best.reference_effects :] if next_best else (),
-        warnings=tuple(dict.fromkeys(each for each in (*experiment.warnings, *base.problems, already) if each)),
-        notes=_notes(search, base, best, left, remains),
-    )
-    little = search.start.chi2 - best.chi2 < _LITTLE * best.chi2
-    useless = bool(causes) and little and (gained is None or gained.reduction < _NIL)
-    return _without_causes(diagnosis, search.rules.seed) if useless and not remains else diagnosis
+    count = len(series)
+    centred = series - series.mean()
+    run = max(5, int(np.ceil(np.sqrt(np.log10(count)))))
+    lags = min(int(np.ceil(np.sqrt(count))) + run, count - 1)
+    covariance = np.array([centred[lag:] @ centred[: count - lag] for lag in range(lags + 1)]) / count
+    if covariance[0] <= 0 or lags <= run:
+        return 1
+    significant = np.abs(covariance[1:] / covariance[0]) >= 2 * np.sqrt(np.log10(count) / count)
+    quiet = np.lib.stride_tricks.sliding_window_view(~significant, run).all(axis=1)
+    last = int(np.argmax(quiet)) if quiet.any() else int(np.flatnonzero(significant)[-1]) + 1
+    window = min(2 * max(last, 1), lags)
+    lag = np.arange(1, window + 1)
+    weighted = np.minimum(1.0, 2 * (1 - lag / window)) * covariance[1 : window + 1]
+    slope, long_run = 2 * float(np.sum(lag * weighted)), covariance[0] + 2 * float(np.sum(weighted))
+    longest = np.ceil(min(3 * np.sqrt(count), count / 3))
+    optimal = (1.5 * slope**2 / max(long_run**2, 1e-300) * count) ** (1 / 3)
+    return int(np.ceil(min(max(optimal, 1.0), longest)))
 
 
-def _without_causes(diagnosis: Diagnosis, seed: int) -> Diagnosis:
-    """The diagnosis where what is significant is small, and of no use."""
-    named = ", ".join(cause.effect.id for cause in diagnosis.causes)
-    warning = f"{named} would explain a little of the training recordings and nothing of those held out: not a cause"
-    followed = tuple(replace(each, simulated=each.reference, alternative=None) for each in diagnosis.recordings)
-    return replace(
-        diagnosis,
-        verdict="none",
-        causes=(),
-        model=diagnosis.base,
-        next_best=(),
-        parameters=diagnosis.base.estimates,
-        recordings=followed,
-        gain=gain(followed, seed),
-        next_experiment=None,
-        warnings=(*diagnosis.warnings, warning),
-    )
+def is_unexplained(findings: Findings) -> bool:
+    """Return True if the best model leaves more than noise, or clearly more than was missing before the change."""
+    if findings.misfits.reference > 1:
+        return findings.misfits.changed > _CLEARLY_MORE * findings.misfits.baseline
+    matters = findings.residuals.excess > findings.least_decrease
+    return bool(findings.needed) or (findings.residuals.p_value < _UNLIKELY and matters)
 
 
-def insufficient(experiment: Experiment, base: Base, table: tuple[Candidate, ...], reasons: Sequence[str]) -> Diagnosis:
-    """What can be said where the recordings support no statement."""
-    plain = _model(experiment, base, base.plain, None)
-    followed = follow(experiment, base, base.plain, base.plain, None)
+def conclude(findings: Findings) -> Diagnosis:
+    """Return the diagnosis: causes that are significant, explain little and gain nothing held out are dropped."""
+    if findings.insufficient:
+        return _diagnosis(findings, "insufficient", None, Remaining(None))
+    unexplained = is_unexplained(findings)
+    gain = estimate_gain(findings.recordings, findings.seed)
+    useless = findings.decrease < _SMALL_DECREASE and (gain is None or gain.reduction < _NO_GAIN)
+    if findings.causes and useless and not unexplained:
+        findings = _without_causes(findings)
+        gain = estimate_gain(findings.recordings, findings.seed)
+    verdict: Verdict = "named" if findings.causes else "none"
+    if any(cause.alternatives for cause in findings.causes):
+        verdict = "set"
+    if unexplained:
+        verdict = "unknown"
+    return _diagnosis(findings, verdict, gain, Remaining(findings.residuals.p_value, _description(findings)))
+
+
+def _diagnosis(findings: Findings, verdict: Verdict, gain: Gain | None, remaining: Remaining) -> Diagnosis:
     return Diagnosis(
-        experiment=experiment,
-        verdict="insufficient",
+        experiment=findings.experiment,
+        verdict=verdict,
+        causes=findings.causes,
+        candidates=findings.candidates,
+        model=findings.model,
+        base=findings.base,
+        parameters=findings.model.estimates,
+        recordings=findings.recordings,
+        gain=gain,
+        remaining=remaining,
+        symptoms=findings.symptoms,
+        next_experiment=_next_experiment(findings, verdict),
+        noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
+        next_best=findings.next_best,
+        warnings=tuple(dict.fromkeys(text for text in (*findings.insufficient, *findings.warnings) if text)),
+        notes=(*findings.notes, *_note(findings, verdict)),
+    )
+
+
+def _without_causes(findings: Findings) -> Findings:
+    causes = ", ".join(cause.effect.id for cause in findings.causes)
+    warning = f"{causes} would explain a little of the training recordings and nothing of those held out: not a cause"
+    return replace(
+        findings,
         causes=(),
-        candidates=table,
-        model=plain,
-        base=plain,
-        parameters=plain.estimates,
-        recordings=followed,
-        gain=None,
-        remaining=Remaining(None),
-        symptoms=found_symptoms(experiment, plain, followed, base),
-        next_experiment=reasons[0],
-        noise=f"{base.noise.source}; {noise_told(repeated(base.point.runs))}",
-        warnings=tuple(dict.fromkeys([*reasons, *experiment.warnings, *base.problems])),
+        model=findings.base,
+        next_best=(),
+        recordings=tuple(replace(each, simulated=each.reference, alternative=None) for each in findings.recordings),
+        warnings=(*findings.warnings, warning),
     )
 
 
-def _verdict(causes: Sequence[Cause], remains: bool) -> Verdict:
-    if remains:
-        return "unknown"
-    if not causes:
-        return "none"
-    return "set" if any(cause.alternatives for cause in causes) else "named"
-
-
-def _still_needed(best: CandidateFit, search: Search, found: SearchResult) -> list[int]:
-    """Candidates of the last screen that are certain and matter."""
-    certain = (found.last.p_values < search.rules.alpha) & (found.last.seen.statistics > search.matters(best))
-    return [int(k) for k in np.flatnonzero(certain)]
-
-
-def _remains(best: CandidateFit, base: Base, search: Search, left: ResidualTest, needed: Sequence[int]) -> bool:
-    """Whether the explanation leaves more than noise; more than before the change, where that was more than noise."""
-    if search.search_start.reference_misfit > 1:
-        return _changed_misfit(best, search) > _CLEARLY * base.point.misfit
-    unlikely = left.p_value < _UNLIKELY and left.excess > search.matters(best)
-    return unlikely or bool(needed)
-
-
-def _changed_misfit(best: CandidateFit, search: Search) -> float:
-    """By how many times the noise the changed recordings are missed."""
-    changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
-    squares, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
-    return float(search.search_start.reference_misfit * np.sqrt(squares / max(count, 1)))
-
-
-def _usual(best: CandidateFit, base: Base, search: Search) -> str:
-    """What is left where as much was missing before a change; empty where noise is all that is usual."""
-    if search.search_start.reference_misfit <= 1:
-        return ""
-    return (
-        f"the changed recordings are missed by {_changed_misfit(best, search):.2g} times the noise; the reference ones "
-        f"were by {base.point.misfit:.2g}, by a model without effects: about what was missing before the change"
-    )
-
-
-def _model(experiment: Experiment, base: Base, candidate_fit: CandidateFit, information: Information | None) -> Model:
-    """The model of an explanation, with its parameters' estimates."""
-    parametrisation = candidate_fit.point.problem.parametrisation
-    own = len(parametrisation.coordinates)
-    x, estimate = candidate_fit.point.x[:own], candidate_fit.estimate[:own]
-    if information is None:
-        information, _ = of_trajectory(candidate_fit.fit, True)
-    inside = covariance(information)[:own, :own]
-    kept = Information(information.normal[:own, :own], information.spread[:own, :own])
-    found: tuple[Estimate, ...] = estimates(
-        parametrisation, estimate, kept, to_physical(parametrisation, estimate, inside)
-    )
-    noise = base.fit.point.runs[0].observed.noise
-    return Model(
-        parametrisation.chain(x), experiment.rig, *noise, found, candidate_fit.effects, candidate_fit.reference_effects
-    )
-
-
-def _worth(search: Search, best: CandidateFit, cause: Cause) -> Sequence[Proposal]:
-    """Recordings by how well they would tell a cause from its rivals."""
-    others = best.names - {cause.effect.key}
-    alternatives = [search.trials.tried.get(others | {alternative.effect.key}) for alternative in cause.alternatives]
-    return proposals(best, [each for each in alternatives if each is not None])
-
-
-def _described(
-    experiment: Experiment,
-    best: CandidateFit,
-    left: ResidualTest,
-    again: Repeated | None,
-    found: SearchResult,
-    needed: Sequence[int],
-) -> str:
-    """Where something remains and what it looks like."""
+def _description(findings: Findings) -> str:
+    """Where something remains and what it looks like; empty where nothing does."""
+    misfits, residuals = findings.misfits, findings.residuals
+    if not is_unexplained(findings):
+        if misfits.reference <= 1:
+            return ""
+        return (
+            f"the changed recordings are missed by {misfits.changed:.2g} times the noise; the reference ones were by "
+            f"{misfits.baseline:.2g}, by a model without effects: about what was missing before the change"
+        )
     parts = []
-    if left.bands and left.p_value < _UNLIKELY:
-        worst = left.bands[0]
-        low, high = worst.band
+    if residuals.bands and residuals.p_value < _UNLIKELY:
+        worst = residuals.bands[0]
+        low, high = worst.frequencies
         parts.append(f"most of it in the {worst.sensor} of {worst.file}, between {low:.3g} and {high:.3g} Hz")
-    looks = described(best.point, best.effects, experiment.rig)
-    parts += [each for each in (looks, remains_told(again)) if each]
-    if needed:
-        most = max(needed, key=lambda k: float(found.last.seen.statistics[k]))
-        parts.append(f"a further effect, {found.last.seen.effects[most].id}, would explain part of it")
-    return "; ".join(parts)
+    parts += [findings.resemblance, _recurrence(findings.repeats)]
+    if findings.needed:
+        parts.append(f"a further effect, {findings.needed[0].id}, would explain part of it")
+    return "; ".join(part for part in parts if part)
 
 
-def _notes(search: Search, base: Base, best: CandidateFit, left: ResidualTest, remains: bool) -> tuple[str, ...]:
-    joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in base.point.chain.links)
-    known = "is measured against a finer chain" if best.shift is not None else "was not measured"
-    notes = [f"virtual joints of the search's chain: {joints}; what so few of them get wrong {known}"]
-    if search.search_start.diverges_from_data:
-        notes.append(
-            "without a change the model follows so little of the changed recordings that the table of candidates, "
-            "which is linear, is no guide: each was fitted"
-        )
-    if not remains and search.search_start.reference_misfit == 1 and left.p_value < _UNLIKELY:
-        notes.append("what is left is a little more than noise, and too little to matter")
-    if best.uses_feedback:
-        notes.append(
-            "dry friction or play: while fitting, a weak spring and damper held the simulated joint near its encoder's "
-            "angles; misfits and parameters are those of such simulations, replays and the gain are open loop"
-        )
-    if best.effects and not best.fit.converged:
-        notes.append("the last fit was ended once further steps no longer mattered")
-    return tuple(notes)
+def _recurrence(repeats: RepeatComparison | None) -> str:
+    """Whether the residuals recur; empty where no recordings show that."""
+    if repeats is None or not np.isfinite(repeats.recurring_share):
+        return ""
+    percent = 100 * repeats.recurring_share
+    if percent >= 50:
+        return f"{percent:.0f} % of it is the same in recordings that repeat each other: the arm does this every time"
+    return (
+        f"{100 - percent:.0f} % of it differs between recordings that repeat each other: a disturbance, or something "
+        "that sticks, slips or has changed from one to the next"
+    )
+
+
+def _noise_by_repeats(repeats: RepeatComparison | None) -> str:
+    if repeats is None:
+        return "no recording that was fitted repeats another"
+    difference = 1e3 * repeats.individual * repeats.noise
+    return f"residuals of recordings that repeat each other differ by {difference:.2g} mm"
+
+
+def _note(findings: Findings, verdict: Verdict) -> Sequence[str]:
+    small = findings.misfits.reference == 1 and findings.residuals.p_value < _UNLIKELY
+    if verdict in ("unknown", "insufficient") or not small:
+        return ()
+    return ("the residuals are a little more than noise, and too little to matter",)
+
+
+def _next_experiment(findings: Findings, verdict: Verdict) -> str | None:
+    """The recording that would settle what these cannot; None where there is nothing to settle."""
+    if verdict == "insufficient":
+        return findings.insufficient[0]
+    ambiguous = next((cause for cause in findings.causes if cause.alternatives), None)
+    if ambiguous is not None:
+        effects = (ambiguous.effect, *(alternative.effect for alternative in ambiguous.alternatives))
+        aim = f"to tell {' from '.join(effect.id for effect in effects)}"
+        if findings.proposals and findings.proposals[0].evidence > _DISTINGUISHING:
+            best = findings.proposals[0]
+            return f"{aim}: {best.text}; chi^2 of the two will then differ by about {best.evidence:.2g}"
+        means = dict.fromkeys(part for effect in effects for part in effect.distinguishing_experiment.split("; "))
+        return f"{aim}: record {'; or '.join(part for part in means if part)}"
+    if verdict != "unknown":
+        return None
+    if all(recording.kind != "quiet" for recording in findings.experiment.recordings):
+        return 'record the arm at rest (kind = "quiet"): what is there without motion comes from outside'
+    return "record the same drive at half and at twice its size: what then does not grow in proportion is not linear"

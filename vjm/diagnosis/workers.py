@@ -1,4 +1,4 @@
-"""Processes among which a diagnosis shares its work."""
+"""Worker processes among which a diagnosis shares its work."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
-from typing import TypeVar
+from typing import Self, TypeVar
 
 Job = TypeVar("Job")
-Done = TypeVar("Done")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class Workers:
-    """What does the work.
+    """A number of processes.
 
     Attributes:
         count: of processes.
-        executor: sends them work; None: all is done here.
+        executor: sends them jobs; None: this process does all.
     """
 
     count: int = 1
     executor: Executor | None = None
 
-    def map(self, work: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
-        """The work on each job, in the jobs' order, whoever does it."""
+    @classmethod
+    @contextmanager
+    def start(cls, count: int) -> Iterator[Self]:
+        """Run processes as long as they are needed."""
+        if count == 1:
+            yield cls()
+            return
+        with ProcessPoolExecutor(count, mp_context=get_context("forkserver")) as executor:
+            yield cls(count, executor)
+
+    def map(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
+        """Return the results of a function for each job, in the jobs' order."""
         if self.executor is None or len(jobs) < 2:
             return [work(job) for job in jobs]
         return [*self.executor.map(work, jobs)]
 
 
 ALONE = Workers()
-
-
-@contextmanager
-def workers(count: int) -> Iterator[Workers]:
-    """So many processes, as long as they are needed."""
-    if count == 1:
-        yield ALONE
-        return
-    with ProcessPoolExecutor(count, mp_context=get_context("forkserver")) as executor:
-        yield Workers(count, executor)

@@ -11,7 +11,8 @@ from vjm.report.text import UNKNOWN, Grade, Verdict, counted, listed, millimetre
 from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
-    from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Size
+    from vjm.diagnosis.records import Candidate, Cause, Diagnosis
+    from vjm.records import Estimate
 
 
 # Everyday units, the largest first; each is used from a tenth of it on.
@@ -44,7 +45,7 @@ def place(effect: Effect, model: Model) -> str:
     return "" if effect.link is None else model.chain.links[effect.link].name
 
 
-def clause(effect: Effect, model: Model, sizes: Mapping[str, Size] | None = None) -> str:
+def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = None) -> str:
     """An effect with its numbers, as in "the data need: ...".
 
     Args:

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from vjm.diagnosis.replays import most_improved
+from vjm.diagnosis.records import most_improved
 from vjm.effects.effect import Abscissa, Effect
 from vjm.errors import InsufficientDataError
 from vjm.records import REFERENCE, Array, Recording, SimulatedRecording

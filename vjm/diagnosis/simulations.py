@@ -1,0 +1,115 @@
+"""Open-loop simulations of all recordings by the models that a diagnosis compares, and the baseline's symptoms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from vjm.diagnosis.candidate_fit import CandidateFit
+from vjm.diagnosis.encoder_feedback import simulate_open_loop, without_feedback
+from vjm.diagnosis.records import Cause, most_improved
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.outliers import trimmed
+from vjm.records import Array, Experiment, RecordingComparison
+from vjm.simulation.initial_state import simulated_recording
+from vjm.simulation.measurement import Observed
+from vjm.simulation.model import Model
+from vjm.simulation.run import Run
+from vjm.symptoms.find import Symptoms, symptoms
+from vjm.symptoms.records import Followed
+
+_Runs = dict[str, tuple[Run, bool]]  # by file: the simulation, and whether its initial state was found
+
+
+def compare_recordings(
+    experiment: Experiment,
+    noise: tuple[float, float],
+    before: CandidateFit,
+    best: CandidateFit,
+    next_best: CandidateFit | None,
+) -> tuple[RecordingComparison, ...]:
+    """Simulate all recordings by up to three models, from their most likely initial states.
+
+    Args:
+        experiment: the recordings, in whose order the result is.
+        noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
+        before: the model before any change, fitted to all training recordings that can be used.
+        best: the model with the causes; its outliers are left out of the recordings.
+        next_best: the next best model; None where there is none.
+    """
+    recordings = {run.observed.recording.file: run.observed.recording for run in before.point.runs}
+    further = [each for each in experiment.cleaned_recordings if each.file not in recordings]
+    observed = [Observed.of(experiment.rig, recording, noise) for recording in further]
+    by_best = _simulate(best, observed)
+    trimmed_runs = {file: trimmed(run) for file, (run, _) in by_best.items()}
+    changed = [each for file, each in trimmed_runs.items() if each is not by_best[file][0].observed]
+    by_best |= _simulate(best, changed, [by_best[each.recording.file][0].state for each in changed])
+    observed = [trimmed_runs.get(each.recording.file, each) for each in observed]
+    recordings |= {each.recording.file: each.recording for each in observed}
+    by_before = by_best if before is best else _simulate(before, observed)
+    by_next = _simulate(next_best, observed) if next_best else {}
+    after, reference, alternative = (
+        {file: simulated_recording(*run) for file, run in (_fitted(model, before) | runs).items()}
+        for model, runs in ((best, by_best), (before, by_before), (next_best, by_next))
+    )
+    return tuple(
+        RecordingComparison(
+            recordings[file], noise, *(by_file.get(file) for by_file in (after, reference, alternative))
+        )
+        for file in (each.file for each in experiment.recordings)
+    )
+
+
+def _fitted(model: CandidateFit | None, open_loop: CandidateFit) -> _Runs:
+    if model is None:
+        return {}
+    return {run.observed.recording.file: (run, True) for run in without_feedback(model, open_loop).point.runs}
+
+
+def _simulate(model: CandidateFit, observed: Sequence[Observed], states: Sequence[Array] | None = None) -> _Runs:
+    """Simulations of recordings that were not fitted; those that are not possible are left out."""
+    if not observed:
+        return {}
+    try:
+        runs = simulate_open_loop(model, observed, states)
+    except (InsufficientDataError, SimulationDivergedError):
+        if len(observed) == 1:
+            return {}
+        single = [_simulate(model, [each], states and [states[k]]) for k, each in enumerate(observed)]
+        return {file: run for part in single for file, run in part.items()}
+    return {each.recording.file: run for each, run in zip(observed, runs, strict=True)}
+
+
+def without_each_cause(
+    model: Model, causes: Sequence[Cause], recordings: Sequence[RecordingComparison]
+) -> tuple[Cause, ...]:
+    """Return the causes, each with the most improved recording simulated without it.
+
+    Args:
+        model: with the causes, and with what was present before a change.
+        causes: a single one leaves the model that was fitted without it.
+        recordings: simulated with and without the causes.
+    """
+    shown = most_improved(recordings)
+    if shown is None or len(causes) == 1:
+        return tuple(replace(cause, without=None if shown is None else shown.reference) for cause in causes)
+    completed = []
+    for cause in causes:
+        others = tuple(effect for effect in model.effects if effect.key != cause.effect.key)
+        try:
+            completed.append(replace(cause, without=replace(model, effects=others).replay(shown.recording)))
+        except (InsufficientDataError, SimulationDivergedError):
+            completed.append(cause)
+    return tuple(completed)
+
+
+def find_symptoms(model: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:
+    """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
+    count, noise = 4, (model.marker_noise, model.encoder_noise)  # more modes are hardly ever seen by a camera
+    shown = []
+    for each in recordings:
+        if each.reference is not None:
+            payload, simulation = each.recording.payload, each.reference.simulation
+            own = tuple(model.modes(payload).frequencies[:count].tolist()) if payload else None
+            shown.append(Followed(model.rig, each.recording, simulation.markers, simulation.theta, noise, own))
+    return symptoms(shown, model.modes().frequencies[:count].tolist()) if shown else None
