@@ -222,3 +222,14 @@ def test_heavy_libraries_wait_until_they_are_used(code: str) -> None:
     command = f"import sys\n{code}\nprint(*sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
+
+
+# What the verdict of a diagnosis may know: records, none of which simulates or fits.
+VERDICT_READS = {"vjm.records", "vjm.effects", "vjm.errors", "vjm.diagnosis.records"}
+
+
+def test_the_verdict_reads_fits_and_runs_none() -> None:
+    for path in (PACKAGE / "diagnosis" / "verdict.py", PACKAGE / "diagnosis" / "records.py"):
+        known = {each.name.rpartition(".")[0] for each in imports(path) if not each.for_types}
+        own = {name for name in known if name.split(".")[0] == "vjm"}
+        assert own - VERDICT_READS - {"vjm.effects.effect"} == set(), path.name

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.residual_tests import noise_told, remains_told, repeated
+from vjm.diagnosis.residual_tests import compare_repeats
 from vjm.effects import TorqueGain
 from vjm.identification.trajectory_fit import Point
 from vjm.records import Recording
@@ -32,28 +32,26 @@ def runs_of(seeds: list[int], wrong: list[bool], late: float = 0.0) -> tuple[Run
 @pytest.mark.parametrize("seed", [1, 5, 9])
 @pytest.mark.parametrize("late", [0.0, 3.0])
 def test_noise_is_nobodys_twice(seed: int, late: float) -> None:
-    found = repeated(runs_of([seed, seed + 1, seed + 2], [False] * 3, late))
+    found = compare_repeats(runs_of([seed, seed + 1, seed + 2], [False] * 3, late))
     assert found is not None
-    assert (found.common, found.own) == (pytest.approx(1.0, abs=0.05), pytest.approx(1.0, abs=0.05))
-    assert f"{1e3 * found.own * found.noise:.2g} mm" in noise_told(found)
+    assert (found.common, found.individual) == (pytest.approx(1.0, abs=0.05), pytest.approx(1.0, abs=0.05))
 
 
 def test_what_a_model_gets_wrong_every_time_repeats() -> None:
-    found = repeated(runs_of([1, 2], [True, True]))
+    found = compare_repeats(runs_of([1, 2], [True, True]))
     assert found is not None
-    assert found.own == pytest.approx(1.0, abs=0.05)
+    assert found.individual == pytest.approx(1.0, abs=0.05)
     assert found.common > 3
-    assert found.share > 0.95
-    assert "does this every time" in remains_told(found)
+    assert found.recurring_share > 0.95
 
 
 def test_what_happens_once_does_not_repeat() -> None:
-    found = repeated(runs_of([1, 2], [False, True]))
+    found = compare_repeats(runs_of([1, 2], [False, True]))
     assert found is not None
-    assert found.share == pytest.approx(0.5, abs=0.02)  # one of two: half of sum and difference each
-    opposite = repeated([*runs_of([1], [True]), mirrored(runs_of([2], [True])[0])])
+    assert found.recurring_share == pytest.approx(0.5, abs=0.02)  # one of two: half of sum and difference each
+    opposite = compare_repeats([*runs_of([1], [True]), mirrored(runs_of([2], [True])[0])])
     assert opposite is not None
-    assert "differs between recordings" in remains_told(opposite)
+    assert opposite.recurring_share < 0.1
 
 
 def mirrored(run: Run) -> Run:
@@ -66,11 +64,9 @@ def mirrored(run: Run) -> Run:
 def test_nothing_is_said_without_repeats_or_of_frames_at_other_instants() -> None:
     one, two = runs_of([1, 2], [False, False])
     alone = replace(two, observed=replace(two.observed, recording=replace(two.observed.recording, repeat=None)))
-    assert repeated([one, alone]) is None
-    assert noise_told(None) == "no recording that was fitted repeats another"
-    assert remains_told(None) == ""
+    assert compare_repeats([one, alone]) is None
     recording = two.observed.recording
     shifted = np.r_[recording.time[:1], recording.time[1:] + 0.004]
     between = replace(two, observed=replace(two.observed, recording=replace(recording, time=shifted)))
     between.__dict__["residual"] = two.residual
-    assert repeated([one, between]) is None
+    assert compare_repeats([one, between]) is None

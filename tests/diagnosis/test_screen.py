@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from vjm.diagnosis.directions import screen
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.screen import Family, build_candidates
+from vjm.diagnosis.candidates import FamilyTest, build_candidates
+from vjm.diagnosis.screen import screen
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -194,7 +194,7 @@ def test_the_family_is_as_large_as_its_candidates_differ() -> None:
     one = screen(point, (), [bound(TimeOffset())])
     twins = screen(point, (), [bound(CameraRotation()), bound(EncoderOffset())])
     several = screen(point, (), [bound(each) for each in EFFECTS])
-    looks = [Family.of(seen, np.ones(len(seen.effects)), 0.01, 0).looks for seen in (one, twins, several)]
+    looks = [FamilyTest.of(seen, np.ones(len(seen.effects)), 0.01, 0).tests for seen in (one, twins, several)]
     assert looks[0] == pytest.approx(1.0, abs=0.5)
     assert looks[1] < 1.8
     assert 6 < looks[2] < len(EFFECTS)
@@ -212,7 +212,7 @@ def test_what_other_parameters_do_as_well_is_absorbed() -> None:
 def test_reference_recordings_say_nothing_of_an_effect() -> None:
     chain = chain_of()
     point = point_of(chain, (), recorded(Arm(chain), 5, condition="reference"))
-    assert screen(point, (), [bound(TipPayload())]).integer[0] == 0
+    assert screen(point, (), [bound(TipPayload())]).unprojected[0] == 0
 
 
 @pytest.mark.parametrize("noise", [(3e-6, 1e-2), (1e-1, 1e-6)], ids=["markers", "encoder"])
@@ -241,13 +241,13 @@ def test_a_fit_is_judged_as_a_screen_is(seed: int) -> None:
     """By the fall of chi^2, whose limit the score statistic is; more freedom and more looks make it less certain."""
     chain, variants = chain_of(), [bound(TorqueGain()), bound(JointSpring())]
     seen = screen(point_of(chain, (), recorded(Arm(chain), seed)), (), variants)
-    family = Family.of(seen, np.ones(2), 0.01, 0)
+    family = FamilyTest.of(seen, np.ones(2), 0.01, 0)
     gain = variants[0]
     assert family.p_of_fit(gain, float(seen.statistics[0])) == pytest.approx(family.p_values[0])
     assert family.p_of_fit(gain, 30.0) < family.p_of_fit(gain, 20.0) < 0.01
-    often = replace(family, times=np.array([50.0, 1.0]))
+    often = replace(family, multiplicity=np.array([50.0, 1.0]))
     assert often.p_of_fit(gain, 20.0) == pytest.approx(50 * family.p_of_fit(gain, 20.0), rel=0.01)
-    freer = Family.of(
+    freer = FamilyTest.of(
         screen(point_of(chain, (), recorded(Arm(chain), seed)), (), [bound(InPlaneGravity())]), np.ones(1), 0.01, 0
     )
-    assert freer.p_of_fit(bound(InPlaneGravity()), 20.0) > stats.chi2.sf(20.0, 1) * freer.looks
+    assert freer.p_of_fit(bound(InPlaneGravity()), 20.0) > stats.chi2.sf(20.0, 1) * freer.tests

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from vjm.diagnosis.replays import most_improved, without_cause
 
 from tests.report.diagnoses import pair
+from vjm.diagnosis.records import most_improved
+from vjm.diagnosis.simulations import without_each_cause
 from vjm.effects import ViscousFriction
 
 
@@ -18,7 +19,7 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
     model = replace(diagnosis.model, effects=(friction, *causes), reference_effects=1)
     first = most_improved(diagnosis.recordings)
     assert first is not None
-    without = without_cause(model, causes[0], causes, diagnosis.recordings)
+    without = without_each_cause(model, diagnosis.causes, diagnosis.recordings)[0].without
     assert without is not None
     expected = replace(model, effects=(friction, causes[1])).replay(first.recording)
     np.testing.assert_allclose(without.simulation.markers, expected.simulation.markers, rtol=0, atol=1e-12)
@@ -28,7 +29,7 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
 
 def test_a_single_cause_leaves_the_model_fitted_without_it() -> None:
     diagnosis = pair()
-    cause = diagnosis.causes[0].effect
     first = most_improved(diagnosis.recordings)
     assert first is not None
-    assert without_cause(diagnosis.model, cause, [cause], diagnosis.recordings) is first.reference
+    (cause,) = without_each_cause(diagnosis.model, diagnosis.causes[:1], diagnosis.recordings)
+    assert cause.without is first.reference

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import vjm
 from tests.hidden.rigs import Conditions, write_hidden
 from tests.hidden.severities import Planted, draw
-from vjm.diagnosis.baseline import base_fit
+from vjm.diagnosis.baseline import fit_baseline
 
 
 @pytest.mark.parametrize("seed", [502, 503])
@@ -21,13 +21,13 @@ def test_wrong_sightings_after_a_change_are_left_out(tmp_path: Path, seed: int) 
         _written(tmp_path / str(share), seed, Conditions(outliers=share, reference=True), payload)
         for share in (0.005, 0.0)
     )
-    base = base_fit(with_outliers)
+    base = fit_baseline(with_outliers)
     found, wrong = [], []
-    for observed in base.others:
+    for observed in base.changed:
         shown, right = (_markers(each, observed.recording.file) for each in (with_outliers, without))
         wrong.append(np.abs(shown - right) > 4e-3)
         found.append(~np.isfinite(observed.recording.markers) & wrong[-1])
-    assert len(base.others) == 4
+    assert len(base.changed) == 4
     assert np.sum(wrong) > 40
     assert np.sum(found) > 0.95 * np.sum(wrong)
 

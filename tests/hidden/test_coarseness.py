@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from vjm.diagnosis.directions import screen
 
 import vjm
 from tests.hidden.conftest import Plant
-from vjm.diagnosis.baseline import base_fit
+from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.discretization import with_offset
+from vjm.diagnosis.screen import screen
 from vjm.effects import CubicStiffness
 from vjm.identification.trajectory_fit import Point
 
@@ -23,14 +23,14 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     """The drives of this seed are large: a cubic stiffness would explain a sixth of chi^2."""
     file, truth = plant("hub", seed=3)
     experiment = vjm.load_experiment(file)
-    base = base_fit(experiment)
-    assert base.discretization_bias is not None
-    plain = with_offset(base.point, [None] * len(base.point.runs))
+    base = fit_baseline(experiment)
+    assert base.fit.shift is not None
+    plain = with_offset(base.fit.point, None)
     assert plain.misfit > 1.05
     assert cubic(plain) > 50
-    assert base.point.misfit < 1.005
-    assert cubic(base.point) < 4
-    found = base.plain.estimate
-    physical = base.point.problem.parametrisation.physical(found)
+    assert base.fit.point.misfit < 1.005
+    assert cubic(base.fit.point) < 4
+    found = base.fit.estimate
+    physical = base.fit.point.problem.parametrisation.physical(found)
     assert physical[0] == pytest.approx(truth.beam.bending_stiffness, rel=3e-4)
     assert physical[2] == pytest.approx(truth.beam.hub_inertia, rel=3e-4)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.report.fits import DEMO, _chain
-from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining, Size
+from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining
 from vjm.effects import (
     BUILTIN,
     ClampCompliance,
@@ -134,7 +134,7 @@ def cause(effect: Effect, alternatives: tuple[Alternative, ...] = ()) -> Cause:
     sizes = {}
     for each in effect.parameters():
         value = float(effect.values[each.name])
-        sizes[each.name] = Size(value, None if each.integer else 0.01 * abs(value), each.unit)
+        sizes[each.name] = Estimate(each.name, value, None if each.integer else 0.01 * abs(value), each.unit)
     words = "without it the model misses the training recordings by 7.3 times the noise, with it by 1.0"
     return Cause(effect, sizes, 1e-300, 4.1e4, alternatives, words)
 

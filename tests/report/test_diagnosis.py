@@ -25,9 +25,10 @@ from tests.report.diagnoses import (
 from tests.report.schema import DiagnoseResult
 from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
-from vjm.diagnosis.records import Diagnosis, Remaining, Size
+from vjm.diagnosis.records import Diagnosis, Remaining
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
 from vjm.files import json_text
+from vjm.records import Estimate
 from vjm.report import save as saving
 from vjm.report.diagnosis_text import (
     carried_points,
@@ -74,7 +75,7 @@ def test_rivals_are_named() -> None:
 
 def test_what_is_not_finite_becomes_null() -> None:
     found = undecided()
-    cause = replace(found.causes[0], parameters={"mass": Size(math.inf, math.nan, "kg")}, p_value=math.nan)
+    cause = replace(found.causes[0], parameters={"mass": Estimate("mass", math.inf, math.nan, "kg")}, p_value=math.nan)
     assert found.gain is not None
     gain = replace(found.gain, reduction=math.nan, interval=(-math.inf, 0.1))
     text = json_text(result_object(replace(found, causes=(cause,), gain=gain)))

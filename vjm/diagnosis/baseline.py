@@ -15,7 +15,6 @@ from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, refit
 from vjm.diagnosis.discretization import CLOSE, corrected, discretization_bias
 from vjm.diagnosis.noise import Noise, camera_noise, whitened
-from vjm.effects import TimeOffset
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.prepare import Options, read_data
@@ -29,7 +28,7 @@ from vjm.simulation.run import Run
 _LEAST_JOINTS = 8  # of a link: the third mode's frequency is then right to about one per cent (error of order 1/n^2)
 _LARGER_NOISE = 1.1  # times the noise given, from which the measured one is used: its own error is below 10 %
 _LOST = 0.3  # residual over motion, RMS; in step it is much smaller, out of phase it is 1.4
-_LARGEST_DELAY = TimeOffset().parameters()[0].upper  # s, of the camera
+_LARGEST_DELAY = 0.1  # s; bound of the camera delays that are looked for
 
 
 @dataclass(frozen=True)

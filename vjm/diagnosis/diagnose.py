@@ -150,7 +150,7 @@ def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[
     if best.uses_feedback:
         notes.append(
             "dry friction or play: while fitting, a weak spring and damper held the simulated joint near its encoder's "
-            "angles; misfits and parameters are those of such simulations, simulated recordings and the gain are open loop"
+            "angles; misfits and parameters are those of such simulations, simulated recordings and gain are open loop"
         )
     if best.effects and not best.fit.converged:
         notes.append("the last fit was ended once further steps no longer mattered")

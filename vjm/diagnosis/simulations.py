@@ -53,9 +53,7 @@ def compare_recordings(
         for model, runs in ((best, by_best), (before, by_before), (next_best, by_next))
     )
     return tuple(
-        RecordingComparison(
-            recordings[file], noise, *(by_file.get(file) for by_file in (after, reference, alternative))
-        )
+        RecordingComparison(recordings[file], noise, after.get(file), reference.get(file), alternative.get(file))
         for file in (each.file for each in experiment.recordings)
     )
 

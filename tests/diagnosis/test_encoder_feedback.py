@@ -16,13 +16,13 @@ from vjm.diagnosis.candidate_fit import CandidateFit, refit
 from vjm.diagnosis.encoder_feedback import (
     feedback_possible,
     fit_open_loop,
-    held,
+    fit_with_feedback,
     nominal_with_feedback,
-    replayed,
+    simulate_open_loop,
     without_feedback,
 )
 from vjm.diagnosis.fit_cache import StoppingRule
-from vjm.diagnosis.selection import Rules, Search, SearchResult, search_stick_slip
+from vjm.diagnosis.selection import Rules, Search, SearchResult, select_effects
 from vjm.effects import (
     Backlash,
     CameraRotation,
@@ -55,7 +55,7 @@ def fitted(recordings: Sequence[Recording]) -> CandidateFit:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_right_model_leaves_noise_held_and_free(seed: int) -> None:
     free = fitted(made((), seed))
-    found = held(free)
+    found = fit_with_feedback(free)
     assert found is not None
     assert found.uses_feedback
     assert not free.uses_feedback
@@ -73,7 +73,7 @@ def test_a_right_model_leaves_noise_held_and_free(seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_friction_and_drag_have_their_sizes(seed: int) -> None:
     truth = CoulombFriction(link=0, torque=0.012), QuadraticDrag(link=0, coefficient=0.08)
-    start = held(fitted(made(truth, seed)))
+    start = fit_with_feedback(fitted(made(truth, seed)))
     assert start is not None
     assert start.point.misfit > 1.05
     found = refit(start, (CoulombFriction(link=0, torque=0.005), QuadraticDrag(link=0, coefficient=0.02)))
@@ -107,7 +107,7 @@ def test_play_has_its_size_beside_a_hub_that_rests_on_a_flank() -> None:
 def test_what_was_found_held_is_fitted_open_loop() -> None:
     truth = ViscousFriction(link=0, coefficient=0.02)
     free = fitted(made((truth,), 4))
-    start = held(free)
+    start = fit_with_feedback(free)
     assert start is not None
     found = refit(start, (ViscousFriction(link=0, coefficient=0.01),))
     assert found is not None
@@ -120,12 +120,12 @@ def test_what_was_found_held_is_fitted_open_loop() -> None:
 
 def test_a_further_recording_is_replayed_open_loop() -> None:
     truth = CoulombFriction(link=0, torque=0.012)
-    start = held(fitted(made((truth,), 5)))
+    start = fit_with_feedback(fitted(made((truth,), 5)))
     assert start is not None
     found = refit(start, (truth,))
     assert found is not None
     other = made((truth,), 6)[1]
-    ((run, known),) = replayed(found, [Observed.of(RIG, other, NOISE)])
+    ((run, known),) = simulate_open_loop(found, [Observed.of(RIG, other, NOISE)])
     assert known
     assert run.arm.feedback is None
     assert run.observed.feedback is None
@@ -144,7 +144,7 @@ def test_nothing_can_be_held_without_an_encoder() -> None:
 def test_what_holds_a_joint_is_no_evidence_and_quiet_recordings_are_not_held() -> None:
     driven, other = made((), 8)
     free = fitted([driven, replace(other, kind="quiet")])
-    found = held(free)
+    found = fit_with_feedback(free)
     assert found is not None
     first, quiet = (run.observed for run in found.point.runs)
     assert first.feedback is not None
@@ -162,11 +162,10 @@ def test_what_cannot_be_told_apart_is_found_beside_what_was_only_ever_fitted_hel
     effects = [TorqueGain(), EncoderOffset(), CameraRotation()]
     search = Search(RIG, SearchStart(start, start), effects, Rules(), lambda text: None)
     search.trials.tried[best.names] = best
-    found = SearchResult(best, search.judged(start), search.judged(best))
-    assert [
-        alternative.effect.id
-        for alternative in find_alternatives(found, search, best.effects[1:2], 1.0)[best.effects[1].key]
-    ] == ["encoder_offset"]
+    found = SearchResult(best, search.screen(start), search.screen(best))
+    assert [alternative.effect.id for alternative in find_alternatives(found, search)[best.effects[1].key]] == [
+        "encoder_offset"
+    ]
 
 
 @dataclass(frozen=True)
@@ -186,11 +185,8 @@ def test_all_that_cannot_be_told_apart_is_found() -> None:
         RIG, SearchStart(start, start), [truth, EncoderOffset(), AnotherRotation()], Rules(), lambda text: None
     )
     search.trials.tried[best.names] = best
-    found = SearchResult(best, search.judged(start), search.judged(best))
-    alike = {
-        alternative.effect.id
-        for alternative in find_alternatives(found, search, best.effects[:1], 1.0)[best.effects[0].key]
-    }
+    found = SearchResult(best, search.screen(start), search.screen(best))
+    alike = {alternative.effect.id for alternative in find_alternatives(found, search)[best.effects[0].key]}
     assert alike == {"encoder_offset", "another_rotation"}
 
 
@@ -201,7 +197,7 @@ def test_the_search_holds_what_sticks_and_only_that() -> None:
     for truth in (sticking, (ViscousFriction(link=0, coefficient=0.02),)):
         start = fitted(made(truth, 1))
         search = Search(RIG, SearchStart(start, start), effects, Rules(), lambda text: None)
-        after, found = search_stick_slip(search, SearchResult.nothing(start, search.judged(start)))
+        after, found = select_effects(search, SearchResult.nothing(start, search.screen(start)))
         assert found.best.names == {effect.key for effect in truth}
         assert found.best.uses_feedback == (truth is sticking)
         assert (after is search) == (truth is not sticking)

@@ -10,7 +10,7 @@ import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import CandidateFit, refit
-from vjm.diagnosis.next_experiment import proposals
+from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.effects import CameraRotation, ClampCompliance, CubicStiffness, Effect, EncoderOffset, StiffnessDrift
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import Recording
@@ -37,7 +37,7 @@ def test_what_a_recording_is_worth_is_known_before_it_is_made(seed: int) -> None
     """Another amplitude tells what depends on it from what does not; and once it is recorded, it does."""
     small = drives(CUBIC, seed)[:1]
     best, other = fitted(small, CUBIC, DRIFT)
-    proposed = proposals(best, [other])
+    proposed = propose_recordings(best, [other])
     (twice,) = [each.evidence for each in proposed if "twice its size" in each.text]
     assert twice == max(each.evidence for each in proposed)
     assert proposed[0].evidence == twice
@@ -52,13 +52,13 @@ def test_twins_are_told_apart_by_nothing_on_the_menu() -> None:
     """Without gravity a turned camera and an encoder's offset are the same in every recording."""
     camera, encoder = CameraRotation(angle=0.02), EncoderOffset(link=0, offset=-0.02)
     best, other = fitted(drives(camera, 7), camera, encoder)
-    assert all(each.evidence < 1 for each in proposals(best, [other]))
+    assert all(each.evidence < 1 for each in propose_recordings(best, [other]))
 
 
 def test_the_nearest_of_several_counts() -> None:
     clamp = ClampCompliance(link=0, compliance=0.002)
     best, *others = fitted(drives(CUBIC, 7)[:1], CUBIC, DRIFT, clamp)
-    each = [{one.text: one.evidence for one in proposals(best, [other])} for other in others]
-    for one in proposals(best, others):
+    each = [{one.text: one.evidence for one in propose_recordings(best, [other])} for other in others]
+    for one in propose_recordings(best, others):
         assert one.evidence == pytest.approx(min(given[one.text] for given in each))
-    assert np.isfinite([one.evidence for one in proposals(best, others)]).all()
+    assert np.isfinite([one.evidence for one in propose_recordings(best, others)]).all()

@@ -1,0 +1,252 @@
+"""The verdict follows from findings alone: small records, no simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from vjm.diagnosis.records import (
+    Alternative,
+    Cause,
+    Findings,
+    Misfits,
+    Proposal,
+    RepeatComparison,
+    ResidualBand,
+    ResidualTest,
+)
+from vjm.diagnosis.verdict import block_length, conclude, estimate_gain, is_unexplained, why_insufficient
+from vjm.effects import CameraRotation, CubicStiffness, EncoderOffset, TipPayload
+from vjm.records import (
+    Array,
+    Estimate,
+    Experiment,
+    Link,
+    Recording,
+    RecordingComparison,
+    Rig,
+    SimulatedRecording,
+    Simulation,
+)
+
+NOISE = (3e-4, 1e-4)
+RIG = Rig("rig", (Link("beam", "clamped", 1.0, 0.4, 2.0, (0.5, 1.0)),))
+
+
+def recording(file: str = "slew.csv", role: Any = "holdout", count: int = 400, **changes: Any) -> Recording:
+    time, nothing = np.arange(count) / 100, np.zeros((count, 0))
+    return replace(Recording(file, "decay", role, time, nothing, nothing, np.zeros((count, 2, 2))), **changes)
+
+
+def beside(measured: Recording, residual: Array | float) -> SimulatedRecording:
+    """A simulation that leaves a residual (T, k, 2) [m] of a recording."""
+    markers = measured.markers - residual
+    nothing = np.zeros((len(markers), 0))
+    simulation = Simulation(measured.time, nothing, nothing, nothing, np.broadcast_to(markers, measured.markers.shape))
+    return SimulatedRecording(measured, simulation, NOISE, 1.0, markers.size, "converged")
+
+
+def compared(
+    measured: Recording, before: Array | float, after: Array | float, next_best: Array | float | None = None
+) -> RecordingComparison:
+    other = None if next_best is None else beside(measured, next_best)
+    return RecordingComparison(measured, NOISE, beside(measured, after), beside(measured, before), other)
+
+
+class StandIn:
+    """A model whose estimates alone are read."""
+
+    estimates: tuple[Estimate, ...] = ()
+
+
+def cause(effect: Any = None, *others: Any) -> Cause:
+    alternatives = tuple(Alternative(other, 1.0) for other in others)
+    return Cause(effect or TipPayload(link=0, mass=0.01), {}, 1e-9, 1e4, alternatives, "")
+
+
+def findings(**changes: Any) -> Findings:
+    """A cause that explains everything."""
+    experiment = Experiment(RIG, (recording("a.csv", "train"), recording("b.csv", "train"), recording()))
+    found = Findings(
+        experiment=experiment,
+        causes=(cause(),),
+        needed=(),
+        next_best=(),
+        model=StandIn(),  # type: ignore[arg-type]
+        base=StandIn(),  # type: ignore[arg-type]
+        recordings=(compared(recording(), 3e-3, 3e-4),),
+        residuals=ResidualTest((), 0.4, 0.0),
+        repeats=None,
+        misfits=Misfits(10.0, 1.0, 1.0),
+        decrease=99.0,
+        least_decrease=25.0,
+        noise="white",
+    )
+    return replace(found, **changes)
+
+
+SMALL = {"decrease": 0.01, "recordings": (compared(recording(), 3e-4, 3e-4),)}
+CERTAIN = ResidualTest((ResidualBand("a.csv", "markers", (0.5, 2.0), 100, 80.0, 1e-9),), 1e-8, 80.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "verdict"),
+    [
+        ({}, "named"),
+        ({"causes": ()}, "none"),
+        ({"causes": (cause(None, CubicStiffness(link=0)),)}, "set"),
+        ({"residuals": CERTAIN}, "unknown"),
+        ({"residuals": replace(CERTAIN, excess=20.0)}, "named"),  # significant, and too little to matter
+        ({"residuals": replace(CERTAIN, p_value=0.01)}, "named"),
+        ({"needed": (CubicStiffness(link=0),)}, "unknown"),
+        ({"misfits": Misfits(3.0, 3.0, 5.9), "residuals": CERTAIN}, "named"),  # as much was missing before the change
+        ({"misfits": Misfits(3.0, 3.0, 6.1)}, "unknown"),
+        (SMALL, "none"),
+        ({**SMALL, "decrease": 0.03}, "named"),  # it explains too much to be chance, held out or not
+        ({**SMALL, "recordings": (compared(recording(), 3e-4, 2.9e-4),)}, "named"),
+        ({**SMALL, "residuals": CERTAIN}, "unknown"),
+        ({"insufficient": ("no recording is held out",)}, "insufficient"),
+    ],
+)
+def test_the_verdict_follows_from_what_was_found(changes: dict[str, Any], verdict: str) -> None:
+    found = findings(**changes)
+    assert conclude(found).verdict == verdict
+    assert is_unexplained(found) == (verdict == "unknown")
+
+
+def test_a_cause_of_no_use_is_no_cause() -> None:
+    base = StandIn()
+    diagnosis = conclude(findings(**SMALL, base=base, next_best=(CubicStiffness(link=0),)))
+    assert diagnosis.causes == diagnosis.next_best == ()
+    assert diagnosis.model is base
+    assert any("tip_payload would explain a little" in warning for warning in diagnosis.warnings)
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.reduction == 0.0
+    assert diagnosis.gain.interval == (0.0, 0.0)
+
+
+def test_insufficient_data_give_reasons_and_nothing_else() -> None:
+    diagnosis = conclude(findings(causes=(), insufficient=("one is too few", "so is none"), warnings=("a gap",)))
+    assert diagnosis.warnings == ("one is too few", "so is none", "a gap")
+    assert diagnosis.next_experiment == "one is too few"
+    assert diagnosis.gain is None
+    assert diagnosis.remaining.p_value is None
+
+
+def test_what_remains_is_described() -> None:
+    repeats = RepeatComparison(3.0, 1.0, NOISE[0])
+    found = findings(residuals=CERTAIN, resemblance="most like a spring", repeats=repeats, needed=(CubicStiffness(),))
+    described = conclude(found).remaining.description
+    assert described.split("; ")[0] == "most of it in the markers of a.csv, between 0.5 and 2 Hz"
+    for part in ("most like a spring", "100 % of it is the same in recordings", "cubic_stiffness, would explain"):
+        assert part in described
+    assert "repeat each other differ by 0.3 mm" in conclude(found).noise
+    other = replace(repeats, common=1.0, individual=2.0)
+    assert "100 % of it differs between" in conclude(replace(found, repeats=other)).remaining.description
+    assert conclude(findings()).remaining.description == ""
+    before = conclude(findings(misfits=Misfits(3.0, 3.0, 4.0))).remaining.description
+    assert "missed by 4 times the noise; the reference ones were by 3" in before
+
+
+@pytest.mark.parametrize(("evidence", "expected"), [(31.0, "repeat a.csv"), (29.0, "record ")])
+def test_the_next_experiment_is_one_that_would_distinguish(evidence: float, expected: str) -> None:
+    twins = cause(CameraRotation(angle=0.01), EncoderOffset(link=0, offset=0.01))
+    text = conclude(findings(causes=(twins,), proposals=(Proposal("repeat a.csv", evidence),))).next_experiment
+    assert text is not None
+    assert text.startswith(f"to tell camera_rotation from encoder_offset: {expected}")
+
+
+def test_where_something_is_unknown_a_quiet_recording_comes_first() -> None:
+    found = findings(needed=(CubicStiffness(link=0),))
+    assert 'kind = "quiet"' in str(conclude(found).next_experiment)
+    rest = Experiment(RIG, (*found.experiment.recordings, recording("rest.csv", "train", kind="quiet")))
+    assert "half and at twice" in str(conclude(replace(found, experiment=rest)).next_experiment)
+    assert conclude(findings()).next_experiment is None
+
+
+def test_the_gain_is_of_changed_held_out_recordings() -> None:
+    given = [
+        compared(recording("train.csv", "train"), 1.0, 0.0),
+        compared(recording("before.csv", condition="reference"), 2e-3, 2e-3),
+        compared(recording("slew.csv"), 3e-3, 1e-3, 2e-3),
+    ]
+    gain = estimate_gain(given, 0)
+    assert gain is not None
+    assert (gain.before, gain.after, gain.next_best) == pytest.approx((3e-3, 1e-3, 2e-3))
+    assert (gain.reduction, *gain.interval) == pytest.approx((2 / 3,) * 3)
+    gain = estimate_gain(given[:2], 0)
+    assert gain is not None
+    assert gain.reduction == 0.0
+    assert estimate_gain(given[:1], 0) is None
+    unseen = replace(given[2].recording, markers=np.where(np.arange(400)[:, None, None] < 200, 0.0, np.nan))
+    part = estimate_gain([compared(unseen, 3e-3, 1e-3)], 0)
+    assert part is not None
+    assert part.before == pytest.approx(3e-3)
+
+
+def autoregression(random: np.random.Generator, count: int, correlation: float, channels: int = 4) -> Array:
+    noise = random.standard_normal((count + 200, channels))
+    for k in range(1, len(noise)):
+        noise[k] += correlation * noise[k - 1]
+    return noise[200:].reshape(count, channels // 2, 2)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.97])
+def test_the_gains_interval_covers_as_often_as_it_says(correlation: float) -> None:
+    """Residuals correlated over many frames: a fixed block of a few frames would claim far too much."""
+    random = np.random.default_rng(5)
+    covered, widths = 0, []
+    for _ in range(60):
+        measured = recording(count=1500)
+        before, after = (2 * autoregression(random, 1500, correlation), autoregression(random, 1500, correlation))
+        gain = estimate_gain([compared(measured, before, after)], 0)
+        assert gain is not None
+        covered += gain.interval[0] < 0.5 < gain.interval[1]
+        widths.append(gain.interval[1] - gain.interval[0])
+    assert covered >= 50
+    assert np.mean(widths) < (0.04 if correlation == 0 else 0.4)
+
+
+def test_scaling_time_changes_no_interval() -> None:
+    random = np.random.default_rng(1)
+    measured = recording(count=600)
+    before, after = autoregression(random, 600, 0.9), autoregression(random, 600, 0.9)
+    slow = replace(measured, time=1000 * measured.time)
+    assert estimate_gain([compared(slow, before, after)], 0) == estimate_gain([compared(measured, before, after)], 0)
+
+
+def test_blocks_are_as_long_as_theory_says() -> None:
+    """For a first-order autoregression the optimal length is known: (6 rho^2 / (1 - rho^2)^2 n)^(1/3)."""
+    count, rho = 20_000, 0.8
+    lengths = [
+        block_length(autoregression(np.random.default_rng(seed), count, rho, 2).reshape(count, 2)[:, 0])
+        for seed in range(10)
+    ]
+    expected = (6 * rho**2 / (1 - rho**2) ** 2 * count) ** (1 / 3)
+    assert np.mean(lengths) == pytest.approx(expected, rel=0.2)
+    white = [block_length(np.random.default_rng(seed).standard_normal(count)) for seed in range(10)]
+    assert np.mean(white) < 6
+    assert block_length(np.ones(100)) == block_length(np.ones(1)) == block_length(np.arange(5.0)) == 1
+    assert block_length(np.arange(300.0)) <= 100
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda a, b, c: (a, b), "no recording is held out"),
+        (lambda a, b, c: (a, c), "only one training recording moves"),
+        (lambda a, b, c: (a, b, replace(c, condition="reference")), "held out only"),
+        (lambda a, b, c: (replace(a, condition="reference"), c), "every training recording"),
+        (lambda a, b, c: (replace(a, repeat="x"), replace(b, repeat="x", condition="reference"), c), 'repeats "x"'),
+        (lambda a, b, c: (a, b, replace(c, markers=np.where(np.arange(400) < 29, 0.0, np.nan)[:, None, None])), "next"),
+    ],
+)
+def test_recordings_that_support_no_statement_are_told_why(change: Callable[..., Any], reason: str) -> None:
+    given = recording("a.csv", "train"), recording("b.csv", "train"), recording()
+    (said,) = why_insufficient(Experiment(RIG, change(*given)))
+    assert reason in said
+    assert why_insufficient(Experiment(RIG, given)) == ()
