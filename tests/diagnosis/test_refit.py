@@ -63,7 +63,7 @@ def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch
     def diverge(*anything: object) -> list[Run]:
         raise SimulationDivergedError(0.1, 1e-3, "")
 
-    monkeypatch.setattr(trajectory_fit, "run_nearer", diverge)
+    monkeypatch.setattr(trajectory_fit, "backtrack", diverge)
     point, step, off = missing_step(CoulombFriction(link=0, torque=0.008))
     trial = _attempt(point, step)
     assert trial is not None

@@ -42,7 +42,7 @@ def test_a_little_misjudged_noise_is_no_signal(size: float) -> None:
     assert min(residual_test([noise(seed, size=size)]).p_value for seed in range(20)) > 1e-4
 
 
-@pytest.mark.parametrize(("frequency", "size"), [(0.06, 0.2), (0.7, 0.4), (3.0, 0.4), (20.0, 0.5)])
+@pytest.mark.parametrize(("frequency", "size"), [(0.06, 0.2), (1.1, 0.4), (2.2, 0.4), (20.0, 0.5)])
 def test_a_small_signal_is_found_in_its_band(frequency: float, size: float) -> None:
     """A fraction of the noise, in all markers: from a drift within the recording to a fast mode."""
     run = noise(3)
