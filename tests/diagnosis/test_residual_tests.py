@@ -21,7 +21,9 @@ COUNT = 800
 def run_of(markers: Array, angles: Array, rate: float = 100.0) -> Run:
     """Residuals (T, 4) and (T, 1) of a recording, in units of the noise; NaN where nothing was measured."""
     time = np.arange(len(markers)) / rate
-    recording = Recording("a.csv", "driven", "train", time, angles, angles, markers.reshape(-1, 2, 2))
+    recording = Recording(
+        time=time, markers=markers.reshape(-1, 2, 2), theta=angles, tau=angles, kind="driven", file="a.csv"
+    )
     observed = Observed.of(RIG, recording, (1.0, 1.0))
     return cast(Run, SimpleNamespace(observed=observed, residual=observed.values))
 

@@ -39,7 +39,14 @@ RIG = Rig("rig", (Link("beam", "clamped", 1.0, 0.4, 2.0, (0.5, 1.0)),))
 
 def recording(file: str = "slew.csv", role: Any = "holdout", count: int = 400, **changes: Any) -> Recording:
     time, nothing = np.arange(count) / 100, np.zeros((count, 0))
-    return replace(Recording(file, "decay", role, time, nothing, nothing, np.zeros((count, 2, 2))), **changes)
+    plain = Recording(time, np.zeros((count, 2, 2)), nothing, nothing, kind="decay", role=role, file=file)
+    return replace(plain, **changes)
+
+
+def seen_in(frames: int) -> Recording:
+    """A held-out recording whose markers are seen in its first frames only."""
+    whole = recording()
+    return replace(whole, markers=whole.markers + np.where(np.arange(400) < frames, 0.0, np.nan)[:, None, None])
 
 
 def beside(measured: Recording, residual: Array | float) -> SimulatedRecording:
@@ -182,8 +189,7 @@ def test_the_gain_is_of_changed_held_out_recordings() -> None:
     assert gain is not None
     assert gain.reduction == 0.0
     assert estimate_gain(given[:1], 0) is None
-    unseen = replace(given[2].recording, markers=np.where(np.arange(400)[:, None, None] < 200, 0.0, np.nan))
-    part = estimate_gain([compared(unseen, 3e-3, 1e-3)], 0)
+    part = estimate_gain([compared(seen_in(200), 3e-3, 1e-3)], 0)
     assert part is not None
     assert part.before == pytest.approx(3e-3)
 
@@ -242,7 +248,7 @@ def test_blocks_are_as_long_as_theory_says() -> None:
         (lambda a, b, c: (a, b, replace(c, condition="reference")), "held out only"),
         (lambda a, b, c: (replace(a, condition="reference"), c), "every training recording"),
         (lambda a, b, c: (replace(a, repeat="x"), replace(b, repeat="x", condition="reference"), c), 'repeats "x"'),
-        (lambda a, b, c: (a, b, replace(c, markers=np.where(np.arange(400) < 29, 0.0, np.nan)[:, None, None])), "next"),
+        (lambda a, b, c: (a, b, seen_in(29)), "next to no marker"),
     ],
 )
 def test_recordings_that_support_no_statement_are_told_why(change: Callable[..., Any], reason: str) -> None:
