@@ -65,13 +65,11 @@ def test_the_file_says_what_it_is(tmp_path: Path) -> None:
     [
         (Chain("arm", (plain_link(payload=-1.0),)), r"links\[0\]\.payload: got -1.0; expected greater"),
         (Chain("arm", (plain_link(hub_inertia=math.nan),)), r"links\[0\]\.hub_inertia"),
-        (Chain("arm", (plain_link(), plain_link())), "names that differ"),
-        (Chain("arm", ()), "links"),
     ],
 )
 def test_what_could_not_be_read_is_not_written(tmp_path: Path, chain: Chain, place: str) -> None:
     with pytest.raises(ShapeError, match=place):
-        write_model(replace(model_of(plain_chain()), chain=chain), tmp_path / "model.json")
+        write_model(model_of(chain), tmp_path / "model.json")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from vjm.errors import ExperimentError, shown
 from vjm.experiment.checks import experiment_warnings
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Link, Recording, Rig, Role, check_recording, several
+from vjm.experiment.records import Link, Recording, Rig, Role, check_markers, check_recording, several
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,7 @@ class Experiment:
         rig = Rig(self.rig.name, (self.rig,)) if isinstance(self.rig, Link) else self.rig
         if not isinstance(rig, Rig):
             raise ExperimentError(None, "experiment", "rig", f"got {shown(rig)}", "a vjm.Rig, or a single vjm.Link")
-        if not any(link.markers for link in rig.links):
-            table = f"link[1] {rig.links[0].name}"
-            raise ExperimentError(self.file, table, "markers", "no link has a marker", "at least one")
+        check_markers(rig)
         recordings = []
         for number, recording in enumerate(several(self.recordings, Recording, "experiment", "recordings"), start=1):
             recording = recording.completed(rig, number)

@@ -324,6 +324,17 @@ class Recording:
         return np.flatnonzero(np.isfinite(self.markers).any(axis=(1, 2)))
 
 
+def check_markers(rig: Rig) -> None:
+    """Check that there is a marker on some link.
+
+    Raises:
+        ExperimentError: there is none.
+    """
+    if not any(link.markers for link in rig.links):
+        table = f"link[1] {rig.links[0].name}"
+        raise ExperimentError(None, table, "markers", "no link has a marker", "at least one")
+
+
 def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, row: int | None = None) -> None:
     """Check that each column occurs once, that the rig knows it, and that none is missing.
 
