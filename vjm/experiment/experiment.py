@@ -9,7 +9,7 @@ from pathlib import Path
 from vjm.errors import ExperimentError, shown
 from vjm.experiment.checks import experiment_warnings
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Link, Recording, Rig, Role, check_markers, check_recording, several
+from vjm.experiment.records import Recording, Rig, Role, as_rig, check_markers, check_recording, several
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,7 @@ class Experiment:
 
     def __post_init__(self) -> None:
         """Validate."""
-        rig = Rig(self.rig.name, (self.rig,)) if isinstance(self.rig, Link) else self.rig
-        if not isinstance(rig, Rig):
-            raise ExperimentError(None, "experiment", "rig", f"got {shown(rig)}", "a vjm.Rig, or a single vjm.Link")
+        rig = as_rig(self.rig)
         check_markers(rig)
         recordings = []
         for number, recording in enumerate(several(self.recordings, Recording, "experiment", "recordings"), start=1):

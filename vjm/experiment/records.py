@@ -259,13 +259,13 @@ class Recording:
 
     @classmethod
     def from_dataframe(
-        cls, frame: pd.DataFrame, rig: Rig, *, kind: Kind, role: Role = "train", **fields: Any
+        cls, frame: pd.DataFrame, rig: Rig | Link, *, kind: Kind, role: Role = "train", **fields: Any
     ) -> Recording:
         """Return a recording from a table with the columns of a recording's CSV file.
 
         Args:
             frame: columns `t`, `LINK.theta`, `LINK.tau`, `LINK.mK.x` and `LINK.mK.y`; NaN where not measured.
-            rig: the arm, which says what columns there can be.
+            rig: the arm, which says what columns there can be; a bare link is fine too.
             kind: `driven`, `decay`, `static` or `quiet`.
             role: `train` or `holdout`.
             fields: further fields of the recording: file, gravity, payload, repeat, condition.
@@ -274,7 +274,9 @@ class Recording:
             ExperimentError: a field has the wrong type or value.
             RecordingError: a column is unknown or missing, a cell is no number, or too few frames are usable.
         """
-        name = fields.get("file") or "recording"
+        name, rig = fields.get("file") or "recording", as_rig(rig)
+        if not hasattr(frame, "columns"):
+            raise RecordingError(name, None, None, f"got {shown(frame)}", "a pandas DataFrame")
         columns = tuple(str(column) for column in frame.columns)
         check_columns(name, columns, rig, kind)
         values = {column: _numbers(name, column, frame[column]) for column in columns}
@@ -322,6 +324,19 @@ class Recording:
     def frames(self) -> NDArray[np.intp]:
         """Rows at which the camera measured anything at all."""
         return np.flatnonzero(np.isfinite(self.markers).any(axis=(1, 2)))
+
+
+def as_rig(rig: Rig | Link) -> Rig:
+    """Return a rig, or that of a bare link.
+
+    Raises:
+        ExperimentError: it is neither.
+    """
+    if isinstance(rig, Link):
+        return Rig(rig.name, (rig,))
+    if not isinstance(rig, Rig):
+        raise ExperimentError(None, "experiment", "rig", f"got {shown(rig)}", "a vjm.Rig, or a single vjm.Link")
+    return rig
 
 
 def check_markers(rig: Rig) -> None:
@@ -420,8 +435,10 @@ def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[in
     """Return an array of finite numbers or NaN, of a shape in which None stands for any length."""
     try:
         array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise RecordingError(name, None, key, f"got {shown(value)}", f"an array {expected}") from error
+    except (TypeError, ValueError):
+        array = np.empty(())
+    if not array.ndim:
+        raise RecordingError(name, None, key, f"got {shown(value)}", f"an array {expected}")
     if key != "time" and array.ndim == 1 and len(shape) == 2:
         array = array[:, None]
     if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
