@@ -124,7 +124,7 @@ def test_an_import_that_turns_back_is_found(tmp_path: Path) -> None:
 
 def named_effects(path: Path, package: Path = PACKAGE) -> list[str]:
     """Imports of single effects: all that vjm.effects has beside what every effect is made of."""
-    common = {"BUILTIN", "Effect", "by_id", "effect"}
+    common = {"BUILTIN", "Effect", "effect"}
     return [
         f"{path.relative_to(package)}:{each.line} imports {each.name}"
         for each in imports(path)
@@ -139,8 +139,8 @@ def test_no_later_stage_knows_an_effect_by_name() -> None:
 
 def test_an_import_of_a_single_effect_is_found(tmp_path: Path) -> None:
     module = tmp_path / "screen.py"
-    module.write_text("from vjm.effects import BUILTIN, TimeOffset\nfrom vjm.effects.tip import TipPayload\n")
-    faults = ["screen.py:1 imports vjm.effects.TimeOffset", "screen.py:2 imports vjm.effects.tip.TipPayload"]
+    module.write_text("from vjm.effects import BUILTIN, TimeOffset\nfrom vjm.effects.loads import TipPayload\n")
+    faults = ["screen.py:1 imports vjm.effects.TimeOffset", "screen.py:2 imports vjm.effects.loads.TipPayload"]
     assert named_effects(module, tmp_path) == faults
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import Effect, Motion, RateIndependentUpdate, magnitude, shape_parameter
-from vjm.effects.effect import JointEffect, active_coordinate, changed_link
+from vjm.effects.effect import JointEffect
 from vjm.records import Recording, Rig
 
 
@@ -33,7 +33,7 @@ class CubicFriction(JointEffect):
         """At the joint only."""
         if self.is_null:
             return None
-        joint = active_coordinate(chain, self.index)
+        joint = self.active_joint(chain)
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
             found = np.zeros(v.shape)
@@ -110,7 +110,7 @@ class LosesValue(CubicFriction):
 @dataclass(frozen=True)
 class NotNothing(CubicFriction):
     def chain(self, chain: Chain) -> Chain:
-        return changed_link(chain, -1, payload=chain.links[-1].payload + 0.001 + self.coefficient)
+        return replace(chain, gravity=(0.001 + self.coefficient, 0.0))
 
 
 @dataclass(frozen=True)
@@ -260,8 +260,7 @@ class TakesDampingAway(JointEffect):
     dissipative = True
 
     def chain(self, chain: Chain) -> Chain:
-        link = chain.links[self.index]
-        return chain if self.is_null else changed_link(chain, self.index, damping=(1 - self.share) * link.damping)
+        return self.with_link(chain, damping=(1 - self.share) * self.link_of(chain).damping)
 
 
 @dataclass(frozen=True)
@@ -307,7 +306,5 @@ class Stiffer(JointEffect):
     reference = "A. Author, A Book, 2001"
 
     def chain(self, chain: Chain) -> Chain:
-        if self.is_null:
-            return chain
-        link, factor = chain.links[self.index], 1 + self.share
-        return changed_link(chain, self.index, stiffness=factor * link.stiffness, damping=factor * link.damping)
+        link, factor = self.link_of(chain), 1 + self.share
+        return self.with_link(chain, stiffness=factor * link.stiffness, damping=factor * link.damping)

@@ -2,120 +2,27 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
-from dataclasses import FrozenInstanceError, fields, replace
+from dataclasses import FrozenInstanceError, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from tests.effects.setups import PRESENT, RIG, chain_of, draw_from, recording_of, typical_magnitude
-from tests.model.chains import contents
-from vjm.effects import BUILTIN, Effect, by_id
-from vjm.errors import ChoiceError
-from vjm.records import Recording
+from tests.effects.setups import LINK, PRESENT, RIG, typical_magnitude
+from vjm.effects import BUILTIN, Effect, TipPayload, magnitude
+from vjm.errors import ShapeError
+from vjm.records import Rig
 
 TABLE = Path(__file__).parents[3] / "shared" / "EFFECTS.md"
-CHAIN = chain_of(*RIG.links)
 
 every = pytest.mark.parametrize("effect", BUILTIN, ids=lambda effect: effect.id)
 every_present = pytest.mark.parametrize("effect", PRESENT, ids=lambda effect: effect.id)
 
 
-def stored(recording: Recording) -> list[object]:
-    return [deepcopy(getattr(recording, field.name)) for field in fields(recording)]
-
-
-@every
-def test_absent_it_changes_nothing_at_all(effect: Effect) -> None:
-    recording, draw = recording_of(RIG), draw_from(1)
-    time, positions, headings, theta, q = draw((5,)), draw((5, 6, 2)), draw((5, 6)), draw((5, 2)), draw((3, CHAIN.size))
-    for absent in (effect, *effect.variants(RIG, [recording])):
-        assert absent.is_null
-        assert absent.chain(CHAIN) is CHAIN
-        assert absent.true_inputs(recording) is recording
-        assert absent.force(CHAIN, 0.1) is None
-        assert absent.state_rates(CHAIN) is None
-        assert absent.rate_independent_update(CHAIN) is None
-        assert absent.state_count(CHAIN) == 0
-        assert absent.initial_states(CHAIN, q).shape == (3, 0)
-        assert absent.max_step == np.inf
-        assert absent.camera_instants(time, positions) is time
-        assert absent.marker_positions(positions, headings) is positions
-        assert absent.encoder_angles(theta) is theta
-
-
 @every_present
-def test_present_it_changes_something_and_leaves_what_it_is_given_alone(effect: Effect) -> None:
-    present, recording, draw = typical_magnitude(effect), recording_of(RIG), draw_from(2)
-    assert not present.is_null
-    given = [draw((5,)), draw((5, 6, 2)), draw((5, 6)), draw((5, 2))]
-    time, positions, headings, theta = given
-    kept, chain_before, recording_before = deepcopy(given), contents(CHAIN), stored(recording)
-    changed = [
-        present.chain(CHAIN) is not CHAIN,
-        present.true_inputs(recording) is not recording,
-        present.force(CHAIN, 0.1) is not None,
-        present.camera_instants(time, positions) is not time,
-        present.marker_positions(positions, headings) is not positions,
-        present.encoder_angles(theta) is not theta,
-    ]
-    assert any(changed)
-    assert not any(changed[3:]) or present.sensor
-    assert not any(changed[:3]) or not present.sensor
-    for before, now in zip(kept, given, strict=True):
-        assert_array_equal(now, before)
-    assert contents(CHAIN) == chain_before
-    for before, now in zip(recording_before, stored(recording), strict=True):
-        assert_array_equal(now, before)
-
-
-@every_present
-@pytest.mark.parametrize("leading", [(), (6,), (3, 6)])
-def test_forces_and_rates_take_any_leading_axes(effect: Effect, leading: tuple[int, ...]) -> None:
-    present = typical_magnitude(effect)
-    chain, draw = present.chain(CHAIN), draw_from(3, 0.1)
-    time, q, v = draw(leading), draw((*leading, chain.size)), draw((*leading, chain.size))
-    z = present.initial_states(chain, q)
-    assert z.shape == (*leading, present.state_count(chain))
-    z = z + draw(z.shape)
-    motions = ((present.force(chain, 0.1), q.shape), (present.state_rates(chain), z.shape))
-    for motion, shape in motions:
-        if motion is None:
-            continue
-        given = deepcopy((time, q, v, z))
-        found = motion(time, q, v, z)
-        assert found.shape == shape
-        assert all((now == before).all() for now, before in zip((time, q, v, z), given, strict=True))
-        for index in np.ndindex(leading):
-            alone = motion(time[index], q[index], v[index], z[index])
-            assert alone == pytest.approx(found[index], rel=1e-12, abs=1e-14)
-    told = [each is not None for each in (present.state_rates(chain), present.rate_independent_update(chain))]
-    assert sum(told) == (present.state_count(chain) > 0)
-
-
-@every_present
-def test_coordinates_and_values_belong_together(effect: Effect) -> None:
-    rng = np.random.default_rng(4)
-    for absent in effect.variants(RIG, []):
-        assert absent.coordinates[: absent.magnitude_count] == pytest.approx(0)
-        assert absent.at(absent.coordinates).is_null
-        lower, upper = absent.bounds
-        assert lower.shape == upper.shape == absent.coordinates.shape
-        assert (lower < upper).all()
-        wanted = np.clip(rng.uniform(0.1, 2.0, absent.coordinates.size), lower, upper)
-        present = absent.at(wanted)
-        assert present.coordinates == pytest.approx(wanted)
-        assert (present.link, type(present)) == (absent.link, type(absent))
-        again = replace(absent, **present.values)
-        assert again == present
-        for parameter in present.parameters():
-            assert parameter.lower <= present.values[parameter.name] <= parameter.upper
-
-
-@every_present
-def test_coordinate_one_is_an_everyday_size(effect: Effect) -> None:
+def test_coordinate_one_is_a_typical_magnitude(effect: Effect) -> None:
     present = typical_magnitude(effect)
     for parameter in present.parameters():
         if parameter.shape_parameter:
@@ -123,6 +30,82 @@ def test_coordinate_one_is_an_everyday_size(effect: Effect) -> None:
         elif effect.id != "external_tone":  # whose amplitude has two coordinates
             off = 0.0 if parameter.reciprocal else parameter.null
             assert present.values[parameter.name] - off == pytest.approx(parameter.typical_magnitude)
+
+
+POWERS = {  # of length, mass and time
+    "": (0, 0, 0),
+    "rad": (0, 0, 0),
+    "rad/(N m)": (-2, -1, 2),
+    "kg": (0, 1, 0),
+    "m": (1, 0, 0),
+    "1/m": (-1, 0, 0),
+    "m^2": (2, 0, 0),
+    "1/m^2": (-2, 0, 0),
+    "m/s^2": (1, 0, -2),
+    "s": (0, 0, 1),
+    "1/s": (0, 0, -1),
+    "Hz": (0, 0, -1),
+    "s/m": (-1, 0, 1),
+    "N": (1, 1, -2),
+    "N m": (2, 1, -2),
+    "N m/rad": (2, 1, -2),
+    "N m s/rad": (2, 1, -1),
+    "N s/m^2": (-1, 1, -1),
+    "N s^2/m^3": (-2, 1, 0),
+}
+scales = st.floats(1e-3, 1e3)
+
+
+@settings(max_examples=40)
+@given(scales, scales, scales)
+def test_what_is_typical_does_not_depend_on_the_units_of_length_mass_and_time(
+    length: float, mass: float, time: float
+) -> None:
+    """Scaling a rig scales all typical magnitudes, bounds and grids by their units, and no coordinate."""
+    links = [
+        replace(
+            link,
+            length=length * link.length,
+            mass=mass * link.mass,
+            bending_stiffness=mass * length**3 / time**2 * link.bending_stiffness,
+            hub_inertia=mass * length**2 * link.hub_inertia,
+            markers=tuple(length * arc for arc in link.markers),
+        )
+        for link in RIG.links
+    ]
+    scaled = Rig("scaled", tuple(links))
+    for effect in BUILTIN:
+        for one, other in zip(effect.variants(RIG, []), effect.variants(scaled, []), strict=True):
+            assert other.coordinates == pytest.approx(one.coordinates)
+            for before, after in zip(one.parameters(), other.parameters(), strict=True):
+                unit = np.prod(np.power((length, mass, time), POWERS[before.unit]))
+                assert after.typical_magnitude == pytest.approx(unit * before.typical_magnitude), (effect.id, before)
+                assert (after.lower, after.upper) == pytest.approx((unit * before.lower, unit * before.upper))
+                assert after.grid == pytest.approx(unit * np.array(before.grid))
+
+
+def test_coordinates_stay_in_the_rig_s_units() -> None:
+    (absent,) = TipPayload().variants(Rig("hub", (LINK,)), [])
+    present = absent.at(np.array([2.0]))
+    assert present.mass == pytest.approx(2 * 0.02 * LINK.mass)
+    assert present == TipPayload(present.mass, link=0)
+    assert present.at(np.array([0.5])).mass == pytest.approx(0.01 * LINK.mass)
+    assert "rig_units" not in repr(present)
+    assert TipPayload(0.3).coordinates == pytest.approx([0.3 / 0.02])  # on no rig: as on one whose units are 1
+
+
+@dataclass(frozen=True)
+class Own(Effect):
+    """Whose magnitudes are declared in SI, and in a unit that is none."""
+
+    plain: float = magnitude("N s^7", 0.3, lower=-1.0)
+    odd: float = magnitude("furlong", 0.3, in_rig_units=True)
+
+
+def test_a_user_s_own_magnitude_may_be_plain_and_its_unit_must_be_known() -> None:
+    with pytest.raises(ShapeError, match="furlong"):
+        Own().variants(RIG, [])[0].parameters()
+    assert Own().parameters()[0].typical_magnitude == 0.3
 
 
 @every
@@ -140,11 +123,8 @@ def test_those_that_a_urdf_can_carry_are_known() -> None:
     assert {effect.id for effect in BUILTIN if effect.in_urdf} == carried
 
 
-def test_each_has_an_id_of_its_own_by_which_it_is_found() -> None:
-    assert [by_id(effect.id) for effect in BUILTIN] == list(BUILTIN)
+def test_each_has_an_id_of_its_own() -> None:
     assert len({effect.id for effect in BUILTIN}) == len({type(effect) for effect in BUILTIN}) == len(BUILTIN) == 28
-    with pytest.raises(ChoiceError, match="unknown effect 'ghost'"):
-        by_id("ghost")
 
 
 def published() -> list[tuple[str, str, bool]]:
@@ -190,8 +170,9 @@ def from_table(text: str) -> dict[str, tuple[str, str]]:
 
 @pytest.mark.skipif(not TABLE.exists(), reason="the published table is not here")
 def test_ids_parameters_units_and_nulls_are_the_published_ones() -> None:
-    rows = published()
-    assert [identifier for identifier, _, _ in rows] == [effect.id for effect in BUILTIN]
-    for (_, parameters, sensor), effect in zip(rows, BUILTIN, strict=True):
+    rows = {identifier: rest for identifier, *rest in published()}
+    assert rows.keys() == {effect.id for effect in BUILTIN}
+    for effect in BUILTIN:
+        parameters, sensor = rows[effect.id]
         assert described(effect) == from_table(parameters), effect.id
         assert effect.sensor == sensor, effect.id

@@ -262,7 +262,7 @@ def test_a_tone_pushes_the_tip_sideways() -> None:
 
 def test_a_tone_is_searched_in_cosine_and_sine() -> None:
     effect = ExternalTone(amplitude=0.02, frequency=3.0, phase=-2.5, link=0)
-    assert effect.coordinates == pytest.approx([2 * np.cos(2.5), -2 * np.sin(2.5), np.log(3 / 5)])
+    assert effect.coordinates == pytest.approx([4 * np.cos(2.5), -4 * np.sin(2.5), np.log(3 / 2.5)])
     again = effect.at(effect.coordinates)
     assert again.values == pytest.approx(effect.values)
     assert effect.at(-effect.coordinates).amplitude == pytest.approx(0.02)

@@ -9,14 +9,13 @@ from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, chain_of
 from vjm.chain.virtual_links import Array
-from vjm.effects import Hysteresis, ViscoelasticCreep
-from vjm.effects.bending import MemoryEffect
+from vjm.effects import Effect, Hysteresis, ViscoelasticCreep
 
 CHAIN = chain_of(LINK, n=1)
 STIFFNESS = CHAIN.stiffness[1]
 
 
-def followed(effect: MemoryEffect, time: Array, phi: Array) -> tuple[Array, Array]:
+def followed(effect: Effect, time: Array, phi: Array) -> tuple[Array, Array]:
     """The joint's extra moment and the internal state over time, for angles (T,), by Runge-Kutta steps."""
     rates, force = effect.state_rates(CHAIN), effect.force(CHAIN, 0.0)
     assert rates is not None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
-from vjm.effects import BUILTIN, ExternalTone, Hysteresis, ViscoelasticCreep, by_id
+from vjm.effects import BUILTIN, CameraRotation, ExternalTone, Hysteresis, ViscoelasticCreep
 from vjm.records import Recording, Rig
 
 CLAMPED, HUB = Rig("post", (POST,)), Rig("hub", (LINK,))
@@ -105,6 +105,6 @@ def test_the_camera_s_own_faults_do_not_show_in_a_link_s_frame() -> None:
     }
     # A clamped link's frame is the base's; a link without markers has none to speak of.
     post = replace(POST, markers_frame="link")
-    assert by_id("camera_rotation").untestable(Rig("post", (post,)), []) == ""
+    assert CameraRotation().untestable(Rig("post", (post,)), []) == ""
     bare = Rig("arm", (post, replace(FORE, markers_frame="link", markers=())))
-    assert by_id("camera_rotation").untestable(bare, []) == ""
+    assert CameraRotation().untestable(bare, []) == ""

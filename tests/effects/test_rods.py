@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.model.arms import arms, random_motion
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import ClampCompliance, RestCurvature
-from vjm.effects.drag import Rods
+from vjm.effects.loads import Rods
 from vjm.model.dynamics import build
 
 STEP = 1e-6

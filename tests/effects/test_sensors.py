@@ -67,7 +67,7 @@ def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
         displaced = each.at(np.array([2.0, -1.0])).marker_positions(POSITIONS, HEADINGS) - POSITIONS
         own = each.column
         assert not np.delete(displaced, own, axis=1).any()
-        expected = (0.01 - 0.005j) * np.exp(1j * HEADINGS[:, own])
+        expected = (2 - 1j) * 0.005 * RIG.links[each.link].length * np.exp(1j * HEADINGS[:, own])
         assert displaced[:, own] @ [1, 1j] == pytest.approx(expected)
 
 
@@ -80,14 +80,14 @@ def test_a_marker_of_a_later_link_needs_its_rig() -> None:
 def test_torques_and_encoders_are_those_of_the_joint_whatever_is_clamped_before_it() -> None:
     recording = recording_of(RIG)
     for effect in (TorqueGain(), TorqueOffset(), EncoderOffset()):
-        assert [(each.link, each.own) for each in effect.variants(RIG, [])] == [(1, 0), (2, 1)]
+        assert [(each.link, each.column) for each in effect.variants(RIG, [])] == [(1, 0), (2, 1)]
     gain, offset, encoder = (
         effect.variants(RIG, [])[1].at(np.ones(1)) for effect in (TorqueGain(), TorqueOffset(), EncoderOffset())
     )
     multiplied, added = gain.true_inputs(recording), offset.true_inputs(recording)
     assert_array_equal(multiplied.tau[:, 0], recording.tau[:, 0])
     assert multiplied.tau[:, 1] == pytest.approx(1.05 * recording.tau[:, 1])
-    assert added.tau - recording.tau == pytest.approx(np.tile([0.0, 0.005], (12, 1)))
+    assert added.tau - recording.tau == pytest.approx(np.tile([0.0, offset.offset], (12, 1)))
     assert_array_equal(added.theta, recording.theta)
     assert encoder.encoder_angles(recording.theta) - recording.theta == pytest.approx(np.tile([0.0, 0.005], (12, 1)))
 

@@ -1,111 +1,45 @@
 """What a model may lack: candidate physics and sensor faults, one small class each."""
 
-from vjm.effects.bending import (
-    CubicStiffness,
-    Hysteresis,
-    RestCurvature,
-    StiffnessDrift,
-    StructuralDamping,
-    UnmodelledMode,
-    ViscoelasticCreep,
+from vjm.effects import bending, joint, loads, sensors
+from vjm.effects.bending import CubicStiffness as CubicStiffness
+from vjm.effects.bending import Hysteresis as Hysteresis
+from vjm.effects.bending import RestCurvature as RestCurvature
+from vjm.effects.bending import StiffnessDrift as StiffnessDrift
+from vjm.effects.bending import StructuralDamping as StructuralDamping
+from vjm.effects.bending import UnmodelledMode as UnmodelledMode
+from vjm.effects.bending import ViscoelasticCreep as ViscoelasticCreep
+from vjm.effects.effect import Effect as Effect
+from vjm.effects.effect import Motion as Motion
+from vjm.effects.effect import Parameter as Parameter
+from vjm.effects.effect import RateIndependentUpdate as RateIndependentUpdate
+from vjm.effects.effect import magnitude as magnitude
+from vjm.effects.effect import shape_parameter as shape_parameter
+from vjm.effects.joint import Backlash as Backlash
+from vjm.effects.joint import ClampCompliance as ClampCompliance
+from vjm.effects.joint import CoulombFriction as CoulombFriction
+from vjm.effects.joint import GearElasticity as GearElasticity
+from vjm.effects.joint import JointSpring as JointSpring
+from vjm.effects.joint import TorqueGain as TorqueGain
+from vjm.effects.joint import TorqueOffset as TorqueOffset
+from vjm.effects.joint import ViscousFriction as ViscousFriction
+from vjm.effects.loads import ExternalTone as ExternalTone
+from vjm.effects.loads import InPlaneGravity as InPlaneGravity
+from vjm.effects.loads import LinearDrag as LinearDrag
+from vjm.effects.loads import QuadraticDrag as QuadraticDrag
+from vjm.effects.loads import TipPayload as TipPayload
+from vjm.effects.sensors import CameraRotation as CameraRotation
+from vjm.effects.sensors import CameraScale as CameraScale
+from vjm.effects.sensors import ClockScale as ClockScale
+from vjm.effects.sensors import EncoderOffset as EncoderOffset
+from vjm.effects.sensors import LensDistortion as LensDistortion
+from vjm.effects.sensors import MarkerOffset as MarkerOffset
+from vjm.effects.sensors import RollingShutter as RollingShutter
+from vjm.effects.sensors import TimeOffset as TimeOffset
+
+# One absent instance of each public effect in these modules.
+BUILTIN: tuple[Effect, ...] = tuple(
+    kind()
+    for module in (loads, joint, bending, sensors)
+    for name, kind in vars(module).items()
+    if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__ and name[0] != "_"
 )
-from vjm.effects.drag import LinearDrag, QuadraticDrag
-from vjm.effects.effect import Effect, Motion, Parameter, RateIndependentUpdate, magnitude, shape_parameter
-from vjm.effects.joint import CoulombFriction, JointSpring, TorqueGain, TorqueOffset, ViscousFriction
-from vjm.effects.root import Backlash, ClampCompliance, GearElasticity
-from vjm.effects.sensors import (
-    CameraRotation,
-    CameraScale,
-    ClockScale,
-    EncoderOffset,
-    LensDistortion,
-    MarkerOffset,
-    RollingShutter,
-    TimeOffset,
-)
-from vjm.effects.tip import ExternalTone, InPlaneGravity, TipPayload
-from vjm.errors import ChoiceError
-
-# All that comes with vjm, absent: mechanics first, then sensors.
-BUILTIN: tuple[Effect, ...] = (
-    TipPayload(),
-    InPlaneGravity(),
-    CoulombFriction(),
-    ViscousFriction(),
-    JointSpring(),
-    TorqueGain(),
-    TorqueOffset(),
-    GearElasticity(),
-    Backlash(),
-    ClampCompliance(),
-    LinearDrag(),
-    QuadraticDrag(),
-    StructuralDamping(),
-    ViscoelasticCreep(),
-    Hysteresis(),
-    CubicStiffness(),
-    StiffnessDrift(),
-    RestCurvature(),
-    ExternalTone(),
-    UnmodelledMode(),
-    TimeOffset(),
-    ClockScale(),
-    CameraScale(),
-    CameraRotation(),
-    EncoderOffset(),
-    LensDistortion(),
-    RollingShutter(),
-    MarkerOffset(),
-)
-_KNOWN = {effect.id: effect for effect in BUILTIN}
-
-
-def by_id(identifier: str) -> Effect:
-    """The built-in effect with an id, absent.
-
-    Raises:
-        ChoiceError: there is none.
-    """
-    if identifier not in _KNOWN:
-        raise ChoiceError("effect", identifier, _KNOWN)
-    return _KNOWN[identifier]
-
-
-__all__ = [
-    "BUILTIN",
-    "Backlash",
-    "CameraRotation",
-    "CameraScale",
-    "ClampCompliance",
-    "ClockScale",
-    "CoulombFriction",
-    "CubicStiffness",
-    "Effect",
-    "EncoderOffset",
-    "ExternalTone",
-    "GearElasticity",
-    "Hysteresis",
-    "InPlaneGravity",
-    "JointSpring",
-    "LensDistortion",
-    "LinearDrag",
-    "MarkerOffset",
-    "Motion",
-    "Parameter",
-    "QuadraticDrag",
-    "RateIndependentUpdate",
-    "RestCurvature",
-    "RollingShutter",
-    "StiffnessDrift",
-    "StructuralDamping",
-    "TimeOffset",
-    "TipPayload",
-    "TorqueGain",
-    "TorqueOffset",
-    "UnmodelledMode",
-    "ViscoelasticCreep",
-    "ViscousFriction",
-    "by_id",
-    "magnitude",
-    "shape_parameter",
-]

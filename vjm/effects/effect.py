@@ -7,6 +7,7 @@ hooks say what it changes: the chain, what drives it, the forces on it, what its
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -15,7 +16,8 @@ from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from vjm.chain.virtual_links import Chain
+from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.errors import ShapeError
 from vjm.records import Array, Recording, Rig
 
 Key = tuple[str, int | None]
@@ -38,6 +40,9 @@ Abscissa = Literal[
     "joint_angle",
     "joint_rate",
 ]
+_METADATA = "vjm"
+# Powers of length, mass and time in units.
+_UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "Hz": (0, 0, -1), "N": (1, 1, -2), "rad": (0, 0, 0)}
 
 
 @dataclass(frozen=True)
@@ -46,14 +51,15 @@ class Parameter:
 
     Attributes:
         name: as in the class.
-        unit: SI; empty where it has none.
-        null: value at which the effect is absent; NaN for an inner parameter, which means nothing then.
-        typical_magnitude: difference from `null` (the value itself, where reciprocal or a shape parameter).
+        unit: SI; empty without one.
+        null: value at which the effect is absent; NaN for a shape parameter, which is irrelevant then.
+        typical_magnitude: typical difference from `null` (the value itself if reciprocal or a shape parameter).
         lower, upper: bounds of the value.
-        grid: of an inner parameter, the values from which searches start.
-        reciprocal: whether the effect grows with one over the value, whose null is infinite.
-        integer: whether it is a whole number, which is never varied in a fit.
-        from_spectrum: whether searches start from peaks of the residuals' spectrum instead of the grid [Hz].
+        grid: values of a shape parameter from which searches start.
+        reciprocal: the effect grows with one over the value, whose null is infinite.
+        integer: it is a whole number, which is never varied in a fit.
+        from_spectrum: searches start from peaks of the residuals' spectrum instead of the grid [Hz].
+        in_rig_units: typical magnitude, bounds and grid are multiples of the rig's own unit, see `magnitude`.
     """
 
     name: str
@@ -62,44 +68,68 @@ class Parameter:
     typical_magnitude: float
     lower: float
     upper: float
-    grid: tuple[float, ...]
-    reciprocal: bool
-    integer: bool
-    from_spectrum: bool
+    grid: tuple[float, ...] = ()
+    reciprocal: bool = False
+    integer: bool = False
+    from_spectrum: bool = False
+    in_rig_units: bool = False
 
     @property
     def shape_parameter(self) -> bool:
-        """Whether it says how the effect is, not how large."""
+        """True if it says how the effect is, not how large."""
         return bool(np.isnan(self.null))
 
     def coordinate(self, value: float) -> float:
-        """The number that a search varies: zero at the null, one at an everyday size; inner: a logarithm."""
+        """Return the number that a search varies: zero at the null, one at a typical magnitude; of a shape, a log."""
         if self.reciprocal:
             return self.typical_magnitude / value
-        return (
-            float(np.log(value / self.typical_magnitude))
-            if self.shape_parameter
-            else (value - self.null) / self.typical_magnitude
-        )
+        if self.shape_parameter:
+            return float(np.log(value / self.typical_magnitude))
+        return (value - self.null) / self.typical_magnitude
 
     def value(self, coordinate: float) -> float:
-        """The value at a coordinate."""
+        """Return the value at a coordinate."""
         if self.reciprocal:
             return self.typical_magnitude / coordinate if coordinate > 0 else np.inf
-        return (
-            float(self.typical_magnitude * np.exp(coordinate))
-            if self.shape_parameter
-            else self.null + self.typical_magnitude * coordinate
-        )
+        if self.shape_parameter:
+            return float(self.typical_magnitude * np.exp(coordinate))
+        return self.null + self.typical_magnitude * coordinate
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the coordinate."""
+        """Lower and upper bound of the coordinate."""
         if self.reciprocal:
             return 0.0, self.typical_magnitude / self.lower if self.lower > 0 else np.inf
         if self.shape_parameter:
             return (self.coordinate(self.lower) if self.lower > 0 else -np.inf), self.coordinate(self.upper)
-        return tuple(sorted((self.coordinate(self.lower), self.coordinate(self.upper))))  # type: ignore[return-value]
+        low, high = sorted((self.coordinate(self.lower), self.coordinate(self.upper)))
+        return low, high
+
+    def on(self, rig_units: tuple[float, float, float] | None) -> Parameter:
+        """Return it on a rig with units of length [m], mass [kg] and time [s]; on none, only its signs are bounded.
+
+        Raises:
+            ShapeError: a unit that is no product of powers of known ones.
+        """
+        if not self.in_rig_units:
+            return self
+        if rig_units is None:
+            return replace(self, lower=0.0 if self.lower >= 0 else -np.inf, upper=np.inf, in_rig_units=False)
+        unit = np.prod(np.array(rig_units) ** _powers(self.unit))
+        lower, upper, typical = (float(each * unit) for each in (self.lower, self.upper, self.typical_magnitude))
+        grid = tuple(float(each * unit) for each in self.grid)
+        return replace(self, typical_magnitude=typical, lower=lower, upper=upper, grid=grid, in_rig_units=False)
+
+
+def _powers(unit: str) -> Array:
+    """(3,) powers of length, mass and time in a unit such as `N m s/rad`."""
+    powers = np.zeros(3)
+    for sign, part in zip((1, -1), unit.split("/"), strict=False):
+        for name, power in re.findall(r"([A-Za-z]+)\^?(\d*)", part):
+            if name not in _UNITS:
+                raise ShapeError("unit", unit, f"powers of {', '.join(_UNITS)}, or SI values")
+            powers += sign * int(power or 1) * np.array(_UNITS[name])
+    return powers
 
 
 def magnitude(
@@ -109,18 +139,16 @@ def magnitude(
     lower: float = -np.inf,
     upper: float = np.inf,
     reciprocal: bool = False,
+    in_rig_units: bool = False,
 ) -> Any:
-    """A field that says how large an effect is; its default is the null value.
+    """Declare a field that says how large an effect is; its default is the null value.
 
-    Args:
-        unit: SI; empty where it has none.
-        typical_magnitude: an everyday size of the difference from the null (reciprocal: an everyday value).
-        null: value at which the effect is absent.
-        lower, upper: bounds.
-        reciprocal: whether the effect grows with one over the value.
+    The arguments are attributes of `Parameter`. With `in_rig_units`, typical magnitude and bounds are multiples of the
+    rig's own unit, made of the link's length l, its mass m and the time (m l^3 / EI)^(1/2). In these units all uniform
+    beams have the same equation of motion; the first natural frequency of a clamped one is 0.56.
     """
-    kept = Parameter("", unit, null, typical_magnitude, lower, upper, (), reciprocal, False, False)
-    return field(default=null, metadata={_KEY: kept})
+    kept = Parameter("", unit, null, typical_magnitude, lower, upper, (), reciprocal, in_rig_units=in_rig_units)
+    return field(default=null, metadata={_METADATA: kept})
 
 
 def shape_parameter(
@@ -131,23 +159,16 @@ def shape_parameter(
     grid: Sequence[float] = (),
     integer: bool = False,
     from_spectrum: bool = False,
+    in_rig_units: bool = False,
 ) -> Any:
-    """A field that says how an effect is, which means nothing where its size is null.
+    """Declare a field that says how an effect is, and is irrelevant where its magnitudes are null.
 
-    Args:
-        unit: SI; empty where it has none.
-        typical_magnitude: an everyday value, the default.
-        lower, upper: bounds.
-        grid: values from which searches start; the everyday value where empty.
-        integer: whether it is a whole number.
-        from_spectrum: whether searches start from peaks of the residuals' spectrum instead of the grid.
+    The arguments are attributes of `Parameter`, as of `magnitude`. The typical value is the default, and the grid if
+    that is empty.
     """
-    values = tuple(grid) or (typical_magnitude,)
-    kept = Parameter("", unit, np.nan, typical_magnitude, lower, upper, values, False, integer, from_spectrum)
-    return field(default=int(typical_magnitude) if integer else typical_magnitude, metadata={_KEY: kept})
-
-
-_KEY = "vjm"
+    typical, values = typical_magnitude, tuple(grid) or (typical_magnitude,)
+    kept = Parameter("", unit, np.nan, typical, lower, upper, values, False, integer, from_spectrum, in_rig_units)
+    return field(default=int(typical) if integer else typical, metadata={_METADATA: kept})
 
 
 @dataclass(frozen=True)
@@ -156,9 +177,11 @@ class Effect:
 
     Attributes:
         link: index of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
+        rig_units: length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
     """
 
     link: int | None = field(default=None, kw_only=True)
+    rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
 
     id: ClassVar[str] = ""
     # The effect in a few words, as a noun phrase.
@@ -184,10 +207,14 @@ class Effect:
     # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
 
-    @classmethod
-    def parameters(cls) -> tuple[Parameter, ...]:
-        """Return its parameters, in order."""
-        return tuple(replace(each.metadata[_KEY], name=each.name) for each in fields(cls) if _KEY in each.metadata)
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Return its parameters, in order, on its rig."""
+        return self._parameters
+
+    @cached_property
+    def _parameters(self) -> tuple[Parameter, ...]:
+        declared = [(each.name, each.metadata[_METADATA]) for each in fields(self) if _METADATA in each.metadata]
+        return tuple(replace(parameter, name=name).on(self.rig_units) for name, parameter in declared)
 
     @property
     def key(self) -> Key:
@@ -207,18 +234,18 @@ class Effect:
     @property
     def coordinates(self) -> Array:
         """(p,) numbers that a search varies: magnitudes over typical ones, then logarithms of shape parameters."""
-        return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied()])
+        return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied])
 
     def at(self, coordinates: Array) -> Self:
         """Return the same effect at other coordinates (p,)."""
-        varied = zip(self._varied(), np.asarray(coordinates, dtype=float).tolist(), strict=True)
+        varied = zip(self._varied, np.asarray(coordinates, dtype=float).tolist(), strict=True)
         changes: dict[str, Any] = {each.name: each.value(value) for each, value in varied}
         return replace(self, **changes)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,) of the coordinates."""
-        pairs = np.array([each.bounds for each in self._varied()]).reshape(-1, 2)
+        pairs = np.array([each.bounds for each in self._varied]).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]
 
     @property
@@ -226,27 +253,36 @@ class Effect:
         """Number of coordinates, the first ones, that are magnitudes."""
         return sum(not each.shape_parameter for each in self.parameters())
 
-    @classmethod
-    def _varied(cls) -> tuple[Parameter, ...]:
-        varied = [each for each in cls.parameters() if not each.integer]
+    @property
+    def _varied(self) -> tuple[Parameter, ...]:
+        varied = [each for each in self.parameters() if not each.integer]
         return tuple(sorted(varied, key=lambda each: each.shape_parameter))
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         """Return the indices of the links on which it can act; None alone for what is camera-wide."""
         return (None,)
 
+    def placed(self, rig: Rig, link: int | None) -> Self:
+        """Return the effect on a link of a rig, or on the whole arm, whose units then scale its coordinates."""
+        own = rig.links if link is None else (rig.links[link],)
+        length, mass = sum(each.length for each in own), sum(each.mass for each in own)
+        time = float(np.sqrt(mass * length**3 / min(each.bending_stiffness for each in own)))
+        return replace(self, link=link, rig_units=(length, mass, time))
+
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return absent instances from which searches start: one for each place and combination of shape parameters."""
-        grids = [[(each.name, value) for value in each.grid] for each in self.parameters() if each.shape_parameter]
-        return tuple(
-            replace(self, link=link, **dict(chosen)) for link in self.places(rig) for chosen in product(*grids)
-        )
+        found: list[Self] = []
+        for own in (self.placed(rig, link) for link in self.places(rig)):
+            grids = [[(each.name, value) for value in each.grid] for each in own.parameters() if each.shape_parameter]
+            changes: list[dict[str, Any]] = [dict(chosen) for chosen in product(*grids)]
+            found += [replace(own, **change) for change in changes]
+        return tuple(found)
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Return the reason, as a clause, why recordings cannot show it whatever its magnitude; empty if they may."""
         return ""
 
-    # Hooks. They must return their argument itself where the effect is absent.
+    # Hooks. Where the effect is absent they must change nothing, to the last bit.
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with the changes that it makes to masses, springs, dampers and joints."""
@@ -257,14 +293,11 @@ class Effect:
         return recording
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Return the function that gives its generalised forces [N m] on the joints, or None without any.
+        """Return the function that gives its generalised forces (..., nv) [N m] on the joints, or None without any.
 
         The function takes the time since the recording's start (...) [s], angles (..., nv) [rad], rates (..., nv)
-        [rad/s] and internal states (..., nz), with any leading axes, and returns (..., nv).
-
-        Args:
-            chain: of the arm, with all effects' changes.
-            payload: known mass on the tip [kg].
+        [rad/s] and internal states (..., nz), with any leading axes. The chain is the arm's with all effects' changes,
+        the payload a known mass on the tip [kg].
         """
         return None
 
@@ -310,14 +343,11 @@ class Effect:
         return 0.0
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
-        """Return the instants [s] at which the camera really saw what its frames show.
+        """Return the instants (F,), or (F, k) if markers differ, at which the camera saw what its frames show [s].
 
         Args:
-            time: (F,) the frames' time stamps since the recording's start [s].
+            time: (F,) the frames' time stamps since the recording's start, as are the instants [s].
             positions: (F, k, 2) true positions of the markers at these time stamps [m].
-
-        Returns:
-            (F,), or (F, k) if markers differ, since the recording's start [s].
         """
         return time
 
@@ -336,107 +366,97 @@ class Effect:
 
 
 def is_nonsmooth(effects: Sequence[Effect]) -> bool:
-    """Whether something among them sticks and slips, or rattles."""
+    """Return True if one of the effects sticks and slips, or rattles."""
     return any(effect.nonsmooth for effect in effects)
 
 
-NO_JOINT = "the arm has no active joint"
-NO_TORQUE = "no torque was recorded"
-NO_ENCODER = "no encoder was recorded"
-NO_CLOCK = "nothing but the camera was recorded, so there is no other clock"
-LINK_FRAME = "marker coordinates are relative to a link that turns, not to the camera"
+def is_recorded(recordings: Sequence[Recording], name: Literal["tau", "theta"]) -> bool:
+    """Return True if torques or active joint angles were recorded."""
+    return any(bool(np.isfinite(getattr(recording, name)).any()) for recording in recordings)
 
 
 @dataclass(frozen=True)
 class LinkEffect(Effect):
-    """Acts on a link, the first one where none is named."""
+    """An effect on a link, the first one if none is named."""
 
     @property
-    def index(self) -> int:
-        """Of the link."""
+    def link_index(self) -> int:
+        """Index of the link."""
         return self.link or 0
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Every link."""
+        """Return every link."""
         return tuple(range(len(rig.links)))
+
+    def link_of(self, chain: Chain) -> LinkChain:
+        """Return its link."""
+        return chain.links[self.link_index]
+
+    def virtual_joints(self, chain: Chain) -> slice:
+        """Return the coordinates of its link's virtual joints."""
+        return chain.passive_slices[self.link_index]
+
+    def with_link(self, chain: Chain, **changes: Any) -> Chain:
+        """Return the chain with fields of its link replaced; the same chain if it is absent."""
+        if self.is_null:
+            return chain
+        links = list(chain.links)
+        links[self.link_index] = replace(self.link_of(chain), **changes)
+        return replace(chain, links=tuple(links))
+
+    @staticmethod
+    def force_on(coordinates: slice | int, force: Motion) -> Motion:
+        """Return generalised forces that act on some coordinates only, where they are what a function returns."""
+
+        def on_all(time: Array, q: Array, v: Array, z: Array) -> Array:
+            forces = np.zeros(q.shape)
+            forces[..., coordinates] = force(time, q, v, z)
+            return forces
+
+        return on_all
 
 
 @dataclass(frozen=True)
 class JointEffect(LinkEffect):
-    """Acts at a link's active joint."""
+    """An effect at a link's active joint."""
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Links with an active joint."""
+        """Return the links with an active joint."""
         return rig.active_links
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Nothing turns where every link is clamped."""
-        return "" if rig.active_links else NO_JOINT
+        """Return the reason if every link is clamped."""
+        return "" if rig.active_links else "the arm has no active joint"
+
+    def active_joint(self, chain: Chain) -> int:
+        """Return the coordinate of its joint."""
+        return int(self.virtual_joints(chain).stop) - self.link_of(chain).coordinates
 
 
 @dataclass(frozen=True)
 class ColumnEffect(JointEffect):
-    """Acts on an active joint's column of a recording.
+    """An effect on an active joint's column of recorded torques or angles.
 
     Attributes:
-        column: of `Recording.tau` and `Recording.theta`; None: the link's index, right where no link before it is
-            clamped.
+        column: its number; None: the link's index, right if no link before it is clamped.
     """
 
     column: int | None = field(default=None, kw_only=True)
 
-    @property
-    def own(self) -> int:
-        """The joint's column."""
-        return self.index if self.column is None else self.column
+    # The field of a recording that has the column.
+    column_of: ClassVar[Literal["tau", "theta"]] = "tau"
 
-    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """One for each active joint."""
-        found = super().variants(rig, recordings)
-        return tuple(replace(each, column=rig.active_links.index(each.index)) for each in found)
+    def placed(self, rig: Rig, link: int | None) -> Self:
+        """Return the effect at a joint of a rig, with the joint's column."""
+        return replace(super().placed(rig, link), column=rig.active_links.index(link or 0))
 
-    def column_of(self, values: Array, gain: float, offset: float) -> Array:
-        """The joint's column of values (T, n_a) times a gain, and an offset added."""
-        changed = values.copy()
-        changed[:, self.own] = gain * values[:, self.own] + offset
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        """Return the reason if every link is clamped, or nothing that could be wrong was recorded."""
+        missing = f"no {'torque' if self.column_of == 'tau' else 'encoder'} was recorded"
+        return super().untestable(rig, recordings) or ("" if is_recorded(recordings, self.column_of) else missing)
+
+    def with_column(self, values: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
+        """Return values (T, n_a) with the joint's column times a gain, and an offset added."""
+        changed, own = values.copy(), self.link_index if self.column is None else self.column
+        changed[:, own] = gain * values[:, own] + offset
         return changed
-
-
-@dataclass(frozen=True)
-class TipEffect(Effect):
-    """Acts at the distal end of the last link."""
-
-    def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """The last link."""
-        return (len(rig.links) - 1,)
-
-
-def changed_link(chain: Chain, index: int, **changes: Any) -> Chain:
-    """The chain with fields of one link replaced."""
-    links = list(chain.links)
-    links[index] = replace(links[index], **changes)
-    return replace(chain, links=tuple(links))
-
-
-def active_coordinate(chain: Chain, index: int) -> int:
-    """Coordinate of a link's active joint."""
-    return int(chain.passive_slices[index].stop) - chain.links[index].coordinates
-
-
-def has_torque(recordings: Sequence[Recording]) -> bool:
-    """Whether any torque was recorded."""
-    return any(bool(np.isfinite(recording.tau).any()) for recording in recordings)
-
-
-def has_encoder(recordings: Sequence[Recording]) -> bool:
-    """Whether any active joint angle was recorded."""
-    return any(bool(np.isfinite(recording.theta).any()) for recording in recordings)
-
-
-def in_base_frame(rig: Rig) -> bool:
-    """Whether all marker coordinates are as the camera sees them: the frame of a first, clamped link is the base's."""
-    return all(
-        link.markers_frame == "base" or (i == 0 and link.joint == "clamped")
-        for i, link in enumerate(rig.links)
-        if link.markers
-    )

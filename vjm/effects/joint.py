@@ -1,32 +1,27 @@
-"""Friction and springs at an active joint."""
+"""Friction, springs and torques at an active joint; what is soft or loose between it, or a clamp, and the link."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vjm.chain.virtual_links import Chain
+from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.effects.effect import (
-    NO_TORQUE,
     ColumnEffect,
     Effect,
     JointEffect,
+    LinkEffect,
     Motion,
     RateIndependentUpdate,
-    active_coordinate,
-    changed_link,
-    has_torque,
     magnitude,
 )
-from vjm.records import Array, Recording, Rig
+from vjm.records import Array, Recording
 
-# Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows, and that an
-# arm which sticks with an everyday torque (0.008 N m) swings on it at some 10 Hz, which steps of a millisecond resolve.
-_PRESLIDING = 1e-5
-_LONGEST_STEP = 1e-3
-_GRADUAL = 0.05  # rad/s; what the joint's rate changes by between instants at which derivatives are taken
+# Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows. An arm that
+# sticks with a typical torque swings on it at some 10 Hz, which steps of a millisecond resolve.
+_PRESLIDING, _FRICTION_STEP = 1e-5, 1e-3
+_GRADUAL_REVERSAL = 0.05  # rad/s; what the joint's rate changes by between instants at which derivatives are taken
 
 
 @dataclass(frozen=True)
@@ -35,20 +30,14 @@ class CoulombFriction(JointEffect):
 
     A bristle bends elastically by up to z_s and slips beyond (Prandtl's stop): over any way of the joint its angle z
     changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s.
-
-    Attributes:
-        torque: [N m].
     """
 
-    torque: float = magnitude("N m", 0.008, lower=0.0)
+    torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
 
     id = "coulomb_friction"
     description = "dry friction at the active joint"
     clause = "dry friction of {torque} at the joint of {link}"
-    reference = (
-        "P. Dupont, V. Hayward, B. Armstrong and F. Altpeter, Single state elastoplastic friction models, IEEE "
-        "Transactions on Automatic Control 47(5), 2002"
-    )
+    reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
     distinguishing_experiment = "slow sweeps in both directions, and motion that comes to a stop"
     abscissa = "joint_rate"
     common = True
@@ -57,29 +46,31 @@ class CoulombFriction(JointEffect):
     nonsmooth = True
 
     def smoothed(self) -> Effect:
-        """Without the bristle: reversals take as long as derivatives are apart."""
+        """Return friction without the bristle: reversals take as long as derivatives are apart."""
         return _SmoothFriction(link=self.link, torque=self.torque)
 
     def state_count(self, chain: Chain) -> int:
-        """The bristle."""
+        """Return one, the bristle."""
         return 0 if self.is_null else 1
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Of the bristle."""
-        joint, torque = active_coordinate(chain, self.index), self.torque
-        return None if self.is_null else _at(joint, lambda v, z: -torque / _PRESLIDING * z[..., 0])
-
-    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        """With the joint, as far as it does not slip."""
+        """Return the torque of the bristle."""
         if self.is_null:
             return None
-        joint = active_coordinate(chain, self.index)
+        stiffness = self.torque / _PRESLIDING
+        return self.force_on(self.active_joint(chain), lambda time, q, v, z: -stiffness * z[..., 0])
+
+    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
+        """Return how the bristle follows the joint, as far as it does not slip."""
+        if self.is_null:
+            return None
+        joint = self.active_joint(chain)
         return lambda q, z, to: np.clip(z + (to - q)[..., joint, None], -_PRESLIDING, _PRESLIDING)
 
     @property
     def max_step(self) -> float:
-        """That resolves sticking."""
-        return np.inf if self.is_null else _LONGEST_STEP
+        """Time step [s] that resolves sticking."""
+        return np.inf if self.is_null else _FRICTION_STEP
 
     @property
     def joint_friction(self) -> float:
@@ -91,36 +82,20 @@ class CoulombFriction(JointEffect):
 class _SmoothFriction(JointEffect):
     """Dry friction whose sign changes gradually."""
 
-    torque: float = magnitude("N m", 0.008, lower=0.0)
+    torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
 
     id = "coulomb_friction"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Against the joint's motion."""
-        joint, torque = active_coordinate(chain, self.index), self.torque
-        return None if self.is_null else _at(joint, lambda v, z: -torque * np.tanh(v[..., joint] / _GRADUAL))
-
-
-def _at(joint: int, torque: Callable[[Array, Array], Array]) -> Motion:
-    """A torque of rates and internal states at one joint."""
-
-    def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-        found = np.zeros(v.shape)
-        found[..., joint] = torque(v, z)
-        return found
-
-    return force
+        joint, torque = self.active_joint(chain), self.torque
+        return self.force_on(joint, lambda time, q, v, z: -torque * np.tanh(v[..., joint] / _GRADUAL_REVERSAL))
 
 
 @dataclass(frozen=True)
 class ViscousFriction(JointEffect):
-    """Linear friction at the active joint.
+    """Linear friction at the active joint."""
 
-    Attributes:
-        coefficient: [N m s/rad].
-    """
-
-    coefficient: float = magnitude("N m s/rad", 0.004, lower=0.0)
+    coefficient: float = magnitude("N m s/rad", 0.004, lower=0.0, in_rig_units=True)
 
     id = "viscous_friction"
     description = "viscous friction at the active joint"
@@ -132,22 +107,15 @@ class ViscousFriction(JointEffect):
     in_urdf = True
 
     def chain(self, chain: Chain) -> Chain:
-        """With a damper at the joint."""
-        if self.is_null:
-            return chain
-        damping = chain.links[self.index].joint_damping + self.coefficient
-        return changed_link(chain, self.index, joint_damping=damping)
+        """Return the chain with a damper at the joint."""
+        return self.with_link(chain, joint_damping=self.link_of(chain).joint_damping + self.coefficient)
 
 
 @dataclass(frozen=True)
 class JointSpring(JointEffect):
-    """A cable or hose that pulls the active joint back to zero.
+    """A cable or hose that pulls the active joint back to zero."""
 
-    Attributes:
-        stiffness: [N m/rad].
-    """
-
-    stiffness: float = magnitude("N m/rad", 0.05, lower=0.0)
+    stiffness: float = magnitude("N m/rad", 0.025, lower=0.0, in_rig_units=True)
 
     id = "joint_spring"
     description = "a cable or hose that pulls the active joint back to zero"
@@ -157,67 +125,180 @@ class JointSpring(JointEffect):
     abscissa = "joint_angle"
 
     def chain(self, chain: Chain) -> Chain:
-        """With a spring at the joint."""
-        if self.is_null:
-            return chain
-        stiffness = chain.links[self.index].joint_stiffness + self.stiffness
-        return changed_link(chain, self.index, joint_stiffness=stiffness)
+        """Return the chain with a spring at the joint."""
+        return self.with_link(chain, joint_stiffness=self.link_of(chain).joint_stiffness + self.stiffness)
 
 
 @dataclass(frozen=True)
-class TorqueEffect(ColumnEffect):
-    """Changes the torque that really acted."""
-
-    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Without torques there is nothing to be wrong."""
-        return super().untestable(rig, recordings) or ("" if has_torque(recordings) else NO_TORQUE)
-
-
-@dataclass(frozen=True)
-class TorqueGain(TorqueEffect):
-    """The true torque is a multiple of the recorded one.
-
-    Attributes:
-        gain: true over recorded.
-    """
+class TorqueGain(ColumnEffect):
+    """A true torque that is a multiple, the gain, of the recorded one."""
 
     gain: float = magnitude("", 0.05, null=1.0, lower=0.2, upper=5.0)
 
     id = "torque_gain"
     description = "the true torque is a multiple of the recorded one"
     clause = "a true torque at the joint of {link} that is {gain} times the recorded one"
-    reference = (
-        "M. Gautier and S. Briot, Global identification of joint drive gains and dynamic parameters of robots, Journal "
-        "of Dynamic Systems, Measurement, and Control 136(5), 2014"
-    )
+    reference = "M. Gautier and S. Briot, Global identification of joint drive gains, J. Dynamic Systems 136(5), 2014"
     distinguishing_experiment = "a recording with a weighed mass on the tip"
     common = True
 
     def true_inputs(self, recording: Recording) -> Recording:
-        """With the true torque."""
-        return recording if self.is_null else replace(recording, tau=self.column_of(recording.tau, self.gain, 0.0))
+        """Return the recording with the true torque."""
+        return recording if self.is_null else replace(recording, tau=self.with_column(recording.tau, gain=self.gain))
 
 
 @dataclass(frozen=True)
-class TorqueOffset(TorqueEffect):
-    """The true torque is the recorded one and a constant.
+class TorqueOffset(ColumnEffect):
+    """A true torque that is the recorded one and a constant, the offset."""
 
-    Attributes:
-        offset: true less recorded [N m].
-    """
-
-    offset: float = magnitude("N m", 0.005)
+    offset: float = magnitude("N m", 0.0025, in_rig_units=True)
 
     id = "torque_offset"
     description = "a constant torque beside the recorded one"
     clause = "a constant torque of {offset} beside the recorded one at the joint of {link}"
-    reference = (
-        "J. Swevers, W. Verdonck and J. De Schutter, Dynamic model identification for industrial robots, IEEE Control "
-        "Systems Magazine 27(5), 2007"
-    )
+    reference = "J. Swevers et al., Dynamic model identification for industrial robots, IEEE Control Syst. 27(5), 2007"
     distinguishing_experiment = "recordings at several hub angles, and slow sweeps in both directions"
     abscissa = "joint_angle"
 
     def true_inputs(self, recording: Recording) -> Recording:
-        """With the true torque."""
-        return recording if self.is_null else replace(recording, tau=self.column_of(recording.tau, 1.0, self.offset))
+        """Return the recording with the true torque."""
+        return (
+            recording if self.is_null else replace(recording, tau=self.with_column(recording.tau, offset=self.offset))
+        )
+
+
+# Flanks of teeth in contact: [N m/rad], and damped [N m s/rad] enough for a hub of 0.02 kg m^2 to rebound with a third
+# of its speed. Steps [s] are short against their own oscillation (a light hub of 0.005 kg m^2 on its flank: 5 ms a
+# period), which is no part of the chain's linear springs while the gap is open.
+_FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP = 2000.0, 2.0, 6e-4
+_GRADUAL_CONTACT = 0.15  # of the gap, over which flanks come into contact where derivatives are taken
+
+
+@dataclass(frozen=True)
+class ClampCompliance(LinkEffect):
+    """A clamp in which the link's root turns, by the compliance times the bending moment there."""
+
+    compliance: float = magnitude("rad/(N m)", 0.01, lower=0.0, in_rig_units=True)
+
+    id = "clamp_compliance"
+    description = "a clamp that gives way: the link's root turns in it"
+    clause = "a clamp of {link} that gives way, by {compliance}"
+    reference = "K. R. Chun, Free vibration of a beam with one end spring-hinged, J. Applied Mechanics 39(4), 1972"
+    distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
+    common = True
+    in_urdf = True
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with a joint at the root."""
+        return chain if self.is_null else self.with_link(chain, **_in_series(self.link_of(chain), 1 / self.compliance))
+
+
+@dataclass(frozen=True)
+class GearElasticity(JointEffect):
+    """A spring between the motor, where the encoder is, and the hub; each has half of the hub's inertia."""
+
+    stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
+
+    id = "gear_elasticity"
+    description = "an elastic gear or shaft between the motor's encoder and the hub"
+    clause = "an elastic gear or shaft of {stiffness} between motor and hub of {link}"
+    reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
+    distinguishing_experiment = "a marker on the hub, or a recording with a known mass on the tip"
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with a joint between motor and hub."""
+        if self.is_null:
+            return chain
+        link = self.link_of(chain)
+        return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link))
+
+
+@dataclass(frozen=True)
+class Backlash(JointEffect):
+    """A dead zone, of whole width gap, between motor and hub; each has half of the hub's inertia.
+
+    Its flanks push and never pull: they exert k d + c d' at a depth d, as long as that is positive.
+    """
+
+    gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
+
+    id = "backlash"
+    nonsmooth = True
+    description = "play between the motor and the hub"
+    clause = "play of {gap} between motor and hub of {link}"
+    reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
+    distinguishing_experiment = "a marker on the hub, and slow motion that changes its direction"
+
+    def smoothed(self) -> Effect:
+        """Return play whose contact does not begin between two instants at which derivatives are taken."""
+        return _SmoothBacklash(link=self.link, gap=self.gap)
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with the stiff flanks in contact for good; `force` makes the gap."""
+        if self.is_null:
+            return chain
+        link = self.link_of(chain)
+        return self.with_link(chain, **_in_series(link, _FLANK_STIFFNESS, _FLANK_DAMPING), **_behind_gear(link))
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Return the torque that cancels the root joint's spring and damper inside the gap."""
+        if self.is_null:
+            return None
+        link, root = self.link_of(chain), self.virtual_joints(chain).start - 1
+        stiffness, damping = link.root_stiffness or 0.0, link.root_damping
+        sides = np.array([1.0, -1.0])
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            depth, share = self._contact(sides * q[..., root, None] - self.gap / 2)
+            push = np.maximum(stiffness * depth + damping * share * sides * v[..., root, None], 0.0)
+            torque: Array = stiffness * q[..., root] + damping * v[..., root] - push @ sides
+            return torque
+
+        return self.force_on(root, force)
+
+    def rest_angles(self, chain: Chain, q: Array) -> Array:
+        """Return the angles with the hub between the flanks, on one of them at most."""
+        if self.is_null:
+            return q
+        root, rest = self.virtual_joints(chain).start - 1, q.copy()
+        rest[..., root] = np.clip(q[..., root], -self.gap / 2, self.gap / 2)
+        return rest
+
+    def _contact(self, beyond: Array) -> tuple[Array, Array]:
+        """How deep a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
+        return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
+
+    @property
+    def max_step(self) -> float:
+        """Time step [s] that resolves an impact."""
+        return np.inf if self.is_null else _CONTACT_STEP
+
+
+@dataclass(frozen=True)
+class _SmoothBacklash(Backlash):
+    """Play whose contact begins gradually."""
+
+    def _contact(self, beyond: Array) -> tuple[Array, Array]:
+        """By a sigmoid, whose integral is a logarithm, instead of a corner."""
+        soft = 2 * _GRADUAL_CONTACT * self.gap
+        return soft / 2 * np.logaddexp(0.0, 2 * beyond / soft), (1 + np.tanh(beyond / soft)) / 2
+
+
+def _in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> dict[str, float]:
+    """The link's root joint with a spring [N m/rad] and damper [N m s/rad] in series with those that are there.
+
+    Of two springs, each with a light damper beside it, a share k / k_1 of the turn is in the first.
+    """
+    if link.root_stiffness is None:
+        return {"root_stiffness": stiffness, "root_damping": damping}
+    first, total = link.root_stiffness, link.root_stiffness * stiffness / (link.root_stiffness + stiffness)
+    losses = (total / first) ** 2 * link.root_damping + (total / stiffness) ** 2 * damping
+    return {"root_stiffness": total, "root_damping": losses}
+
+
+def _behind_gear(link: LinkChain) -> dict[str, float]:
+    """Half of the hub's inertia beyond the root joint, the motor's remaining before it, unless it is there already."""
+    if link.root_inertia > 0:
+        return {}
+    motor = 0.5 * link.hub_inertia
+    return {"hub_inertia": motor, "root_inertia": link.hub_inertia - motor}

@@ -9,57 +9,44 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.curve import rotate
-from vjm.effects.effect import (
-    LINK_FRAME,
-    NO_CLOCK,
-    NO_ENCODER,
-    ColumnEffect,
-    Effect,
-    LinkEffect,
-    has_encoder,
-    has_torque,
-    in_base_frame,
-    magnitude,
-    shape_parameter,
-)
+from vjm.effects.effect import ColumnEffect, Effect, LinkEffect, is_recorded, magnitude, shape_parameter
 from vjm.errors import ShapeError
 from vjm.records import Array, Recording, Rig
 
 
+def _frame_turns(rig: Rig) -> str:
+    """Why the camera's axes are unknown, unless markers are given in them or in a clamped first link's frame."""
+    fixed = all(
+        link.markers_frame == "base" or (i == 0 and link.joint == "clamped")
+        for i, link in enumerate(rig.links)
+        if link.markers
+    )
+    return "" if fixed else "marker coordinates are relative to a link that turns, not to the camera"
+
+
 @dataclass(frozen=True)
 class CameraScale(Effect):
-    """All positions are shown larger than they are.
-
-    Attributes:
-        scale: measured over true position.
-    """
+    """A camera that shows all positions larger than they are, by the scale."""
 
     scale: float = magnitude("", 0.008, null=1.0, lower=0.5, upper=2.0)
 
     id = "camera_scale"
     description = "a camera whose scale is off"
     clause = "a camera that shows everything {scale} times as large as it is"
-    reference = (
-        "Z. Zhang, A flexible new technique for camera calibration, IEEE Transactions on Pattern Analysis and Machine "
-        "Intelligence 22(11), 2000"
-    )
+    reference = "Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. Pattern Analysis 22(11), 2000"
     distinguishing_experiment = "two fiducials at a measured distance in the camera's view"
     abscissa = "position"
     common = True
     sensor = True
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
-        """Larger."""
+        """Return larger positions."""
         return positions if self.is_null else self.scale * positions
 
 
 @dataclass(frozen=True)
 class CameraRotation(Effect):
-    """All positions are shown turned about the base's origin.
-
-    Attributes:
-        angle: [rad].
-    """
+    """A camera that shows all positions turned about the base's origin."""
 
     angle: float = magnitude("rad", 0.01, lower=-np.pi, upper=np.pi)
 
@@ -72,28 +59,24 @@ class CameraRotation(Effect):
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Something else must say where the arm points."""
-        if not in_base_frame(rig):
-            return LINK_FRAME
+        """Return the reason if nothing else says where the arm points."""
+        if reason := _frame_turns(rig):
+            return reason
         pulled = any(any(recording.gravity) for recording in recordings)
-        if rig.links[0].joint == "revolute" and not has_encoder(recordings) and not pulled:
+        if rig.links[0].joint == "revolute" and not is_recorded(recordings, "theta") and not pulled:
             return "without an encoder and without gravity, a turned camera and a turned arm look the same"
         return ""
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
-        """Turned."""
+        """Return turned positions."""
         return positions if self.is_null else rotate(positions, np.asarray(self.angle))
 
 
 @dataclass(frozen=True)
 class LensDistortion(Effect):
-    """Radial, about the base's origin: measured = true (1 + k1 r^2).
+    """A radial distortion about the base's origin: measured = true (1 + k1 r^2)."""
 
-    Attributes:
-        k1: [1/m^2].
-    """
-
-    k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5)
+    k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5, in_rig_units=True)
 
     id = "lens_distortion"
     description = "a lens that distorts with the distance from the middle"
@@ -104,11 +87,11 @@ class LensDistortion(Effect):
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """The middle is the camera's."""
-        return "" if in_base_frame(rig) else LINK_FRAME
+        """Return the reason if the camera's middle is unknown."""
+        return _frame_turns(rig)
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
-        """Distorted."""
+        """Return distorted positions."""
         if self.is_null:
             return positions
         squares: Array = (positions * positions).sum(axis=-1, keepdims=True)
@@ -117,179 +100,142 @@ class LensDistortion(Effect):
 
 @dataclass(frozen=True)
 class MarkerOffset(LinkEffect):
-    """One marker is not where the rig's file says.
+    """One marker, the k-th of its link from 1, that is not where the rig's file says.
 
     Attributes:
-        marker: which of the link's, from 1.
         along, across: where it is, less where it should be, along the link's tangent and normal [m].
         first: number of markers on the links before this one; None: unknown, right for the first link only.
     """
 
     marker: int = shape_parameter("", 1, lower=1, integer=True)
-    along: float = magnitude("m", 0.005, lower=-0.5, upper=0.5)
-    across: float = magnitude("m", 0.005, lower=-0.5, upper=0.5)
+    along: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+    across: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
     first: int | None = field(default=None, kw_only=True)
 
     id = "marker_offset"
     description = "a marker that is not where the experiment file says"
     clause = "marker {marker} of {link} off by {along} along and {across} across the link"
-    reference = (
-        "J. M. Hollerbach and C. W. Wampler, The calibration index and taxonomy for robot kinematic calibration "
-        "methods, International Journal of Robotics Research 15(6), 1996"
-    )
+    reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
     distinguishing_experiment = "a ruler: measure where on the link the marker is"
     abscissa = "marker"
     sensor = True
 
     @property
     def column(self) -> int:
-        """Of the marker among all links' markers.
+        """Number of the marker among all links' markers, from 0.
 
         Raises:
             ShapeError: a link further out whose first marker is unknown.
         """
-        if self.first is None and self.index > 0:
-            raise ShapeError("marker_offset", f"link {self.index} without `first`", "an instance from `variants`")
+        if self.first is None and self.link_index > 0:
+            raise ShapeError("marker_offset", f"link {self.link_index} without `first`", "an instance from `variants`")
         return (self.first or 0) + self.marker - 1
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Links with markers."""
+        """Return the links with markers."""
         return tuple(i for i, link in enumerate(rig.links) if link.markers)
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """One for each marker."""
+        """Return one for each marker."""
         return tuple(
-            replace(self, link=i, marker=k, first=part.start)
+            replace(self.placed(rig, i), marker=k, first=part.start)
             for i, part in enumerate(rig.marker_slices)
             for k in range(1, part.stop - part.start + 1)
         )
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
-        """With that marker displaced."""
+        """Return the positions with that marker displaced."""
         if self.is_null:
             return positions
-        found, heading = positions.copy(), headings[..., self.column]
-        found[..., self.column, :] += rotate(np.array([self.along, self.across]), heading)
-        return found
+        displaced, heading = positions.copy(), headings[..., self.column]
+        displaced[..., self.column, :] += rotate(np.array([self.along, self.across]), heading)
+        return displaced
 
 
 @dataclass(frozen=True)
 class EncoderOffset(ColumnEffect):
-    """The encoder's zero is not where the link points along x.
-
-    Attributes:
-        offset: shown less true angle [rad].
-    """
+    """An encoder whose zero is not where the link points along x; the offset is shown less true angle."""
 
     offset: float = magnitude("rad", 0.005, lower=-np.pi, upper=np.pi)
 
     id = "encoder_offset"
     description = "the encoder's zero is off"
     clause = "an encoder at {link} whose zero is off by {offset}"
-    reference = (
-        "J. M. Hollerbach and C. W. Wampler, The calibration index and taxonomy for robot kinematic calibration "
-        "methods, International Journal of Robotics Research 15(6), 1996"
-    )
-    distinguishing_experiment = (
-        "a fixed fiducial beside the base in the camera's view; under gravity, static sag at several hub angles"
-    )
+    reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
+    distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; sag at several hub angles"
     sensor = True
-
-    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Without an encoder there is nothing to be wrong."""
-        return super().untestable(rig, recordings) or ("" if has_encoder(recordings) else NO_ENCODER)
+    column_of = "theta"
 
     def encoder_angles(self, theta: Array) -> Array:
-        """Shifted."""
-        return theta if self.is_null else self.column_of(theta, 1.0, self.offset)
+        """Return shifted angles."""
+        return theta if self.is_null else self.with_column(theta, offset=self.offset)
 
 
 @dataclass(frozen=True)
-class ClockEffect(Effect):
-    """In the camera's clock against that of encoders and torques."""
+class _ClockEffect(Effect):
+    """Acts on the camera's clock against that of encoders and torques; one clock alone is never wrong."""
 
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """One clock alone is never wrong."""
-        return "" if has_torque(recordings) or has_encoder(recordings) else NO_CLOCK
+        known = is_recorded(recordings, "tau") or is_recorded(recordings, "theta")
+        return "" if known else "nothing but the camera was recorded, so there is no other clock"
 
 
 @dataclass(frozen=True)
-class TimeOffset(ClockEffect):
-    """The camera shows an earlier state than that of its time stamp.
+class TimeOffset(_ClockEffect):
+    """A camera that shows an earlier state than that of its time stamp."""
 
-    Attributes:
-        delay: [s].
-    """
-
-    delay: float = magnitude("s", 0.015, lower=-0.1, upper=0.1)
+    delay: float = magnitude("s", 0.03, lower=-0.2, upper=0.2, in_rig_units=True)
 
     id = "time_offset"
     description = "a camera that lags behind its time stamps"
     clause = "a camera that lags {delay} behind its time stamps"
-    reference = (
-        "P. Furgale, J. Rehder and R. Siegwart, Unified temporal and spatial calibration for multi-sensor systems, "
-        "IEEE/RSJ International Conference on Intelligent Robots and Systems (IROS), 2013"
-    )
+    reference = "P. Furgale et al., Unified temporal and spatial calibration for multi-sensor systems, IROS, 2013"
     distinguishing_experiment = "driven recordings with fast motion, and two recordings that start differently"
     abscissa = "velocity"
     common = True
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
-        """Earlier."""
+        """Return earlier instants."""
         return time if self.is_null else time - self.delay
 
 
 @dataclass(frozen=True)
-class ClockScale(ClockEffect):
-    """The camera's clock runs faster than the encoder's.
-
-    Attributes:
-        scale: time of the camera over true time.
-    """
+class ClockScale(_ClockEffect):
+    """A camera whose clock runs faster than the encoder's, by the scale."""
 
     scale: float = magnitude("", 0.002, null=1.0, lower=0.8, upper=1.25)
 
     id = "clock_scale"
     description = "a camera whose clock does not run at the encoder's rate"
     clause = "a camera whose clock runs {scale} times as fast as the encoder's"
-    reference = (
-        "E. Olson, A passive solution to the sensor synchronization problem, IEEE/RSJ International Conference on "
-        "Intelligent Robots and Systems (IROS), 2010"
-    )
+    reference = "E. Olson, A passive solution to the sensor synchronization problem, IROS, 2010"
     distinguishing_experiment = "long driven recordings"
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
-        """By the encoder's clock."""
+        """Return the instants by the encoder's clock."""
         return time if self.is_null else time / self.scale
 
 
 @dataclass(frozen=True)
 class RollingShutter(Effect):
-    """Rows are read one after another: a marker is shown as it was earlier, in proportion to its y.
+    """Rows that are read one after another: a marker is shown as it was earlier, by the readout times its y."""
 
-    Attributes:
-        readout: delay over y [s/m].
-    """
-
-    readout: float = magnitude("s/m", 0.005, lower=-0.2, upper=0.2)
+    readout: float = magnitude("s/m", 0.01, lower=-0.4, upper=0.4, in_rig_units=True)
 
     id = "rolling_shutter"
     description = "a camera that reads its rows one after another"
     clause = "a camera that reads its rows one after another, in {readout}"
-    reference = (
-        "C.-K. Liang, L.-W. Chang and H. H. Chen, Analysis and compensation of rolling shutter effect, IEEE "
-        "Transactions on Image Processing 17(8), 2008"
-    )
+    reference = "C.-K. Liang et al., Analysis and compensation of rolling shutter effect, IEEE Trans. Image Proc., 2008"
     distinguishing_experiment = "fast motion far to both sides of the base"
     abscissa = "velocity"
     sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Rows are the camera's."""
-        return "" if in_base_frame(rig) else LINK_FRAME
+        """Return the reason if the camera's rows are unknown."""
+        return _frame_turns(rig)
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
-        """Each marker's own."""
+        """Return each marker's own instants."""
         return time if self.is_null else time[:, None] - self.readout * positions[..., 1]

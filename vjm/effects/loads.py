@@ -1,0 +1,262 @@
+"""Loads: a mass and a force on the tip, gravity, and air drag, with the planar kinematics of rigid rods.
+
+Rod b has heading psi_b and turns at w_b. With e_b = exp(i psi_b), the component of a point's velocity along the normal
+i e_b at distance x from the rod's proximal end is Re(conj(e_b) sum_{a<b} l_a w_a e_a) + x w_b.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from vjm.chain.virtual_links import Chain
+from vjm.effects.effect import Effect, LinkEffect, Motion, magnitude, shape_parameter
+from vjm.records import Array, Complex, Recording, Rig
+
+
+@dataclass(frozen=True)
+class _TipEffect(LinkEffect):
+    """Acts at the distal end of the last link."""
+
+    @property
+    def link_index(self) -> int:
+        return -1
+
+    def places(self, rig: Rig) -> tuple[int | None, ...]:
+        return (len(rig.links) - 1,)
+
+
+@dataclass(frozen=True)
+class TipPayload(_TipEffect):
+    """A point mass at the distal end of the last link."""
+
+    mass: float = magnitude("kg", 0.02, lower=0.0, in_rig_units=True)
+
+    id = "tip_payload"
+    description = "an unknown mass on the tip"
+    clause = "an unknown mass of {mass} on the tip of {link}"
+    reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
+    distinguishing_experiment = "a recording with a known mass on the tip, static sag, or driven recordings"
+    common = True
+    in_urdf = True
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with a larger payload."""
+        return self.with_link(chain, payload=self.link_of(chain).payload + self.mass)
+
+
+@dataclass(frozen=True)
+class InPlaneGravity(Effect):
+    """Uniform gravity in the plane, beside what is known, in the base frame: the base is tilted."""
+
+    gx: float = magnitude("m/s^2", 0.05, in_rig_units=True)
+    gy: float = magnitude("m/s^2", 0.05, in_rig_units=True)
+
+    id = "in_plane_gravity"
+    description = "gravity in the plane of motion: the base is tilted"
+    clause = "gravity of {gx} along x and {gy} along y in the plane of motion: the base is tilted"
+    reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
+    distinguishing_experiment = "recordings at several hub angles"
+
+    def true_inputs(self, recording: Recording) -> Recording:
+        """Return the recording with more gravity."""
+        if self.is_null:
+            return recording
+        x, y = recording.gravity
+        return replace(recording, gravity=(x + self.gx, y + self.gy))
+
+
+@dataclass(frozen=True)
+class ExternalTone(_TipEffect):
+    """A lateral force on the tip, amplitude sin(2 pi frequency t + phase), normal to the last virtual link.
+
+    A search varies amplitude cos(phase) and amplitude sin(phase), in which the motion is about linear. Time is that
+    since the start of each recording.
+
+    Attributes:
+        lowest: frequency to which searches may go [Hz]; a force that takes longer than the recordings is none.
+    """
+
+    amplitude: float = magnitude("N", 0.005, lower=0.0, in_rig_units=True)
+    frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum=True, in_rig_units=True)
+    phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
+    lowest: float = field(default=0.0, kw_only=True, compare=False)
+
+    id = "external_tone"
+    description = "a sinusoidal force on the tip from outside"
+    clause = "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside"
+    reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
+    distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
+    abscissa = "frequency"
+
+    @property
+    def coordinates(self) -> Array:
+        """(3,) amplitudes of cosine and sine over a typical one, logarithm of the frequency over a typical one."""
+        amplitude, frequency, _ = self.parameters()
+        radius, tone = amplitude.coordinate(self.amplitude), frequency.coordinate(self.frequency)
+        return np.array([radius * np.cos(self.phase), radius * np.sin(self.phase), tone])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (3,); without amplitude, at phase zero."""
+        amplitude, frequency, _ = self.parameters()
+        cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
+        size, phase = amplitude.value(float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
+        return replace(self, amplitude=size, frequency=frequency.value(tone), phase=phase)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (3,), (3,) of the coordinates, of which only the frequency has any."""
+        frequency = self.parameters()[1]
+        low, high = frequency.bounds
+        low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
+        return np.array([-np.inf, -np.inf, low]), np.array([np.inf, np.inf, high])
+
+    @property
+    def magnitude_count(self) -> int:
+        """Number of magnitudes: of cosine and sine."""
+        return 2
+
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """Return frequencies from one period in the longest recording to half the camera's rate."""
+        steps = [float(np.median(np.diff(own.time[own.frames]))) for own in recordings if own.frames.size > 1]
+        longest = max((float(np.ptp(own.time)) for own in recordings), default=0.0)
+        (own,) = (self.placed(rig, link) for link in self.places(rig))
+        typical = own.parameters()[1].typical_magnitude
+        lowest = 1 / longest if longest > 0 else typical / 25
+        highest = max(0.5 / min(steps) if steps else 10 * typical, 2 * lowest)
+        frequencies = np.geomspace(lowest, highest, 12).tolist()
+        return tuple(replace(own, lowest=lowest, frequency=frequency) for frequency in frequencies)
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Return the force on the end of the last virtual link."""
+        rods, still = Rods(chain), np.zeros(chain.size)
+        last = np.zeros(rods.lengths.size)
+        last[-1] = 1.0
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            wave = np.sin(2 * np.pi * self.frequency * np.asarray(time) + self.phase)
+            push = self.amplitude * wave[..., None] * last
+            return rods.torques(rods.motion(q, still).direction, push, rods.lengths[-1] * push)
+
+        return force
+
+
+class _RodMotion(NamedTuple):
+    """(..., B) directions exp(i psi), rates w [rad/s], and velocities of the proximal ends along the normals [m/s]."""
+
+    direction: Complex
+    rate: Array
+    normal: Array
+
+
+class Rods:
+    """The virtual links of all links of a chain, from the base outwards.
+
+    Attributes:
+        lengths: (B,) [m].
+        owners: (B,) index of each rod's link.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        self.lengths = np.concatenate([link.lengths for link in chain.links])
+        self.owners = np.repeat(range(len(chain.links)), [link.lengths.size for link in chain.links])
+        # Derivatives (nv, B) of the rods' headings by the joints' angles, and bends (B,) between rods at zero [rad].
+        self._turns, bends = np.zeros((chain.size, self.lengths.size)), np.zeros(self.lengths.size)
+        rod = 0
+        for link, part in zip(chain.links, chain.passive_slices, strict=True):
+            self._turns[part.stop - link.coordinates : part.start, rod:] = 1.0
+            for j, coordinate in enumerate(range(part.start, part.stop), start=1):
+                self._turns[coordinate, rod + j :] = 1.0
+                bends[rod + j] = link.rest_curvature * float(link.cells[j - 1])
+            rod += link.lengths.size
+        self._rest = np.exp(1j * np.cumsum(bends))
+        # [a, b]: what rod a adds to the place of rod b's proximal end.
+        self._reach = np.triu(np.repeat(self.lengths[:, None], self.lengths.size, axis=1), 1)
+
+    def motion(self, q: Array, v: Array) -> _RodMotion:
+        """Return how the rods move at angles (..., nv) [rad] and rates (..., nv) [rad/s]."""
+        direction = self._rest * np.exp(1j * (q @ self._turns))
+        rate = v @ self._turns
+        normal = (((direction * rate) @ self._reach) * direction.conj()).real
+        return _RodMotion(direction, rate, normal)
+
+    def torques(self, direction: Complex, force: Array, moment: Array) -> Array:
+        """Return the generalised forces (..., nv) [N m] of forces on the rods.
+
+        Args:
+            direction: (..., B) exp(i psi).
+            force: (..., B) along each rod's normal [N].
+            moment: (..., B) of these forces about the rod's proximal end [N m].
+        """
+        lever = (direction * force) @ self._reach.T
+        result: Array = (moment + (lever * direction.conj()).real) @ self._turns.T
+        return result
+
+
+@dataclass(frozen=True)
+class _Drag(LinkEffect):
+    """Air's resistance to the normal velocity of a link."""
+
+    reference = "W. E. Baker et al., Air and internal damping of thin cantilever beams, Int. J. Mech. Sci. 9(11), 1967"
+    abscissa = "amplitude"
+    dissipative = True
+
+    def density(self, normal: Array) -> Array:
+        """Force per length [N/m] at normal velocities [m/s]."""
+        raise NotImplementedError
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        rods = Rods(chain)
+        # Three nodes a virtual link; two are exact except where the velocity changes its sign.
+        abscissae, gauss = np.polynomial.legendre.leggauss(3)
+        own = np.flatnonzero(rods.owners == self.link_index)
+        lengths = rods.lengths[own, None]
+        places, weights = lengths * (1 + abscissae) / 2, lengths * gauss / 2  # (b, nodes)
+        moments = weights * places
+        first, last = int(own[0]), int(own[-1]) + 1
+
+        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
+            motion = rods.motion(q, v)
+            normal, rate = motion.normal[..., first:last, None], motion.rate[..., first:last, None]
+            densities = self.density(normal + rate * places)
+            pushes, turns = np.zeros((2, *v.shape[:-1], rods.lengths.size))
+            pushes[..., first:last] = (densities * weights).sum(axis=-1)
+            turns[..., first:last] = (densities * moments).sum(axis=-1)
+            return rods.torques(motion.direction, pushes, turns)
+
+        return force
+
+
+@dataclass(frozen=True)
+class LinearDrag(_Drag):
+    """A force per length against the normal velocity, in proportion to it."""
+
+    coefficient: float = magnitude("N s/m^2", 0.05, lower=0.0, in_rig_units=True)
+
+    id = "linear_drag"
+    description = "air drag in proportion to the velocity"
+    clause = "air drag of {coefficient} on {link}, in proportion to the velocity"
+    distinguishing_experiment = "two or more modes in free decay: drag damps the slow ones most"
+
+    def density(self, normal: Array) -> Array:
+        """Return the force per length [N/m] at normal velocities [m/s]."""
+        return -self.coefficient * normal
+
+
+@dataclass(frozen=True)
+class QuadraticDrag(_Drag):
+    """A force per length against the normal velocity, in proportion to its square."""
+
+    coefficient: float = magnitude("N s^2/m^3", 0.2, lower=0.0, in_rig_units=True)
+
+    id = "quadratic_drag"
+    description = "air drag in proportion to the square of the velocity"
+    clause = "air drag of {coefficient} on {link}, in proportion to the square of the velocity"
+    distinguishing_experiment = "two amplitudes: its damping grows with the amplitude"
+
+    def density(self, normal: Array) -> Array:
+        """Return the force per length [N/m] at normal velocities [m/s], whose sign is rounded off below 1 mm/s."""
+        return -self.coefficient * normal * np.sqrt(normal * normal + 1e-3**2)
