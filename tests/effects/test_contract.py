@@ -58,9 +58,7 @@ scales = st.floats(1e-3, 1e3)
 
 @settings(max_examples=40)
 @given(scales, scales, scales)
-def test_what_is_typical_does_not_depend_on_the_units_of_length_mass_and_time(
-    length: float, mass: float, time: float
-) -> None:
+def test_typical_magnitudes_scale_with_the_rig(length: float, mass: float, time: float) -> None:
     """Scaling a rig scales all typical magnitudes, bounds and grids by their units, and no coordinate."""
     links = [
         replace(

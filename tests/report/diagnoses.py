@@ -120,7 +120,7 @@ def candidates(experiment: Experiment, found: tuple[Effect, ...]) -> tuple[Candi
         if reason:
             listed.append(Candidate(variant, None, None, {}, {}, reason))
             continue
-        sizes = {each.name: each.typical_magnitude for each in effect.parameters() if not each.shape_parameter}
+        sizes = {each.name: each.typical_magnitude for each in variant.parameters() if not each.shape_parameter}
         z = 400.0 / (1 + k) if present else 1.0 + 0.05 * k
         p = 1e-300 if z > 10 else 0.8
         named = present.get(effect.id, variant).values

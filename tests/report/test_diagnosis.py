@@ -91,7 +91,7 @@ def test_what_is_not_finite_becomes_null() -> None:
         (pair, "good", "A camera that lags 12.00 ± 0.12 ms behind its time stamps; and marker 3 of beam off by"),
         (undecided, "fair", "Either an unknown mass of 13.30 ± 0.13 g on the tip of beam, or a clamp of beam that"),
         (unknown, "poor", "Something is missing that no candidate explains: most of it in the camera of"),
-        (nothing, "good", "is needed, and an effect as small as a tip payload of 0.50 g or a clamp compliance of"),
+        (nothing, "good", "is needed, and an effect as small as a tip payload of 0.44 g or a clamp compliance of"),
         (insufficient, "poor", "These recordings cannot support a diagnosis: no recording is held out"),
     ],
 )
