@@ -45,9 +45,9 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(saving, "identification_pictures", lambda fit: [])
     monkeypatch.setattr(saving, "replay_pictures", lambda *_: [])
     monkeypatch.setattr(saving, "diagnosis_pictures", lambda _: [])
-    monkeypatch.setattr("vjm.diagnosis.diagnose", lambda *_, **__: undecided())
+    monkeypatch.setattr(commands, "diagnose", lambda *_, **__: undecided())
     checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})
-    monkeypatch.setattr("vjm.identification.check.check", lambda experiment: checked)
+    monkeypatch.setattr(commands, "check", lambda experiment: checked)
 
 
 @pytest.fixture
@@ -110,14 +110,14 @@ def test_diagnose_prints_the_finding(
         asked.append(options)
         return undecided() if options[0] is None else nothing()
 
-    monkeypatch.setattr("vjm.diagnosis.diagnose", diagnose)
+    monkeypatch.setattr(commands, "diagnose", diagnose)
     status, out, err = run(capsys, "diagnose", DEMO, "-o", tmp_path / "out")
     assert (status, err) == (0, "")
     told = " ".join(out.split())
     for words in (
         "Either an unknown mass of 13.30 ± 0.13 g on the tip of beam",
         "Next experiment: to tell tip_payload from clamp_compliance",
-        "What is wrong, before any cause is named",
+        "Symptoms of the model without effects",
         "model.urdf and model.json hold: tip payload (beam).",
         f"Report: {tmp_path / 'out'}",
     ):
@@ -161,7 +161,7 @@ def test_check_of_hopeless_recordings_ends_with_status_2(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     hopeless = Check(demo_fit().experiment, (), np.array([1.2]), (), {}, "identification: nothing moves; excite it")
-    monkeypatch.setattr("vjm.identification.check.check", lambda experiment: hopeless)
+    monkeypatch.setattr(commands, "check", lambda experiment: hopeless)
     status, out, err = run(capsys, "check", DEMO)
     assert status == 2
     assert err == "vjm: identification: nothing moves; excite it\n"
@@ -243,7 +243,7 @@ def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pyte
         (InsufficientDataError("modes", "nothing moves", "excite it"), 2, "vjm: modes: nothing moves; excite it"),
         (SimulationDivergedError(1.0, 0.01, "check the masses"), 1, "check the masses"),
         (ZeroDivisionError("two\nlines"), 1, "vjm: internal error: ZeroDivisionError: two lines"),
-        (KeyboardInterrupt(), 1, "vjm: interrupted"),
+        (KeyboardInterrupt(), 130, "vjm: interrupted"),
     ],
 )
 def test_failures_are_one_line_and_leave_nothing(
@@ -309,7 +309,7 @@ def test_warnings_and_names_are_printed_as_they_are(
 ) -> None:
     fit = demo_fit()
     strange = Check(fit.experiment, ("[red]not markup[/red] :smile:", ""), np.array([1.0]), (4,), {})
-    monkeypatch.setattr("vjm.identification.check.check", lambda experiment: strange)
+    monkeypatch.setattr(commands, "check", lambda experiment: strange)
     assert "[red]not markup[/red] :smile:" in run(capsys, "check", DEMO)[1]
     result = json.loads(run(capsys, "check", DEMO, "--json")[1])
     assert result["warnings"][0] == "[red]not markup[/red] :smile:"

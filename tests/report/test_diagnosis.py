@@ -30,22 +30,15 @@ from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag
 from vjm.files import json_text
 from vjm.records import Estimate
 from vjm.report import save as saving
-from vjm.report.diagnosis_text import (
-    carried_points,
-    clause,
-    diagnosis_verdict,
-    differences_text,
-    indistinct,
-    quantity,
-    sizes_text,
-)
 from vjm.report.figures import diagnosis as drawing
 from vjm.report.figures.diagnosis import before_and_after, evidence, gain_of_recordings
 from vjm.report.model_json import read_model
-from vjm.report.page import diagnosis_page
+from vjm.report.page import report_page
 from vjm.report.result_json import result_object
 from vjm.report.save import save
-from vjm.report.tables import candidate_table, cause_table, followed_table
+from vjm.report.tables import candidate_table, cause_table, diagnosed_table
+from vjm.report.text import carried_points, clause, differences_text, quantity, sizes_text
+from vjm.report.verdict import alternative_points, verdict
 
 
 @pytest.fixture(params=list(DIAGNOSES))
@@ -97,9 +90,9 @@ def test_what_is_not_finite_becomes_null() -> None:
 )
 def test_verdict_says_it_in_a_sentence(of: object, grade: str, words: str) -> None:
     assert callable(of)
-    verdict = diagnosis_verdict(of())
-    assert verdict.grade == grade
-    assert words in plain(verdict.headline)
+    finding = verdict(of())
+    assert finding.grade == grade
+    assert words in plain(finding.headline)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +103,7 @@ def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(aft
     assert found.gain is not None
     looks = Remaining(1e-40, "odd in velocity")
     found = replace(found, verdict="unknown", remaining=looks, gain=replace(found.gain, noise=3e-4, after=after))
-    headline = plain(diagnosis_verdict(found).headline)
+    headline = plain(verdict(found).headline)
     assert headline.startswith(first)
     assert all(part in headline.lower() for part in ("viscous friction", "no candidate explains", "odd in velocity"))
 
@@ -119,21 +112,21 @@ def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     found = pair()
     assert found.gain is not None
     gain = replace(found.gain, before=2.1e-3, after=3.1e-4, reduction=0.85, interval=(0.83, 0.87), next_best=1.2e-3)
-    verdict = diagnosis_verdict(replace(found, gain=gain))
-    assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(verdict.headline)
+    finding = verdict(replace(found, gain=gain))
+    assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(finding.headline)
     told = "Held-out error: 85 % less (95 % interval of the reduction: 83 … 87 %)"
-    assert f"{told}; the next best explanation leaves 1.2 mm." in [plain(point) for point in verdict.points]
-    called = diagnosis_verdict(replace(found, gain=gain, next_best=(TimeOffset(), LinearDrag(link=0))))
-    said = "the next best explanation, time offset and linear drag, leaves 1.2 mm."
+    assert f"{told}; with the next best explanation it is 1.2 mm." in [plain(point) for point in finding.points]
+    called = verdict(replace(found, gain=gain, next_best=(TimeOffset(), LinearDrag(link=0))))
+    said = "with the next best explanation, time offset and linear drag, it is 1.2 mm."
     assert f"{told}; {said}" in [plain(point) for point in called.points]
-    assert "not tested" in " ".join(diagnosis_verdict(replace(found, gain=None)).points)
+    assert "not tested" in " ".join(verdict(replace(found, gain=None)).points)
 
 
 def test_what_cannot_be_told_apart_comes_with_the_recording_that_would() -> None:
-    text = " ".join(indistinct(undecided()))
+    text = " ".join(alternative_points(undecided()))
     assert "chi² is 0.70 larger" in text
     assert "Next experiment: to tell tip_payload from clamp_compliance" in text
-    assert indistinct(pair()) == []
+    assert alternative_points(pair()) == []
 
 
 @pytest.mark.parametrize("effect", BUILTIN, ids=lambda each: each.id)
@@ -161,14 +154,14 @@ def test_quantities_are_in_everyday_units() -> None:
 
 def test_urdf_carries_what_it_can() -> None:
     found = pair()
-    points = carried_points((FRICTION, *found.model.effects), found.model)
+    points = carried_points(replace(found.model, effects=(FRICTION, *found.model.effects)))
     assert points[0] == "model.urdf and model.json hold: coulomb friction (beam)."
     assert "Only model.json holds" in points[1]
     assert "time offset, marker offset (beam)" in points[1]
 
 
 def test_tables(diagnosis: Diagnosis) -> None:
-    for table in (cause_table(diagnosis), candidate_table(diagnosis), followed_table(diagnosis)):
+    for table in (cause_table(diagnosis), candidate_table(diagnosis), diagnosed_table(diagnosis)):
         assert {len(row) for row in table.rows} <= {len(table.headers)}
     few = candidate_table(diagnosis, 4)
     assert len(few.rows) == 4
@@ -178,12 +171,12 @@ def test_tables(diagnosis: Diagnosis) -> None:
 
 
 def test_page_has_the_verdict_first(diagnosis: Diagnosis) -> None:
-    page = diagnosis_page(diagnosis, pictures_of(diagnosis))
+    page = report_page(diagnosis, pictures_of(diagnosis))
     assert_self_contained(page)
     assert len(page) < 3e6
-    order = ["headline", "What is wrong, before any cause is named"]
-    order += ["The evidence"] if diagnosis.causes else []
-    order += ["What was looked for", "How it was judged"]
+    order = ["headline", "Symptoms of the model without effects</h2>"]
+    order += ["Causes</h2>"] if diagnosis.causes else []
+    order += ["Candidates</h2>", "Method</h2>"]
     places = [page.index(each) for each in order]
     assert places == sorted(places)
     for recording in diagnosis.experiment.recordings:
@@ -200,7 +193,7 @@ def test_hostile_names_stay_text() -> None:
         next_experiment=HOSTILE,
         causes=tuple(replace(each, evidence=HOSTILE) for each in found.causes),
     )
-    page = diagnosis_page(hostile, [])
+    page = report_page(hostile, [])
     assert_self_contained(page)
     assert not [tag for tag, _ in Elements(page).found if tag == "script"]
 

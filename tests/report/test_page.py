@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -14,11 +15,24 @@ from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
 from vjm.identification.uncertainty import Whiteness
 from vjm.records import Estimate, RecordingComparison
-from vjm.report.page import comparison_page, identification_page
-from vjm.report.tables import mode_table, parameter_table, recording_table, remedy_table, whiteness_table
-from vjm.report.text import comparison_verdict, identification_verdict, millimetres, nominal_value
+from vjm.report.page import report_page
+from vjm.report.tables import (
+    Table,
+    mode_table,
+    nominal_value,
+    parameter_table,
+    recording_table,
+    remedy_table,
+    whiteness_table,
+)
+from vjm.report.text import millimetres
+from vjm.report.verdict import verdict
 
 HOSTILE = "<script>alert('1')</script><img src=http://evil.example/x onerror=alert(2)>&amp; \"quoted\" {{ 7 * 7 }}"
+
+
+def fits_table(comparisons: Sequence[RecordingComparison]) -> Table:
+    return recording_table(comparisons, "identified", "nominal", "torque method")
 
 
 class Elements(HTMLParser):
@@ -54,7 +68,7 @@ def assert_self_contained(page: str) -> None:
 
 @pytest.mark.parametrize("fit", ["demo", "elbow"], indirect=True)
 def test_page_is_one_light_file(fit: Identification) -> None:
-    page = identification_page(fit, pictures_of(fit))
+    page = report_page(fit, pictures_of(fit))
     assert_self_contained(page)
     assert len(page) < 3e6
     assert page.index("headline") < page.index("Table 1") < page.index("Table 2") < page.index("<figure>")
@@ -63,14 +77,14 @@ def test_page_is_one_light_file(fit: Identification) -> None:
 
 
 def test_page_says_which_method_it_was() -> None:
-    assert "simulated open loop over its whole length" in identification_page(demo_fit(), [])
-    assert "simulated open loop over its whole length" not in identification_page(torque_fit(), [])
+    assert "simulated open loop over its whole length" in report_page(demo_fit(), [])
+    assert "simulated open loop over its whole length" not in report_page(torque_fit(), [])
 
 
 def test_page_tells_what_is_not_determined_and_what_would_be_needed() -> None:
-    page = identification_page(elbow_fit(), [])
+    page = report_page(elbow_fit(), [])
     assert page.count("a driven recording whose torque changes faster</td>") == 2
-    assert "What these recordings do not determine" not in identification_page(demo_fit(), [])
+    assert "Parameters that these recordings do not determine" not in report_page(demo_fit(), [])
 
 
 def test_hostile_names_stay_text() -> None:
@@ -85,7 +99,7 @@ def test_hostile_names_stay_text() -> None:
         notes=(HOSTILE,),
         parameters=tuple(replace(each, reason=HOSTILE, remedy=HOSTILE, identifiable=False) for each in fit.parameters),
     )
-    page = identification_page(hostile, pictures_of(fit)[:1])
+    page = report_page(hostile, pictures_of(fit)[:1])
     assert_self_contained(page)
     assert "&lt;script&gt;alert(" in page
     assert "{{ 7 * 7 }}" in page
@@ -111,10 +125,10 @@ def with_ratio(fit: Identification, ratio: float, role: str | None = None) -> tu
 )
 def test_verdict_rests_on_held_out_recordings(ratio: float, grade: str, words: str) -> None:
     fit = demo_fit()
-    verdict = identification_verdict(replace(fit, recordings=with_ratio(fit, ratio, "holdout")))
-    assert verdict.grade == grade
-    assert words in verdict.headline
-    assert "held-out" in verdict.headline
+    finding = verdict(replace(fit, recordings=with_ratio(fit, ratio, "holdout")))
+    assert finding.grade == grade
+    assert words in finding.headline
+    assert "held-out" in finding.headline
 
 
 def test_held_out_recordings_are_told_beside_the_torque_method() -> None:
@@ -123,43 +137,43 @@ def test_held_out_recordings_are_told_beside_the_torque_method() -> None:
     assert held_out.simulated is not None
     found, nominal, torque = (with_rms(held_out.simulated, rms) for rms in (0.31e-3, 7.6e-3, 0.4e-3))
     shown = replace(held_out, simulated=found, reference=nominal, alternative=torque)
-    point = identification_verdict(replace(fit, recordings=(shown,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
+    point = verdict(replace(fit, recordings=(shown,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
     assert "0.31 mm RMS over its whole 10 s, open loop (torque method: 0.40 mm, nominal values: 7.6 mm)" in point
     alone = replace(shown, alternative=None)
-    point = identification_verdict(replace(fit, recordings=(alone,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
-    assert "open loop; 7.6 mm with nominal values; the camera" in point
+    point = verdict(replace(fit, recordings=(alone,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
+    assert "open loop (nominal values: 7.6 mm); the camera" in point
 
 
 def test_verdict_without_held_out_recordings_says_so() -> None:
     fit = demo_fit()
     train = tuple(each for each in with_ratio(fit, 1.0) if each.recording.role == "train")
-    verdict = identification_verdict(replace(fit, recordings=train))
-    assert verdict.grade == "fair"
-    assert "No recording was held out" in verdict.headline
+    finding = verdict(replace(fit, recordings=train))
+    assert finding.grade == "fair"
+    assert "No recording was held out" in finding.headline
 
 
 def test_a_search_that_failed_comes_first() -> None:
     fit = replace(demo_fit(), status="not converged", remedy="give recordings that move more")
-    verdict = identification_verdict(fit)
-    assert verdict.grade == "poor"
-    assert "give recordings that move more" in verdict.headline
+    finding = verdict(fit)
+    assert finding.grade == "poor"
+    assert "give recordings that move more" in finding.headline
 
 
 def test_points_name_what_is_not_determined_and_not_simulated() -> None:
-    text = " ".join(identification_verdict(elbow_fit()).points)
+    text = " ".join(verdict(elbow_fit()).points)
     assert "upper.hub_inertia" in text
-    assert "; it takes a driven recording whose torque changes faster." in text
+    assert "; it takes a driven recording whose torque changes faster)." in text
     assert "no_torque.csv (no torque was measured)" in text
 
 
 def test_torque_method_and_mac_have_columns_where_there_is_something_to_show() -> None:
     fit, plain = demo_fit(), torque_fit()
-    table = recording_table(fit.recordings)
+    table = fits_table(fit.recordings)
     column = table.headers.index("torque method")
     assert [row[column] for row in table.rows] == [
         millimetres(each.alternative.marker_rms) for each in fit.recordings if each.alternative
     ]
-    assert "torque method" not in recording_table(plain.recordings).headers
+    assert "torque method" not in fits_table(plain.recordings).headers
     modes = mode_table(fit.modes)
     assert [row[modes.headers.index("shape, MAC")] for row in modes.rows] == ["0.9987", "0.9987", "–"]
     assert len({len(row) for row in (modes.headers, *modes.rows)}) == 1
@@ -168,7 +182,7 @@ def test_torque_method_and_mac_have_columns_where_there_is_something_to_show() -
 
 def test_left_out_coordinates_are_told() -> None:
     fits = [replace(demo_fit().recordings[0], left_out=3), demo_fit().recordings[1]]
-    assert recording_table(fits).notes == ("3 marker coordinates left out", "")
+    assert fits_table(fits).notes == ("3 marker coordinates left out", "")
 
 
 def test_parameter_table_has_errors_and_intervals() -> None:
@@ -190,16 +204,16 @@ def test_nothing_simulated() -> None:
     bare = tuple(
         RecordingComparison(each.recording, each.noise, None, problem="it diverged") for each in fit.recordings
     )
-    assert identification_verdict(replace(fit, recordings=bare)).headline == "No recording could be simulated."
-    assert "not simulated: it diverged" in recording_table(bare).notes
+    assert verdict(replace(fit, recordings=bare)).headline == "No recording could be simulated."
+    assert "not simulated: it diverged" in fits_table(bare).notes
 
 
-def test_comparison_page() -> None:
+def test_report_page() -> None:
     fit = demo_fit()
-    comparison = Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, {}, fit.recordings, ())
-    page = comparison_page(comparison, [])
+    comparison = Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, fit.recordings, ())
+    page = report_page(comparison, [])
     assert_self_contained(page)
-    assert comparison_verdict(comparison).headline.replace("'", "&#39;") in page
+    assert verdict(comparison).headline.replace("'", "&#39;") in page
     assert "<p>Warnings</p>" not in page
 
 

@@ -1,4 +1,4 @@
-"""report.html of a diagnosis: what is missing first, then what supports it."""
+"""Results as pages: report.html with everything, and the short page for terminals and notebooks."""
 
 from __future__ import annotations
 
@@ -8,37 +8,57 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from importlib.metadata import version
-from typing import TYPE_CHECKING
 
+import numpy as np
 from jinja2 import Environment, StrictUndefined, Template
 
+from vjm.diagnosis.records import Diagnosis
+from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
-from vjm.report.diagnosis_text import carried_points, diagnosis_verdict, indistinct
 from vjm.report.figures.style import Picture
 from vjm.report.tables import (
     Table,
     candidate_table,
     cause_table,
-    followed_table,
+    diagnosed_table,
     mode_table,
     parameter_table,
     recording_table,
     remedy_table,
     whiteness_table,
 )
-from vjm.report.text import Verdict, comparison_verdict, identification_verdict, settings
+from vjm.report.text import carried_points, counted, listed, millimetres, number
+from vjm.report.verdict import Verdict, alternative_points, verdict
 
-if TYPE_CHECKING:
-    from vjm.diagnosis.records import Diagnosis
-
-
-_TEMPLATE = "report.html.jinja"
+_TORQUE_METHOD = (
+    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
+    "A shape function fitted to the markers gives the joint angles; the parameters are those that make the equation of "
+    "motion hold best (Yoshikawa, Ohta and Kanaoka, ICRA 2001). Standard errors hold if the model is right: where the "
+    "fit is worse than the noise, the true errors are larger."
+)
+_TRAJECTORY_METHOD = (
+    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper "
+    "(Yoshikawa, Ohta and Kanaoka, ICRA 2001). The parameters are the most likely ones given everything measured: "
+    "every training recording is simulated open loop over its whole length, from an initial state estimated with the "
+    "parameters. The search starts from the torque method's result, where there is one. Standard errors and 95 % "
+    "intervals hold if the model is right; residuals beyond the noise widen them, and may make"
+    " the values wrong by more."
+)
+_DIAGNOSIS_METHOD = (
+    "The model without effects is fitted to all training recordings at once. The error of its few virtual joints is "
+    "measured with a finer chain and corrected, so that it is not taken for an effect. Each candidate is then judged "
+    "by a score test beside it, every other parameter being free; the best ones, alone and in pairs, are fitted "
+    "together with all other parameters. The p-value is for the whole search: the probability that noise alone makes "
+    "any candidate look as necessary. Held-out recordings take no part in any of this. z is the number of standard "
+    "errors by which a candidate's size differs from zero beside the model without effects: where one thing is "
+    "missing, everything that looks like it has a large z too."
+)
 
 
 @dataclass(frozen=True)
 class Section:
-    """Part of a page: a heading, sentences, tables, pictures."""
+    """Part of a page: a heading, sentences, tables, pictures, terms with their descriptions, a paragraph."""
 
     heading: str
     tables: tuple[Table, ...] = ()
@@ -50,66 +70,64 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """All that the template fills in."""
+    """A result as it is shown, whatever shows it."""
 
     title: str
-    kicker: str
+    kind: str
     verdict: Verdict
     warnings: tuple[str, ...]
     sections: tuple[Section, ...]
 
 
-def identification_page(fit: Identification, pictures: Sequence[Picture]) -> str:
-    """The report of an identification, as self-contained HTML."""
-    follow = tuple(each for each in pictures if each.name == "fit" or each.name.startswith("tip"))
-    left = tuple(each for each in pictures if each.name.startswith("residual"))
-    correlated = tuple(each for each in pictures if each.name == "correlations")
-    rest = tuple(each for each in pictures if each not in (*follow, *left, *correlated))
-    missing = remedy_table(fit.parameters)
-    summary = fit.trajectory
-    white = () if summary is None or not summary.whiteness else (whiteness_table(summary.whiteness),)
-    sections = (
-        Section("Parameters", (parameter_table(fit.parameters, fit.nominal.chain), mode_table(fit.modes))),
-        Section("How well the model follows the recordings", (recording_table(fit.recordings),), follow),
-        Section("What the model leaves unexplained", white, left),
-        Section("What the recordings determine", () if missing is None else (missing,), correlated, points=fit.notes),
-        Section("What the model was identified from", (), rest),
-        Section("Settings", terms=tuple(settings(fit)), text=_METHOD if summary is None else _TRAJECTORY_METHOD),
+def summary_page(result: Check | Identification | Comparison | Diagnosis) -> Page:
+    """Return the short page of a result, without pictures."""
+    if isinstance(result, Identification):
+        parameters, modes = parameter_table(result.parameters, result.nominal.chain), mode_table(result.modes)
+        fits = recording_table(result.recordings, "identified", "nominal", "torque method")
+        notes = tuple(note for note in result.notes if note not in result.warnings)
+        return _page(result, Section("", (parameters, modes, fits)), Section("Notes", points=notes))
+    if isinstance(result, Comparison):
+        table = recording_table(result.recordings, "given", "nominal")
+        return _page(result, Section("", (table,)), Section("", points=carried_points(result.model)))
+    if isinstance(result, Check):
+        return _page(result)
+    tables = (candidate_table(result, 6), diagnosed_table(result))
+    return _page(
+        result,
+        Section("Symptoms of the model without effects", points=_symptoms(result, 4)),
+        Section("", (cause_table(result), *tables) if result.causes else tables),
+        Section("", points=carried_points(result.model)),
     )
-    name = fit.experiment.rig.name
-    return render(Page(name, "identification", identification_verdict(fit), fit.warnings, sections))
 
 
-def comparison_page(comparison: Comparison, pictures: Sequence[Picture]) -> str:
-    """The report of a simulation, as self-contained HTML."""
-    table = recording_table(comparison.recordings, "given")
-    sections = (
-        Section("How well the model follows the recordings", (table,), tuple(pictures)),
-        Section("Effects in the model", points=carried_points(comparison.model.effects, comparison.model)),
-    )
-    name = comparison.experiment.rig.name
-    return render(Page(name, "simulation", comparison_verdict(comparison), comparison.warnings, sections))
+def report_page(result: Identification | Comparison | Diagnosis, pictures: Sequence[Picture]) -> str:
+    """Return report.html: self-contained, with pictures.
+
+    Args:
+        result: of an identification, of a comparison or of a diagnosis.
+        pictures: its figures.
+    """
+    if isinstance(result, Identification):
+        sections = _identification_sections(result, pictures)
+    elif isinstance(result, Diagnosis):
+        sections = _diagnosis_sections(result, pictures)
+    else:
+        table = recording_table(result.recordings, "given", "nominal")
+        points = carried_points(result.model)
+        sections = [Section("Fit per recording", (table,), tuple(pictures)), Section("Effects", points=points)]
+    return _template().render(page=_page(result, *sections), vjm=version("vjm"), embedded=_embedded)
 
 
-_METHOD = (
-    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
-    "A shape function fitted to the markers gives the joint angles; the parameters are those that make the equation of "
-    "motion hold best (Yoshikawa, Ohta and Kanaoka, ICRA 2001). Standard errors hold if the model is right: where the "
-    "fit is worse than the noise, the true errors are larger."
-)
-_TRAJECTORY_METHOD = (
-    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper "
-    "(Yoshikawa, Ohta and Kanaoka, ICRA 2001). The parameters are the most likely ones given everything measured: "
-    "every training recording is simulated open loop over its whole length, from an initial state estimated with the "
-    "parameters. The search starts from what the torque method finds, where there is something for it to find. "
-    "Standard errors and 95 % intervals hold if the model is right; what it leaves unexplained widens them, and can "
-    "make the values wrong by more."
-)
+def notebook_html(result: Check | Identification | Comparison | Diagnosis) -> str:
+    """Return the short page of a result as an HTML fragment for notebooks."""
+    template = _template()
+    context = template.new_context({"page": summary_page(result), "vjm": version("vjm"), "embedded": _embedded})
+    return "".join(template.blocks["page"](context))
 
 
-def render(page: Page) -> str:
-    """The page as self-contained HTML."""
-    return _template().render(page=page, vjm=version("vjm"), embedded=_embedded)
+def _page(result: Check | Identification | Comparison | Diagnosis, *sections: Section) -> Page:
+    kinds = {Identification: "identification", Comparison: "simulation", Diagnosis: "diagnosis", Check: "check"}
+    return Page(result.experiment.rig.name, kinds[type(result)], verdict(result), result.warnings, sections)
 
 
 def _embedded(picture: Picture) -> str:
@@ -119,52 +137,82 @@ def _embedded(picture: Picture) -> str:
 @cache
 def _template() -> Template:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string(resources.files("vjm.report").joinpath(_TEMPLATE).read_text(encoding="utf-8"))
+    text = resources.files("vjm.report").joinpath("report.html.jinja").read_text(encoding="utf-8")
+    return environment.from_string(text)
 
 
-_MOST_SYMPTOMS = 8
-_METHOD_DIAGNOSIS_PAGE = (
-    "The model without effects is fitted to all training recordings at once. What a finer chain would show beyond it "
-    "is measured and added, so that few joints are not taken for an effect. Each candidate is then judged by a score "
-    "test beside it, every other parameter being free; the best ones, alone and in pairs, are fitted together with all "
-    "other parameters. The p-value is for the whole search: that noise alone makes any candidate look as needed. "
-    "Held-out recordings take no part in any of this. z is how many standard errors a candidate's size is off zero "
-    "beside the model without any: where one thing is missing, everything that looks like it has a large z too."
-)
-_NOTHING_WRONG = "The model without effects follows every recording to within what noise explains."
+def _named(pictures: Sequence[Picture], *beginnings: str) -> tuple[Picture, ...]:
+    return tuple(picture for picture in pictures if picture.name.startswith(beginnings))
 
 
-def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture]) -> str:
-    """The report of a diagnosis, as self-contained HTML."""
-    wrong = tuple(each for each in pictures if each.name.startswith("symptom"))
-    causes = tuple(each for each in pictures if each.name.startswith("cause"))
-    gained = tuple(each for each in pictures if each not in (*wrong, *causes))
-    rig = diagnosis.experiment.rig
-    found = () if not diagnosis.causes else (cause_table(diagnosis),)
-    parameters = (parameter_table(diagnosis.parameters, diagnosis.base.chain, "without the causes"),)
-    sections = (
-        Section("What is wrong, before any cause is named", pictures=wrong, points=_symptoms(diagnosis)),
-        Section("The evidence", found, causes),
-        Section("What cannot be told apart", points=tuple(indistinct(diagnosis))),
-        Section("What is gained" if causes else "How well the model follows", (followed_table(diagnosis),), gained),
-        Section("What was looked for", (candidate_table(diagnosis),)),
-        Section(
-            "The extended model" if diagnosis.causes else "The model",
-            parameters,
-            points=carried_points(diagnosis.model.effects, diagnosis.model),
-        ),
-        Section("How it was judged", terms=_terms(diagnosis), text=_METHOD_DIAGNOSIS_PAGE),
-    )
-    return render(Page(rig.name, "diagnosis", diagnosis_verdict(diagnosis), diagnosis.warnings, sections))
+def _identification_sections(fit: Identification, pictures: Sequence[Picture]) -> list[Section]:
+    missing, summary = remedy_table(fit.parameters), fit.trajectory
+    white = () if summary is None or not summary.whiteness else (whiteness_table(summary.whiteness),)
+    names = ("fit", "tip"), ("residual",), ("correlations",)
+    simulated, residuals, correlated = (_named(pictures, *beginnings) for beginnings in names)
+    data = tuple(picture for picture in pictures if picture not in (*simulated, *residuals, *correlated))
+    fits = recording_table(fit.recordings, "identified", "nominal", "torque method")
+    return [
+        Section("Parameters", (parameter_table(fit.parameters, fit.nominal.chain), mode_table(fit.modes))),
+        Section("Fit per recording", (fits,), simulated),
+        Section("Residuals", white, residuals),
+        Section("Identifiability", () if missing is None else (missing,), correlated, points=fit.notes),
+        Section("Data", (), data),
+        Section("Settings", terms=tuple(_settings(fit)), text=_TRAJECTORY_METHOD if summary else _TORQUE_METHOD),
+    ]
 
 
-def _symptoms(diagnosis: Diagnosis) -> tuple[str, ...]:
-    if diagnosis.symptoms is None:
-        return ()
-    found = tuple(each.sentence for each in diagnosis.symptoms.headlines(_MOST_SYMPTOMS))
-    return found or (_NOTHING_WRONG,)
-
-
-def _terms(diagnosis: Diagnosis) -> tuple[tuple[str, str], ...]:
+def _diagnosis_sections(diagnosis: Diagnosis, pictures: Sequence[Picture]) -> list[Section]:
+    wrong, evidence = _named(pictures, "symptom"), _named(pictures, "cause")
+    gained = tuple(picture for picture in pictures if picture not in (*wrong, *evidence))
     noise = (("Noise", diagnosis.noise),) if diagnosis.noise else ()
-    return (*noise, *(("Note", note) for note in diagnosis.notes))
+    nothing_wrong = ("The model without effects follows every recording to within the noise.",)
+    symptoms = _symptoms(diagnosis, 8) or (nothing_wrong if diagnosis.symptoms else ())
+    parameters = parameter_table(diagnosis.parameters, diagnosis.base.chain, "without the causes")
+    return [
+        Section("Symptoms of the model without effects", pictures=wrong, points=symptoms),
+        Section("Causes", (cause_table(diagnosis),) if diagnosis.causes else (), evidence),
+        Section("Causes that cannot be distinguished", points=tuple(alternative_points(diagnosis))),
+        Section("Gain" if diagnosis.causes else "Fit per recording", (diagnosed_table(diagnosis),), gained),
+        Section("Candidates", (candidate_table(diagnosis),)),
+        Section("Model", (parameters,), points=carried_points(diagnosis.model)),
+        Section("Method", terms=(*noise, *(("Note", note) for note in diagnosis.notes)), text=_DIAGNOSIS_METHOD),
+    ]
+
+
+def _symptoms(diagnosis: Diagnosis, most: int) -> tuple[str, ...]:
+    symptoms = diagnosis.symptoms
+    return () if symptoms is None else tuple(symptom.sentence for symptom in symptoms.headlines(most))
+
+
+def _settings(fit: Identification) -> list[tuple[str, str]]:
+    """Return how the identification was made: term and description."""
+    model, rig, summary = fit.model, fit.experiment.rig, fit.trajectory
+    origin = {True: "estimated from the recordings", False: "from the experiment file"}
+    rows = [
+        ("Method", f"{fit.method}, parameters {fit.parametrisation}; {fit.status}"),
+        ("Virtual joints", listed([f"{link.name}: {link.virtual_joints}" for link in model.chain.links])),
+        ("Marker noise", f"{millimetres(model.marker_noise)} ({origin[rig.marker_noise is None]})"),
+    ]
+    if rig.active_links:
+        encoder = f"{number(1e3 * model.encoder_noise, 2)} mrad ({origin[rig.encoder_noise is None]})"
+        rows.append(("Encoder noise", encoder))
+    if summary is not None:
+        mean, searched = number(summary.chi2_per_sample, 4), counted(summary.fit.iterations, "simulation")
+        text = f"mean square residual {mean} times the noise's, over {summary.fit.point.count} measured values"
+        rows.append(("Trajectories", f"{text}; {searched} of all recordings in the last search"))
+    if fit.objective is not None:
+        before, after = number(fit.objective_nominal, 4), number(fit.objective, 4)
+        rows.append(("J, eq. (15)", f"nominal model {before}, identified {after}"))
+    for k, link in enumerate(rig.links):
+        shapes = [data.angles.shapes[k] for data in fit.torque_data[:1]]
+        rows += [(f"Shape functions, {link.name}", f"{shape.family}, order {shape.order}") for shape in shapes]
+    for data in fit.torque_data:
+        smoothing = data.derivatives.smoothing
+        how = "interpolated" if smoothing is None else f"smoothing spline, penalty 10^{smoothing:.1f}"
+        text = f"{data.angles.time.size} frames, {data.angles.unsolved} without a solution; {how}"
+        noise = data.derivatives.noise(np.sqrt(np.diag(data.angles.covariance))).max(axis=1)
+        values = f"{number(1e3 * noise[0], 2)} mrad, {number(noise[1], 2)} rad/s, {number(noise[2], 2)} rad/s²"
+        rows.append((f"Used from {data.recording.file}", text))
+        rows.append((f"Noise in {data.recording.file}", f"angle, rate and acceleration of the worst joint: {values}"))
+    return rows

@@ -14,7 +14,7 @@ from vjm.report.figures import symptoms as symptom_figures
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.pictures import identification_pictures, replay_pictures
 from vjm.report.model_json import model_text
-from vjm.report.page import comparison_page, diagnosis_page, identification_page
+from vjm.report.page import report_page
 from vjm.report.result_json import result_object
 from vjm.simulation.model import extended_urdf
 
@@ -38,16 +38,13 @@ def save(result: Identification | Comparison | Diagnosis, directory: Path | str)
     folder = check_folder(directory)
     if isinstance(result, Identification):
         pictures = identification_pictures(result)
-        page = identification_page(result, pictures)
     elif isinstance(result, Comparison):
         pictures = replay_pictures(result.recordings, result.model, result.nominal)
-        page = comparison_page(result, pictures)
     else:
         pictures = diagnosis_pictures(result)
-        page = diagnosis_page(result, pictures)
     covariance = None if isinstance(result, Diagnosis) else result.covariance
     texts = {
-        REPORT: page,
+        REPORT: report_page(result, pictures),
         "model.urdf": extended_urdf(result.model.chain, result.model.effects),
         "model.json": model_text(result.model, covariance),
         "result.json": json_text(result_object(result)),  # last: it describes the others

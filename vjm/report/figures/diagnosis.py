@@ -17,7 +17,6 @@ from vjm.diagnosis.records import most_improved
 from vjm.effects.effect import Abscissa, Effect
 from vjm.errors import InsufficientDataError
 from vjm.records import REFERENCE, Array, Recording, SimulatedRecording
-from vjm.report.diagnosis_text import capital, clause, named, place
 from vjm.report.figures.motion import drawn, label, simulated
 from vjm.report.figures.residuals import spectrum
 from vjm.report.figures.style import (
@@ -43,7 +42,7 @@ from vjm.report.figures.windows import (
     liveliest_window,
     tip_signal,
 )
-from vjm.report.text import millimetres, short
+from vjm.report.text import capital, clause, millimetres, named, place, short
 from vjm.simulation.model import Model
 from vjm.symptoms.joints import profiles
 from vjm.symptoms.profiles import Profile, joined
