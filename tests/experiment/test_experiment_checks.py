@@ -13,18 +13,17 @@ from experiment_files import DRIVEN, FREE, ROWS, TOML, csv_text, rows, write_exp
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, Recording, load_experiment
 from vjm.experiment.checks import (
-    absence_warnings,
+    _absence_warnings,
+    _clipping_warnings,
+    _coverage_warnings,
+    _difference_noise,
+    _distance_warnings,
+    _gap_warnings,
+    _moves,
+    _torque_difference,
+    _unit_warnings,
     camera_rate,
     clipped_runs,
-    clipping_warnings,
-    coverage_warnings,
-    difference_noise,
-    distance_warnings,
-    gap_warnings,
-    idle_torque_warnings,
-    moves,
-    torque_difference,
-    units_warnings,
 )
 
 NOISE = 3e-4
@@ -53,31 +52,31 @@ def load_changed(
 
 def test_gaps() -> None:
     times = np.delete(0.01 * np.arange(100), np.r_[20:25, 60])
-    assert gap_warnings(0.01 * np.arange(100)) == []
-    assert gap_warnings(np.delete(0.01 * np.arange(100), 60)) == []
-    (sentence,) = gap_warnings(times)
+    assert _gap_warnings(0.01 * np.arange(100)) == []
+    assert _gap_warnings(np.delete(0.01 * np.arange(100), 60)) == []
+    (sentence,) = _gap_warnings(times)
     assert "1 gap without any marker" in sentence
     assert "0.06 s from t = 0.19 s" in sentence
     assert "every 0.01 s" in sentence
-    assert gap_warnings(np.array([0.0, 5.0])) == []
+    assert _gap_warnings(np.array([0.0, 5.0])) == []
 
 
 def test_units() -> None:
-    assert units_warnings(beam(), 1.0) == []
-    (sentence,) = units_warnings(1000.0 * beam(), 1.0)
+    assert _unit_warnings(beam(), 1.0) == []
+    (sentence,) = _unit_warnings(1000.0 * beam(), 1.0)
     assert "millimetres" in sentence
-    assert units_warnings(np.full((3, 2, 2), np.nan), 1.0) == []
+    assert _unit_warnings(np.full((3, 2, 2), np.nan), 1.0) == []
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_straight_beam_is_consistent(seed: int) -> None:
-    assert distance_warnings(TIME, beam(seed), ARCS, NAMES, NOISE) == []
+    assert _distance_warnings(TIME, beam(seed), ARCS, NAMES, NOISE) == []
 
 
 def test_markers_too_far_apart() -> None:
     markers = beam()
     markers[[50, 51, 60], 4] *= 1.02
-    (sentence,) = distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
+    (sentence,) = _distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
     assert sentence.startswith("in 3 frames (first at t = 0.5 s)")
     assert "by up to 0.02" in sentence
     assert "beam.m5" in sentence
@@ -87,7 +86,7 @@ def test_markers_too_far_apart() -> None:
 def test_a_bent_beam_is_consistent() -> None:
     markers = beam()
     markers[:, 1:] -= 0.3 * (markers[:, 1:] - markers[:, [0]])
-    assert distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    assert _distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 2), (0, 4), (2, 4)])
@@ -99,7 +98,7 @@ def test_swapped_labels(first: int, second: int) -> None:
     else:
         arcs, names = ARCS, NAMES
     markers[100:150, [first, second]] = markers[100:150, [second, first]]
-    (sentence,) = distance_warnings(TIME, markers, arcs, names, NOISE)
+    (sentence,) = _distance_warnings(TIME, markers, arcs, names, NOISE)
     assert "in 50 frames (first at t = 1 s)" in sentence
     assert f"labels may be swapped: exchanging {names[first]} and {names[second]}" in sentence
     assert "50 of the 50" in sentence
@@ -109,24 +108,24 @@ def test_distances_with_occluded_markers_and_lone_y() -> None:
     markers = beam()
     markers[::2, 1] = np.nan
     markers[:, 3] = np.nan
-    assert distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    assert _distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
     markers[..., 0] = np.nan
-    assert distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    assert _distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
     markers[7, 2, 1] += 5.0
-    (sentence,) = distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
+    (sentence,) = _distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
     assert "in 1 frame (first at t = 0.07 s)" in sentence
 
 
 def test_clipping() -> None:
     y = 0.1 * np.sin(3.0 * TIME)
-    assert clipping_warnings(TIME, y[:, None], ["beam.m1.y"]) == []
-    (sentence,) = clipping_warnings(TIME, np.minimum(y, 0.08)[:, None], ["beam.m1.y"])
+    assert _clipping_warnings(TIME, y[:, None], ["beam.m1.y"]) == []
+    (sentence,) = _clipping_warnings(TIME, np.minimum(y, 0.08)[:, None], ["beam.m1.y"])
     assert "beam.m1.y stays at exactly its largest value, 0.08 m" in sentence
-    (sentence,) = clipping_warnings(TIME, np.maximum(y, -0.08)[:, None], ["beam.m1.y"])
+    (sentence,) = _clipping_warnings(TIME, np.maximum(y, -0.08)[:, None], ["beam.m1.y"])
     assert "smallest value, -0.08 m" in sentence
     gappy = np.minimum(y, 0.08)
     gappy[::2] = np.nan
-    assert len(clipping_warnings(TIME, gappy[:, None], ["beam.m1.y"])) == 1
+    assert len(_clipping_warnings(TIME, gappy[:, None], ["beam.m1.y"])) == 1
 
 
 def test_what_only_resembles_clipping() -> None:
@@ -139,39 +138,37 @@ def test_what_only_resembles_clipping() -> None:
 
 def test_noise_and_motion() -> None:
     noise = np.random.default_rng(0).normal(0.0, NOISE, 2000)
-    assert difference_noise(noise) == pytest.approx(NOISE, rel=0.1)
-    assert difference_noise(noise[:1]) == 0.0
+    assert _difference_noise(noise) == pytest.approx(NOISE, rel=0.1)
+    assert _difference_noise(noise[:1]) == 0.0
     for given in (NOISE, None):
-        assert not moves(noise, given, 1e-3)
-        assert moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given, 1e-3)
-    assert not moves(np.full(50, 0.1 + 0.2), None, 1e-3)
-    assert not moves(np.full(97, 0.1), None, 1e-3)
-    assert not moves(np.full(50, np.nan), None, 1e-3)
+        assert not _moves(noise, given, 1e-3)
+        assert _moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given, 1e-3)
+    assert not _moves(np.full(50, 0.1 + 0.2), None, 1e-3)
+    assert not _moves(np.full(97, 0.1), None, 1e-3)
+    assert not _moves(np.full(50, np.nan), None, 1e-3)
     fast = 0.05 * np.sin(2.0 * np.pi * 31.0 * TIME)  # near half the sampling rate, differences are no longer noise
-    assert moves(fast, None, 1e-3)
+    assert _moves(fast, None, 1e-3)
 
 
 def test_absence() -> None:
     markers = beam(count=20)
     needs_x = np.ones(5, dtype=bool)
-    assert absence_warnings(markers, NAMES, needs_x) == []
+    assert _absence_warnings(markers, NAMES, needs_x) == []
     markers[:, 2] = np.nan
     markers[4, 1, 0] = np.nan
-    first, second = absence_warnings(markers, NAMES, needs_x)
+    first, second = _absence_warnings(markers, NAMES, needs_x)
     assert first == "no position of beam.m3 in this recording"
     assert second.startswith("in 1 frame a marker has one coordinate")
-    assert absence_warnings(markers[:, 1:2], NAMES[1:2], ~needs_x[:1]) == []
+    assert _absence_warnings(markers[:, 1:2], NAMES[1:2], ~needs_x[:1]) == []
 
 
-def test_coverage_and_idle_torque() -> None:
+def test_coverage() -> None:
     frames = 0.01 * np.arange(100)
-    assert coverage_warnings("beam.tau", frames[1:-1], frames) == []
-    (sentence,) = coverage_warnings("beam.tau", frames[:50], frames)
+    assert _coverage_warnings("beam.tau", frames[1:-1], frames) == []
+    (sentence,) = _coverage_warnings("beam.tau", frames[:50], frames)
     assert "beam.tau is measured from t = 0 to 0.49 s only" in sentence
-    assert len(coverage_warnings("beam.tau", frames[5:], frames)) == 1
-    assert coverage_warnings("beam.tau", frames[:0], frames) == []
-    assert len(idle_torque_warnings(np.zeros((5, 2)))) == 1
-    assert idle_torque_warnings(np.array([[0.0, 0.1]])) == []
+    assert len(_coverage_warnings("beam.tau", frames[5:], frames)) == 1
+    assert _coverage_warnings("beam.tau", frames[:0], frames) == []
 
 
 def recording(time: np.ndarray, tau: np.ndarray) -> Recording:
@@ -182,11 +179,11 @@ def recording(time: np.ndarray, tau: np.ndarray) -> Recording:
 def test_torque_difference() -> None:
     torque = np.sin(TIME)[:, None]
     first = recording(TIME, torque)
-    assert torque_difference(first, first) == 0.0
-    assert torque_difference(first, recording(TIME + 1.0, torque)) == pytest.approx(0.0, abs=1e-9)
-    assert torque_difference(first, recording(TIME[:300], 1.2 * torque[:300])) == pytest.approx(0.2)
-    assert torque_difference(recording(TIME, 0.0 * torque), first) == np.inf
-    assert torque_difference(first, recording(TIME, np.full_like(torque, np.nan))) == 0.0
+    assert _torque_difference(first, first) == 0.0
+    assert _torque_difference(first, recording(TIME + 1.0, torque)) == pytest.approx(0.0, abs=1e-9)
+    assert _torque_difference(first, recording(TIME[:300], 1.2 * torque[:300])) == pytest.approx(0.2)
+    assert _torque_difference(recording(TIME, 0.0 * torque), first) == np.inf
+    assert _torque_difference(first, recording(TIME, np.full_like(torque, np.nan))) == 0.0
 
 
 def test_camera_rate(tmp_path: Path) -> None:

@@ -43,6 +43,13 @@ def table_model(record: type, keys: tuple[str, ...] = (), required: tuple[str, .
     return create_model(record.__name__, __config__=STRICT, **fields)
 
 
+@cache
+def _defaults(record: type) -> dict[str, Any]:
+    """Return the defaults of a record's annotated fields."""
+    checked = table_model(record).model_fields
+    return {field.name: field.default for field in dataclasses.fields(record) if field.name in checked}
+
+
 def check_fields(record: Any, name: object) -> None:
     """Check a record's annotated fields and put the plain Python values in their place.
 
@@ -54,9 +61,8 @@ def check_fields(record: Any, name: object) -> None:
         ExperimentError: a field has the wrong type or value.
     """
     kind: type = type(record)
-    model = table_model(kind)
-    defaults = {field.name: field.default for field in dataclasses.fields(record)}
-    given = {key: _plain(value) for key in model.model_fields if (value := getattr(record, key)) is not defaults[key]}
+    model, defaults = table_model(kind), _defaults(kind)
+    given = {key: _plain(value) for key, default in defaults.items() if (value := getattr(record, key)) is not default}
     try:
         valid = model.model_validate(given)
     except ValidationError as error:
