@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.noise import Noise, whitened
+from vjm.diagnosis.noise import Noise
 from vjm.effects import Effect
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem
@@ -80,7 +80,7 @@ def point_of(
     """An arm at rest at the start of recordings, beside them."""
     parametrisation = Parametrisation(chain, "uniform", (0,))
     colour = Noise(noise[0], np.array([correlation] if correlation else []), "")
-    observed = tuple(whitened(Observed.of(RIG, each, noise), colour) for each in recordings)
+    observed = tuple(colour.whitened(Observed.of(RIG, each, noise)) for each in recordings)
     problem = TrajectoryProblem(parametrisation, observed)
     arm = Arm.of(chain, effects)
     starts = [Start.of(arm, each) for each in recordings]

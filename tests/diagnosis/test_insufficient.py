@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vjm
-from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
+from vjm.errors import ChoiceError, RecordingError, ShapeError
 from vjm.records import Experiment, Recording
 
 DEMO = Path(vjm.__file__).parent / "demo" / "later.toml"
@@ -59,7 +59,7 @@ def test_what_was_never_seen_is_an_error() -> None:
     def blind(recordings: Sequence[Recording]) -> list[Recording]:
         return [replace(each, markers=np.full_like(each.markers, np.nan)) for each in recordings]
 
-    with pytest.raises(InsufficientDataError):
+    with pytest.raises(RecordingError):
         vjm.diagnose(changed(blind), effects=FEW)
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
-from vjm.diagnosis.noise import Noise, _autoregression, _correlation, camera_noise, whitened
+from vjm.diagnosis.noise import Noise, _autoregression, _correlation
 from vjm.effects import InPlaneGravity
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
@@ -59,7 +59,7 @@ def test_white_noise_has_no_colour() -> None:
 @pytest.mark.parametrize(("coefficients", "dropped"), [([0.8], 0.0), ([0.8], 0.3), ([1.2, -0.5], 0.1)])
 def test_whitened_noise_is_white_and_of_unit_size(seed: int, coefficients: list[float], dropped: float) -> None:
     observed = coloured(seed, 3000, coefficients, dropped)
-    whitening = whitened(observed, Noise(1e-3, np.array(coefficients), ""))
+    whitening = Noise(1e-3, np.array(coefficients), "").whitened(observed)
     values = whitening.whitened(whitening.weights * whitening.values).reshape(-1, 4)
     assert np.std(values) == pytest.approx(1.0, abs=0.03)
     for lag in (1, 2, 5):
@@ -70,7 +70,7 @@ def test_whitened_noise_is_white_and_of_unit_size(seed: int, coefficients: list[
 
 
 def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:
-    integer = whitened(coloured(4, 500, [0.8], 0.1), Noise(1e-3, np.array([0.8]), ""))
+    integer = Noise(1e-3, np.array([0.8]), "").whitened(coloured(4, 500, [0.8], 0.1))
     part = integer.until(2.0)
     values = integer.whitened(integer.values).reshape(-1, 4)[: part.values.size // 4]
     np.testing.assert_allclose(part.whitened(part.values).reshape(-1, 4), values, rtol=1e-12)
@@ -82,7 +82,7 @@ def test_without_an_encoder_the_markers_alone_say_where_the_arm_is() -> None:
     runs = [
         replace(run, observed=replace(run.observed, recording=each)) for run, each in zip(wrong, blind, strict=True)
     ]
-    assert camera_noise(runs).size == pytest.approx(NOISE[0], rel=0.1)
+    assert Noise.of(runs).size == pytest.approx(NOISE[0], rel=0.1)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])
@@ -91,7 +91,7 @@ def test_noise_is_known_where_the_model_is_all_wrong(correlation: float) -> None
     recordings = recorded(Arm(chain_of()), 1, correlation=correlation)
     wrong = point_of(chain_of(), (InPlaneGravity(gx=1.5, gy=-1.0),), recordings)
     assert wrong.misfit > 100
-    noise = camera_noise(wrong.runs)
+    noise = Noise.of(wrong.runs)
     assert noise.size == pytest.approx(NOISE[0], rel=0.1)
     assert noise.colour.size == (correlation > 0)
     assert noise.colour == pytest.approx([correlation] * noise.colour.size, abs=0.1)
@@ -102,4 +102,4 @@ def test_noise_is_known_where_a_simulation_has_coiled_the_arm_up() -> None:
     wrong = point_of(chain_of(), (), recorded(Arm(chain_of()), 1)).runs
     coil = np.array([0.0, 2.5, -2.0, 2.5])
     runs = [replace(run, steps=replace(run.steps, q=run.steps.q + coil[: run.chain.size])) for run in wrong]
-    assert camera_noise(runs).size == pytest.approx(NOISE[0], rel=0.1)
+    assert Noise.of(runs).size == pytest.approx(NOISE[0], rel=0.1)

@@ -11,8 +11,8 @@ from scipy import stats
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidates import FamilyTest, build_candidates
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.candidates import CandidateSet, FamilyTest
+from vjm.diagnosis.screen import Screen
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -108,7 +108,7 @@ def test_what_an_effect_explains_is_what_whole_simulations_say(effect: Effect) -
     chain, variant = chain_of(2), bound(effect)
     planted = Arm.of(chain, (sized(variant, 1.0),))
     point = point_of(chain, (), recorded(planted, 1, duration=1.0, noise=FINE), FINE)
-    seen = screen(point, (), [variant])
+    seen = Screen.of(point, (), [variant])
     still = [np.zeros(2 * chain.size)] * len(point.runs)
     residual = residuals(Arm(chain), point, still)
     only_first = sized(variant, 0.0).coordinates
@@ -129,7 +129,7 @@ def test_the_size_of_what_is_there_is_guessed(effect: Effect) -> None:
     chain, variant = chain_of(), bound(effect)
     size = 0.1
     point = point_of(chain, (), recorded(Arm.of(chain, (sized(variant, size),)), 2, noise=FINE), FINE)
-    seen = screen(point, (), [variant])
+    seen = Screen.of(point, (), [variant])
     assert (np.abs(seen.guess([0]) - size) < 4 * seen.std(0) + 0.15 * size).all()
 
 
@@ -138,7 +138,7 @@ def test_the_size_of_dry_friction_is_guessed() -> None:
     chain, variants = chain_of(), [bound(each) for each in (CoulombFriction(), ViscousFriction(), JointSpring())]
     for seed, size in ((4, 0.1), (5, 0.5)):
         point = point_of(chain, (), recorded(Arm.of(chain, (sized(variants[0], size),)), seed, noise=FINE), FINE)
-        seen = screen(point, (), variants)
+        seen = Screen.of(point, (), variants)
         assert np.argmax(seen.statistics) == 0
         assert seen.guess([0]) == pytest.approx(size, rel=0.3)
 
@@ -150,7 +150,7 @@ def noise_alone(correlation: float, assumed: float) -> list[float]:
     found = []
     for seed in range(30):
         recordings = recorded(Arm(chain), seed, duration=1.0, correlation=correlation)
-        found.append(screen(point_of(chain, (), recordings, correlation=assumed), (), variants).statistics)
+        found.append(Screen.of(point_of(chain, (), recordings, correlation=assumed), (), variants).statistics)
     columns = zip(np.array(found).T, (1, 1, 1, 2), strict=True)
     return [float(stats.kstest(column, stats.chi2(freedom).cdf).pvalue) for column, freedom in columns]
 
@@ -181,19 +181,19 @@ def test_an_effect_whose_slope_has_no_end_says_nothing() -> None:
     spring, wild = bound(JointSpring()), bound(Wild())
     point = point_of(chain, (), recorded(Arm.of(chain, (sized(spring, 0.1),)), 6))
     with np.errstate(all="ignore"):
-        seen = screen(point, (), [wild, spring])
+        seen = Screen.of(point, (), [wild, spring])
     assert seen.absorbed.tolist() == [True, False]
     assert seen.statistics[0] == 0
-    alone = screen(point, (), [spring])
+    alone = Screen.of(point, (), [spring])
     assert seen.statistics[1] == pytest.approx(alone.statistics[0], rel=1e-6)
 
 
 def test_the_family_is_as_large_as_its_candidates_differ() -> None:
     chain = chain_of()
     point = point_of(chain, (), recorded(Arm(chain), 3))
-    one = screen(point, (), [bound(TimeOffset())])
-    twins = screen(point, (), [bound(CameraRotation()), bound(EncoderOffset())])
-    several = screen(point, (), [bound(each) for each in EFFECTS])
+    one = Screen.of(point, (), [bound(TimeOffset())])
+    twins = Screen.of(point, (), [bound(CameraRotation()), bound(EncoderOffset())])
+    several = Screen.of(point, (), [bound(each) for each in EFFECTS])
     looks = [FamilyTest.of(seen, np.ones(len(seen.effects)), 0.01, 0).tests for seen in (one, twins, several)]
     assert looks[0] == pytest.approx(1.0, abs=0.5)
     assert looks[1] < 1.8
@@ -204,7 +204,7 @@ def test_what_other_parameters_do_as_well_is_absorbed() -> None:
     """With the hub locked in one pose, and no encoder to say so, an encoder's offset is nothing."""
     chain = chain_of()
     blind = [replace(each, theta=np.full_like(each.theta, np.nan)) for each in recorded(Arm(chain), 4)]
-    seen = screen(point_of(chain, (), blind), (), [bound(EncoderOffset()), bound(TimeOffset())])
+    seen = Screen.of(point_of(chain, (), blind), (), [bound(EncoderOffset()), bound(TimeOffset())])
     assert seen.absorbed.tolist() == [True, False]
     assert seen.statistics[0] == 0
 
@@ -212,7 +212,7 @@ def test_what_other_parameters_do_as_well_is_absorbed() -> None:
 def test_reference_recordings_say_nothing_of_an_effect() -> None:
     chain = chain_of()
     point = point_of(chain, (), recorded(Arm(chain), 5, condition="reference"))
-    assert screen(point, (), [bound(TipPayload())]).unprojected[0] == 0
+    assert Screen.of(point, (), [bound(TipPayload())]).unprojected[0] == 0
 
 
 @pytest.mark.parametrize("noise", [(3e-6, 1e-2), (1e-1, 1e-6)], ids=["markers", "encoder"])
@@ -220,7 +220,7 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     chain = chain_of()
     tone = replace(sized(bound(ExternalTone()), 1.0), frequency=9.3)
     point = point_of(chain, (), recorded(Arm.of(chain, (tone,)), 7, noise=noise), noise)
-    candidate_set = build_candidates([ExternalTone()], RIG, point)
+    candidate_set = CandidateSet.of([ExternalTone()], RIG, point)
     frequencies = [effect.values["frequency"] for effect in candidate_set.variants]
     assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25
     # A force that takes longer than the recordings is another cause, and no search may end there.
@@ -231,7 +231,7 @@ def test_beside_a_fit_without_a_hub_a_gear_is_no_candidate() -> None:
     """A wrong model's hub may shrink to nothing; a joint before it moves nothing then, and no search may end there."""
     chain = chain_of()
     light = replace(chain, links=(replace(chain.links[0], hub_inertia=0.0),))
-    seen = screen(point_of(light, (), recorded(Arm(chain), 3)), (), [bound(GearElasticity()), bound(JointSpring())])
+    seen = Screen.of(point_of(light, (), recorded(Arm(chain), 3)), (), [bound(GearElasticity()), bound(JointSpring())])
     assert seen.absorbed.tolist() == [True, False]
     assert seen.statistics[0] == 0.0
 
@@ -240,7 +240,7 @@ def test_beside_a_fit_without_a_hub_a_gear_is_no_candidate() -> None:
 def test_a_fit_is_judged_as_a_screen_is(seed: int) -> None:
     """By the fall of chi^2, whose limit the score statistic is; more freedom and more looks make it less certain."""
     chain, variants = chain_of(), [bound(TorqueGain()), bound(JointSpring())]
-    seen = screen(point_of(chain, (), recorded(Arm(chain), seed)), (), variants)
+    seen = Screen.of(point_of(chain, (), recorded(Arm(chain), seed)), (), variants)
     family = FamilyTest.of(seen, np.ones(2), 0.01, 0)
     gain = variants[0]
     assert family.p_of_fit(gain, float(seen.statistics[0])) == pytest.approx(family.p_values[0])
@@ -248,6 +248,6 @@ def test_a_fit_is_judged_as_a_screen_is(seed: int) -> None:
     often = replace(family, multiplicity=np.array([50.0, 1.0]))
     assert often.p_of_fit(gain, 20.0) == pytest.approx(50 * family.p_of_fit(gain, 20.0), rel=0.01)
     freer = FamilyTest.of(
-        screen(point_of(chain, (), recorded(Arm(chain), seed)), (), [bound(InPlaneGravity())]), np.ones(1), 0.01, 0
+        Screen.of(point_of(chain, (), recorded(Arm(chain), seed)), (), [bound(InPlaneGravity())]), np.ones(1), 0.01, 0
     )
     assert freer.p_of_fit(bound(InPlaneGravity()), 20.0) > stats.chi2.sf(20.0, 1) * freer.tests

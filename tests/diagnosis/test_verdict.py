@@ -13,13 +13,12 @@ from vjm.diagnosis.records import (
     Alternative,
     Cause,
     Findings,
-    Misfits,
     Proposal,
     RepeatComparison,
     ResidualBand,
     ResidualTest,
 )
-from vjm.diagnosis.verdict import block_length, conclude, estimate_gain, is_unexplained, why_insufficient
+from vjm.diagnosis.verdict import _block_length, conclude, estimate_gain, is_unexplained, why_insufficient
 from vjm.effects import CameraRotation, CubicStiffness, EncoderOffset, TipPayload
 from vjm.records import (
     Array,
@@ -81,19 +80,22 @@ def findings(**changes: Any) -> Findings:
     found = Findings(
         experiment=experiment,
         causes=(cause(),),
-        needed=(),
-        next_best=(),
+        candidates=(),
         model=StandIn(),  # type: ignore[arg-type]
         base=StandIn(),  # type: ignore[arg-type]
         recordings=(compared(recording(), 3e-3, 3e-4),),
         residuals=ResidualTest((), 0.4, 0.0),
-        repeats=None,
-        misfits=Misfits(10.0, 1.0, 1.0),
+        baseline_misfit=10.0,
         decrease=99.0,
         least_decrease=25.0,
         noise="white",
     )
     return replace(found, **changes)
+
+
+def misfits(changed: float) -> dict[str, float]:
+    """Of a model that missed the reference recordings by three times the noise."""
+    return {"baseline_misfit": 3.0, "reference_misfit": 3.0, "changed_misfit": changed}
 
 
 SMALL = {"decrease": 0.01, "recordings": (compared(recording(), 3e-4, 3e-4),)}
@@ -110,8 +112,8 @@ CERTAIN = ResidualTest((ResidualBand("a.csv", "markers", (0.5, 2.0), 100, 80.0, 
         ({"residuals": replace(CERTAIN, excess=20.0)}, "named"),  # significant, and too little to matter
         ({"residuals": replace(CERTAIN, p_value=0.01)}, "named"),
         ({"needed": (CubicStiffness(link=0),)}, "unknown"),
-        ({"misfits": Misfits(3.0, 3.0, 5.9), "residuals": CERTAIN}, "named"),  # as much was missing before the change
-        ({"misfits": Misfits(3.0, 3.0, 6.1)}, "unknown"),
+        ({**misfits(5.9), "residuals": CERTAIN}, "named"),  # as much was missing before the change
+        ({**misfits(6.1)}, "unknown"),
         (SMALL, "none"),
         ({**SMALL, "decrease": 0.03}, "named"),  # it explains too much to be chance, held out or not
         ({**SMALL, "recordings": (compared(recording(), 3e-4, 2.9e-4),)}, "named"),
@@ -155,7 +157,7 @@ def test_what_remains_is_described() -> None:
     other = replace(repeats, common=1.0, individual=2.0)
     assert "100 % of it differs between" in conclude(replace(found, repeats=other)).remaining.description
     assert conclude(findings()).remaining.description == ""
-    before = conclude(findings(misfits=Misfits(3.0, 3.0, 4.0))).remaining.description
+    before = conclude(findings(**misfits(4.0))).remaining.description
     assert "missed by 4 times the noise; the reference ones were by 3" in before
 
 
@@ -229,15 +231,15 @@ def test_blocks_are_as_long_as_theory_says() -> None:
     """For a first-order autoregression the optimal length is known: (6 rho^2 / (1 - rho^2)^2 n)^(1/3)."""
     count, rho = 20_000, 0.8
     lengths = [
-        block_length(autoregression(np.random.default_rng(seed), count, rho, 2).reshape(count, 2)[:, 0])
+        _block_length(autoregression(np.random.default_rng(seed), count, rho, 2).reshape(count, 2)[:, 0])
         for seed in range(10)
     ]
     expected = (6 * rho**2 / (1 - rho**2) ** 2 * count) ** (1 / 3)
     assert np.mean(lengths) == pytest.approx(expected, rel=0.2)
-    white = [block_length(np.random.default_rng(seed).standard_normal(count)) for seed in range(10)]
+    white = [_block_length(np.random.default_rng(seed).standard_normal(count)) for seed in range(10)]
     assert np.mean(white) < 6
-    assert block_length(np.ones(100)) == block_length(np.ones(1)) == block_length(np.arange(5.0)) == 1
-    assert block_length(np.arange(300.0)) <= 100
+    assert _block_length(np.ones(100)) == _block_length(np.ones(1)) == _block_length(np.arange(5.0)) == 1
+    assert _block_length(np.arange(300.0)) <= 100
 
 
 @pytest.mark.parametrize(

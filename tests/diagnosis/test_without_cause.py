@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.report.diagnoses import pair
-from vjm.diagnosis.records import most_improved
-from vjm.diagnosis.simulations import without_each_cause
+from vjm.diagnosis.simulations import simulate_without_each_cause
 from vjm.effects import ViscousFriction
 
 
@@ -17,9 +16,9 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
     causes = [cause.effect for cause in diagnosis.causes]
     friction = ViscousFriction(link=0, coefficient=0.05)
     model = replace(diagnosis.model, effects=(friction, *causes), reference_effects=1)
-    first = most_improved(diagnosis.recordings)
+    first = diagnosis.most_improved
     assert first is not None
-    without = without_each_cause(model, diagnosis.causes, diagnosis.recordings)[0].without
+    without = simulate_without_each_cause(replace(diagnosis, model=model)).causes[0].without
     assert without is not None
     expected = replace(model, effects=(friction, causes[1])).replay(first.recording)
     np.testing.assert_allclose(without.simulation.markers, expected.simulation.markers, rtol=0, atol=1e-12)
@@ -29,7 +28,7 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
 
 def test_a_single_cause_leaves_the_model_fitted_without_it() -> None:
     diagnosis = pair()
-    first = most_improved(diagnosis.recordings)
+    first = diagnosis.most_improved
     assert first is not None
-    (cause,) = without_each_cause(diagnosis.model, diagnosis.causes[:1], diagnosis.recordings)
+    (cause,) = simulate_without_each_cause(replace(diagnosis, causes=diagnosis.causes[:1])).causes
     assert cause.without is first.reference

@@ -9,14 +9,14 @@ import vjm
 from tests.hidden.conftest import Plant
 from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.discretization import with_offset
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.screen import Screen
 from vjm.effects import CubicStiffness
 from vjm.identification.trajectory_fit import Point
 
 
 def cubic(point: Point) -> float:
     """Standard errors at which a cubic stiffness seems to be needed."""
-    return float(np.sqrt(screen(point, (), [CubicStiffness(link=0)]).statistics[0]))
+    return float(np.sqrt(Screen.of(point, (), [CubicStiffness(link=0)]).statistics[0]))
 
 
 def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) -> None:

@@ -164,7 +164,6 @@ def make_diagnosis(
         candidates=candidates(experiment, effects),
         model=model,
         base=base,
-        parameters=base.estimates,
         recordings=followed,
         gain=gain,
         remaining=Remaining(0.4),

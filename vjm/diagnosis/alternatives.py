@@ -7,7 +7,7 @@ import numpy as np
 from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.fit_cache import ALIKE, LOST_MISFIT
 from vjm.diagnosis.records import Alternative
-from vjm.diagnosis.screen import Directions, Screen, first_of_each
+from vjm.diagnosis.screen import Directions, Screen
 from vjm.diagnosis.selection import Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
@@ -91,5 +91,5 @@ def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]
         diverges_from_data[k] = power - float(np.sum((columns @ guess) ** 2))
     # A linear guess is the worse the larger the effect.
     close = [k for k in range(1, len(screened.effects)) if diverges_from_data[k] < _NEAR * tolerance + 0.02 * power]
-    chosen = first_of_each(screened.effects, sorted(close, key=lambda k: float(diverges_from_data[k])))[:_MOST]
+    chosen = screened.first_of_each(sorted(close, key=lambda k: float(diverges_from_data[k])))[:_MOST]
     return {k: guesses[k] for k in chosen}

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
 from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, refit
-from vjm.diagnosis.discretization import CLOSE, corrected, discretization_bias
-from vjm.diagnosis.noise import Noise, camera_noise, whitened
+from vjm.diagnosis.discretization import CLOSE, DiscretizationBias
+from vjm.diagnosis.noise import Noise
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.prepare import Options, read_data
@@ -27,7 +28,6 @@ from vjm.simulation.run import Run
 
 _LEAST_JOINTS = 8  # of a link: the third mode's frequency is then right to about one per cent (error of order 1/n^2)
 _LARGER_NOISE = 1.1  # times the noise given, from which the measured one is used: its own error is below 10 %
-_LOST = 0.3  # residual over motion, RMS; in step it is much smaller, out of phase it is 1.4
 _LARGEST_DELAY = 0.1  # s; bound of the camera delays that are looked for
 
 
@@ -63,7 +63,7 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     search, fit, _, problems = first_fit(experiment, data, progress=progress, rough=True)
     resting, changed, unused = _further_recordings(experiment, search)
     runs = [*fit.point.runs, *_simulated(fit.point, resting)]
-    noise = camera_noise(runs)
+    noise = Noise.of(runs)
     size = search.observed[0].noise
     if noise.size is not None and (experiment.rig.marker_noise is None or noise.size > _LARGER_NOISE * size[0]):
         size = (noise.size, size[1])
@@ -72,10 +72,11 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     # Where the model lacks much, its best parameters are of no interest.
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE).near(joints, fit)
-    bias = discretization_bias(fit.point, experiment.rig) if fit.point.misfit < CLOSE else None
+    model = CandidateFit(fit)
+    bias = DiscretizationBias.of(fit.point, experiment.rig) if model.misfit < CLOSE else None
     outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [each])), each) for each in changed]
     others = tuple(_prepared(each, size, noise) for each in outlier_free)
-    return Baseline(corrected(CandidateFit(fit), bias), noise, others, (*problems, *unused))
+    return Baseline(bias.corrected(model) if bias else model, noise, others, (*problems, *unused))
 
 
 def _further_recordings(
@@ -122,7 +123,7 @@ def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Ob
         inside = (recording.time >= begin) & (recording.time <= end)
         if inside.sum() > recording.time.size / 2:
             recording = replace(recording, markers=np.where(inside[:, None, None], recording.markers, np.nan))
-    return whitened(observed.again(recording, size), noise)
+    return noise.whitened(observed.again(recording, size))
 
 
 @dataclass(frozen=True)
@@ -141,28 +142,28 @@ class SearchStart:
     diverges_from_data: bool = False
     reference_misfit: float = 1.0
 
+    @classmethod
+    def of(cls, baseline: Baseline, before: CandidateFit) -> Self:
+        """Add the changed recordings to the model of the reference recordings.
 
-def begin_search(baseline: Baseline, before: CandidateFit) -> SearchStart:
-    """Add the changed recordings to the model of the reference recordings.
-
-    Args:
-        baseline: the fit, and the recordings that it has not.
-        before: the same fit, with effects that were there before any change.
-    """
-    if not baseline.changed:
-        return SearchStart(before, before)
-    point, problem = before.point, before.point.problem
-    misfit = point.misfit if point.misfit > INCOMPLETE else 1.0
-    known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
-    others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
-    arms = problem.varied.arms(point.x, [each.recording for each in others])
-    new = [run for run, _ in most_likely(arms, others, step_multiple=problem.step_multiple)]
-    runs = [*(known if misfit > 1 else point.runs), *new]
-    problem = replace(problem, observed=tuple(run.observed for run in runs))
-    everywhere = CandidateFit.unfitted(problem, point.x, runs)
-    if any(_is_lost(run) for run in new):
-        return SearchStart(everywhere, everywhere, True, misfit)
-    return SearchStart(everywhere, refit(everywhere, everywhere.effects) or everywhere, False, misfit)
+        Args:
+            baseline: the fit, and the recordings that it has not.
+            before: the same fit, with effects that were there before any change.
+        """
+        if not baseline.changed:
+            return cls(before, before)
+        point, problem = before.point, before.point.problem
+        misfit = point.misfit if point.misfit > INCOMPLETE else 1.0
+        known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
+        others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
+        arms = problem.varied.arms(point.x, [each.recording for each in others])
+        new = [run for run, _ in most_likely(arms, others, step_multiple=problem.step_multiple)]
+        runs = [*(known if misfit > 1 else point.runs), *new]
+        problem = replace(problem, observed=tuple(run.observed for run in runs))
+        everywhere = CandidateFit.unfitted(problem, point.x, runs)
+        if any(_is_lost(run) for run in new):
+            return cls(everywhere, everywhere, True, misfit)
+        return cls(everywhere, refit(everywhere, everywhere.effects) or everywhere, False, misfit)
 
 
 def _with_larger_noise(observed: Observed, factor: float) -> Observed:
@@ -175,4 +176,5 @@ def _is_lost(run: Run) -> bool:
     residual, _ = observed.spread(observed.values - observed.predicted(run.arm, run.steps))
     measured, _ = observed.spread(observed.values)
     motion = np.nanstd(measured, axis=0)
-    return bool(np.sqrt(np.nanmean(residual**2)) > _LOST * np.sqrt(np.mean(motion**2)))
+    # In step the ratio is much smaller, out of phase it is 1.4.
+    return bool(np.sqrt(np.nanmean(residual**2)) > 0.3 * np.sqrt(np.mean(motion**2)))

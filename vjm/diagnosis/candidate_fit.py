@@ -18,9 +18,10 @@ from vjm.effects.effect import Effect, Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
-from vjm.identification.uncertainty import Information, of_trajectory
-from vjm.records import REFERENCE, Array, Recording
+from vjm.identification.uncertainty import Information, covariance, estimates, of_trajectory, to_physical
+from vjm.records import REFERENCE, Array, Recording, Rig
 from vjm.simulation.arm import Arm
+from vjm.simulation.model import Model
 from vjm.simulation.run import Run, transferred
 
 Names = frozenset[Key]
@@ -28,10 +29,6 @@ Names = frozenset[Key]
 INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
 DIVERGED_MISFIT = 4.0  # the same from which an open-loop simulation has lost the phase of the recording
 _SHAPE_STEP = 1.0  # of a shape parameter's logarithm in one step: a factor e
-# Sizes that refits start from, in typical magnitudes.
-_LARGEST_START = 5.0  # a linear guess beyond that is no guide
-_NONSMOOTH_START = 0.5  # less friction or play does nothing that derivatives show
-_LEAST_JOINT_START = 0.1  # a joint that is nearly rigid has next to no derivative
 _LEAST_JOINT = 1e-3  # bound below which the joint would vanish, and the chain with it change its size
 
 
@@ -161,6 +158,16 @@ class CandidateFit:
         """What the recordings say of the coordinates."""
         return of_trajectory(self.fit, True)[0]
 
+    def model(self, rig: Rig, noise: tuple[float, float]) -> Model:
+        """Return the model with the estimates of its chain's parameters, for a rig and its sensors' noise [m, rad]."""
+        parametrisation, information = self.point.problem.parametrisation, self.information
+        own = slice(len(parametrisation.coordinates))
+        estimate, kept = self.estimate[own], Information(information.normal[own, own], information.spread[own, own])
+        physical = to_physical(parametrisation, estimate, covariance(information)[own, own])
+        parameters = estimates(parametrisation, estimate, kept, physical)
+        chain = parametrisation.chain(self.point.x[own])
+        return Model(chain, rig, *noise, parameters, self.effects, self.reference_effects)
+
     @cached_property
     def names(self) -> Names:
         """Ids and places of the effects."""
@@ -227,18 +234,3 @@ def _followed_for(start: CandidateFit, effects: Sequence[Effect]) -> float:
     # Open loop, stick-slip is found from the first periods only.
     stick_slip = any(effect.nonsmooth for effect in new) and not start.uses_feedback
     return np.inf if start.follows and not stick_slip else 0.0
-
-
-def with_start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
-    """Return an effect of a size from which a refit may start.
-
-    Args:
-        effect: with its shape parameters.
-        guess: (s,) sizes by a screen, in typical magnitudes.
-        chain: to which it is added.
-    """
-    coordinates = effect.coordinates
-    smooth = _LEAST_JOINT_START if adds_joint(effect, chain) else -_LARGEST_START
-    least = _NONSMOOTH_START if effect.nonsmooth else smooth
-    coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
-    return effect.at(np.clip(coordinates, *effect.bounds))

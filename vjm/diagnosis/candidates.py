@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from scipy import stats
@@ -23,10 +23,6 @@ from vjm.simulation.run import Run
 
 _DRAWS = 4000  # the 1 % quantile of the smallest p-value is then known within 16 % (1/sqrt(0.01 * 4000))
 _POWER = 1.2816  # standard deviations: the normal distribution's 90 % quantile
-_PEAKS = 3  # of a spectrum; more tones at once have not been met
-_OVERSAMPLING = 4  # spectral points in 1/duration: a peak between two of them loses at most 5 % of its power
-_MAIN_LOBE = 2.0  # half width of Hann's window, in 1/duration (Harris 1978)
-_PASSBAND = 0.45  # of the sampling rate; higher, a tone cannot be distinguished from its image
 
 
 @dataclass(frozen=True)
@@ -36,42 +32,42 @@ class CandidateSet:
     Attributes:
         variants: V absent effects, one for each place and choice of shape parameters.
         multiplicity: (V,) number of independent tests that each counts as.
-        untestable: effects that the recordings cannot show, with the reason.
+        untestable: effects that the recordings cannot show.
     """
 
     variants: tuple[Effect, ...]
     multiplicity: Array
-    untestable: tuple[tuple[Effect, str], ...]
+    untestable: tuple[Candidate, ...]
 
+    @classmethod
+    def of(cls, effects: Sequence[Effect], rig: Rig, point: Point) -> Self:
+        """Collect the variants of effects that a fit's recordings can show.
 
-def build_candidates(effects: Sequence[Effect], rig: Rig, point: Point) -> CandidateSet:
-    """Collect the variants of effects that a fit's recordings can show.
-
-    Args:
-        effects: absent effects, without a place.
-        rig: the arm.
-        point: a fit; frequencies of periodic forces are looked for in its residuals.
-    """
-    recordings = [run.observed.recording for run in point.runs]
-    variants: list[Effect] = []
-    multiplicity: list[float] = []
-    untestable: list[tuple[Effect, str]] = []
-    for effect in effects:
-        reason = effect.untestable(rig, recordings) or ("" if effect.places(rig) else "the rig has no place for it")
-        if reason:
-            untestable.append((effect, reason))
-            continue
-        own, tests = effect.variants(rig, recordings), 1.0
-        for parameter in effect.parameters():
-            if parameter.from_spectrum:
-                peaks, frequencies = _residual_peaks(point.runs)
-                places = {variant.link: variant for variant in own}.values()
-                changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
-                own = tuple(replace(variant, **change) for variant in places for change in changes)
-                tests = frequencies / max(len(own), 1)
-        variants += own
-        multiplicity += [tests] * len(own)
-    return CandidateSet(tuple(variants), np.array(multiplicity), tuple(untestable))
+        Args:
+            effects: absent effects, without a place.
+            rig: the arm.
+            point: a fit; frequencies of periodic forces are looked for in its residuals.
+        """
+        recordings = [run.observed.recording for run in point.runs]
+        variants: list[Effect] = []
+        multiplicity: list[float] = []
+        untestable: list[Candidate] = []
+        for effect in effects:
+            reason = effect.untestable(rig, recordings) or ("" if effect.places(rig) else "the rig has no place for it")
+            if reason:
+                untestable.append(Candidate.untestable(effect, reason))
+                continue
+            own, tests = effect.variants(rig, recordings), 1.0
+            for parameter in effect.parameters():
+                if parameter.from_spectrum:
+                    peaks, frequencies = _residual_peaks(point.runs)
+                    places = {variant.link: variant for variant in own}.values()
+                    changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
+                    own = tuple(replace(variant, **change) for variant in places for change in changes)
+                    tests = frequencies / max(len(own), 1)
+            variants += own
+            multiplicity += [tests] * len(own)
+        return cls(tuple(variants), np.array(multiplicity), tuple(untestable))
 
 
 def _residual_peaks(runs: Sequence[Run]) -> tuple[list[float], float]:
@@ -81,16 +77,18 @@ def _residual_peaks(runs: Sequence[Run]) -> tuple[list[float], float]:
     """
     time = max((run.observed.recording.time[run.observed.frames] for run in runs), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
-    frequencies = np.arange(1 / duration, _PASSBAND / step, 1 / (_OVERSAMPLING * duration))
+    highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its image
+    frequencies = np.arange(1 / duration, highest, 1 / (4 * duration))  # between two, a peak loses 5 % at most
     peaks: list[float] = []
     for chosen in ([run for run in runs if run.observed.recording.kind == "quiet"], runs):
         power, first = _power(chosen, frequencies), len(peaks)
         for k in np.argsort(power)[::-1].tolist() if chosen else ():
-            if all(abs(frequencies[k] - peak) > _MAIN_LOBE / duration for peak in peaks):
+            # Half the width of the main lobe of Hann's window (Harris, Proceedings of the IEEE 66, 1978).
+            if all(abs(frequencies[k] - peak) > 2.0 / duration for peak in peaks):
                 peaks.append(float(frequencies[k]))
-            if len(peaks) == first + _PEAKS:
+            if len(peaks) == first + 3:  # more tones at once have not been met
                 break
-    return peaks, duration * _PASSBAND / step
+    return peaks, duration * highest
 
 
 def _power(runs: Sequence[Run], frequencies: Array) -> Array:
@@ -135,7 +133,7 @@ class FamilyTest:
     @property
     def p_values(self) -> Array:
         """(V,) probability that noise alone makes any candidate look as needed."""
-        return _smallest_of(_smallest_of(self.screen.p_values, self.multiplicity), self.tests)
+        return _smallest_of(_smallest_of(self.screen.tail(self.screen.statistics), self.multiplicity), self.tests)
 
     def p_of_fit(self, effect: Effect, decrease: float) -> float:
         """Return the p-value of a fitted effect that lowers chi^2 by so much (likelihood ratio)."""
@@ -147,45 +145,40 @@ class FamilyTest:
         single = np.array([stats.chi2.sf(decrease, effect.coordinates.size)])
         return float(_smallest_of(_smallest_of(single, max(own, default=1.0)), self.tests)[0])
 
-    def threshold(self, alpha: float) -> Array:
+    def _threshold(self, alpha: float) -> Array:
         """Return the z (V,) from which a candidate's p-value is below alpha."""
         single = -np.expm1(np.log1p(-alpha) / (self.tests * self.multiplicity))
         tail = np.where(self.screen.one_sided, 2 * single, single)
         return np.asarray(np.sqrt(stats.chi2.isf(tail, self.screen.sizes)))
+
+    def table(self, alpha: float, least_decrease: float) -> tuple[Candidate, ...]:
+        """List the effects that were tested, the most needed first.
+
+        Args:
+            alpha: significance level of the search.
+            least_decrease: decrease of chi^2 below which an effect does not matter, whatever its p-value.
+        """
+        screen, p = self.screen, self.p_values
+        detectable = np.maximum(self._threshold(alpha), np.sqrt(least_decrease)) + _POWER
+        rows = []
+        for k in screen.one_each(range(len(screen.effects))):
+            effect = screen.effects[k]
+            if screen.absorbed[k]:
+                reason = "whatever its size, other parameters explain these recordings as well"
+                rows.append(Candidate.untestable(effect, reason))
+                continue
+            guess = effect.at(np.r_[screen.guess([k]), effect.coordinates[effect.magnitude_count :]]).values
+            sizes = [parameter for parameter in effect.parameters() if not parameter.shape_parameter]
+            smallest = {}
+            for parameter, coordinate in zip(sizes, (detectable[k] * screen.std(k)).tolist(), strict=False):
+                value = parameter.value(coordinate)
+                smallest[parameter.name] = value if parameter.reciprocal else abs(value - parameter.null)
+            guessed = {parameter.name: float(guess[parameter.name]) for parameter in sizes}
+            rows.append(Candidate(effect, float(np.sqrt(screen.statistics[k])), float(p[k]), guessed, smallest))
+        return tuple(rows)
 
 
 def _smallest_of(p: Array, count: Array | float) -> Array:
     """Probability that the smallest of several independent p-values is as small."""
     result: Array = -np.expm1(count * np.log1p(-np.minimum(p, 1 - 1e-16)))
     return result
-
-
-def candidate_table(
-    candidate_set: CandidateSet, family: FamilyTest, alpha: float, least_decrease: float
-) -> tuple[Candidate, ...]:
-    """List every effect that was looked for, the most needed first, those that cannot be tested last.
-
-    Args:
-        candidate_set: the candidates.
-        family: their tests.
-        alpha: significance level of the search.
-        least_decrease: decrease of chi^2 below which an effect does not matter, whatever its p-value.
-    """
-    screen, p = family.screen, family.p_values
-    detectable = np.maximum(family.threshold(alpha), np.sqrt(least_decrease)) + _POWER
-    rows = []
-    for k in screen.one_each(range(len(screen.effects))):
-        effect = screen.effects[k]
-        if screen.absorbed[k]:
-            reason = "whatever its size, other parameters explain these recordings as well"
-            rows.append(Candidate(effect, None, None, {}, {}, reason))
-            continue
-        guess = effect.at(np.r_[screen.guess([k]), effect.coordinates[effect.magnitude_count :]]).values
-        sizes = [parameter for parameter in effect.parameters() if not parameter.shape_parameter]
-        smallest = {}
-        for parameter, coordinate in zip(sizes, (detectable[k] * screen.std(k)).tolist(), strict=False):
-            value = parameter.value(coordinate)
-            smallest[parameter.name] = value if parameter.reciprocal else abs(value - parameter.null)
-        guessed = {parameter.name: float(guess[parameter.name]) for parameter in sizes}
-        rows.append(Candidate(effect, float(np.sqrt(screen.statistics[k])), float(p[k]), guessed, smallest))
-    return (*rows, *(Candidate(effect, None, None, {}, {}, reason) for effect, reason in candidate_set.untestable))

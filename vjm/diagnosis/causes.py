@@ -6,14 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.records import Alternative, Cause
 from vjm.diagnosis.selection import Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
-from vjm.identification.uncertainty import Information, covariance, estimates, to_physical
-from vjm.records import Array, Estimate, Rig
-from vjm.simulation.model import Model
+from vjm.identification.uncertainty import covariance
+from vjm.records import Array, Estimate
 
 
 def estimate_causes(
@@ -65,20 +63,3 @@ def _with_errors(effect: Effect, spread: Array) -> dict[str, Estimate]:
         std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not parameter.integer else None
         parameters[name] = Estimate(name, float(values[name]), std, parameter.unit)
     return parameters
-
-
-def model_of(candidate: CandidateFit, rig: Rig, noise: tuple[float, float]) -> Model:
-    """Return the model of a fit, with the estimates of its chain's parameters."""
-    parametrisation, information = candidate.point.problem.parametrisation, candidate.information
-    own = len(parametrisation.coordinates)
-    estimate = candidate.estimate[:own]
-    kept = Information(information.normal[:own, :own], information.spread[:own, :own])
-    physical = to_physical(parametrisation, estimate, covariance(information)[:own, :own])
-    return Model(
-        parametrisation.chain(candidate.point.x[:own]),
-        rig,
-        *noise,
-        estimates(parametrisation, estimate, kept, physical),
-        candidate.effects,
-        candidate.reference_effects,
-    )

@@ -18,8 +18,8 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import Extension, adds_joint
-from vjm.diagnosis.candidates import build_candidates
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.candidates import CandidateSet
+from vjm.diagnosis.screen import Screen
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
@@ -927,11 +927,11 @@ def _starts(case: _Case, point: Point) -> Iterator[tuple[Effect, Array]]:
     true, integer = case.true, [each.name for each in case.true.parameters() if each.integer]
     variants = [
         each
-        for each in build_candidates([true], case.bench.rig, point).variants
+        for each in CandidateSet.of([true], case.bench.rig, point).variants
         if each.link == true.link and all(each.values[name] == true.values[name] for name in integer)
     ]
     case.clause.holds(variants, f"no variant like {true!r}", "one at each of its `places`")
-    seen = screen(point, (), variants)
+    seen = Screen.of(point, (), variants)
     order: Sequence[int] = np.argsort(-seen.statistics, kind="stable").tolist()
     # A joint of its own, infinitely stiff at the null, has no slope there that could tell a size.
     if not adds_joint(true, point.chain):

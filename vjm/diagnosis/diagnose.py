@@ -12,12 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from vjm.diagnosis.alternatives import find_alternatives
-from vjm.diagnosis.baseline import Baseline, SearchStart, begin_search, fit_baseline
+from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
 from vjm.diagnosis.candidate_fit import CandidateFit
-from vjm.diagnosis.candidates import candidate_table
-from vjm.diagnosis.causes import estimate_causes, model_of
+from vjm.diagnosis.causes import estimate_causes
 from vjm.diagnosis.next_experiment import propose_recordings
-from vjm.diagnosis.records import Diagnosis, Findings, Misfits
+from vjm.diagnosis.records import Diagnosis, Findings
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.selection import (
     Rules,
@@ -26,7 +25,7 @@ from vjm.diagnosis.selection import (
     find_preexisting_effects,
     select_effects,
 )
-from vjm.diagnosis.simulations import compare_recordings, find_symptoms, without_each_cause
+from vjm.diagnosis.simulations import compare_recordings, find_symptoms, simulate_without_each_cause
 from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
@@ -73,13 +72,13 @@ def diagnose(
     baseline = fit_baseline(experiment, tell.inside)
     with Workers.start(jobs) as workers:
         before, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers)
-        start = begin_search(baseline, before)
+        start = SearchStart.of(baseline, before)
         matters = _CHANGE if start.reference_misfit > 1 else Rules.matters
         search = Search(
             experiment.rig, start, chosen, Rules(matters=matters, most=max_effects, seed=seed), tell, workers
         )
         screened = search.screen(start.start)
-        table = candidate_table(search.candidate_set, screened, search.rules.alpha, search.least_decrease(start.start))
+        table = screened.table(search.rules.alpha, search.least_decrease(start.start))
         if insufficient:
             start = SearchStart(baseline.fit, baseline.fit)
             result = SearchResult.nothing(baseline.fit, screened)
@@ -87,8 +86,8 @@ def diagnose(
             search, result = select_effects(search, SearchResult.nothing(start.start, screened))
         findings = replace(
             _findings(experiment, baseline, start, search, result),
+            candidates=(*table, *search.candidate_set.untestable),
             insufficient=insufficient,
-            candidates=table,
             warnings=(*experiment.warnings, *baseline.problems, warning),
         )
         if not insufficient and is_unexplained(findings):
@@ -108,11 +107,13 @@ def _findings(
     search.tell("simulating the recordings")
     next_best = search.trials.next_best(best) or result.next_best
     recordings = compare_recordings(experiment, noise, start.before, best, next_best)
-    model, base = model_of(best, rig, noise), model_of(start.before, rig, noise)
+    model, base = best.model(rig, noise), start.before.model(rig, noise)
+    changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
+    chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
-    return Findings(
+    findings = Findings(
         experiment=experiment,
-        causes=without_each_cause(model, causes, recordings),
+        causes=causes,
         needed=search.still_needed(result),
         next_best=next_best.new_effects if next_best else (),
         model=model,
@@ -120,7 +121,9 @@ def _findings(
         recordings=recordings,
         residuals=residual_test(best.point.runs),
         repeats=compare_repeats(best.point.runs),
-        misfits=_misfits(baseline, start, best),
+        baseline_misfit=baseline.fit.misfit,
+        reference_misfit=start.reference_misfit,
+        changed_misfit=start.reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
         decrease=(search.start.chi2 - best.chi2) / best.chi2,
         least_decrease=search.least_decrease(best),
         proposals=propose_recordings(best, search.trials.with_replaced(best, ambiguous)) if ambiguous else (),
@@ -129,13 +132,7 @@ def _findings(
         notes=_notes(baseline, start, best),
         seed=search.rules.seed,
     )
-
-
-def _misfits(baseline: Baseline, start: SearchStart, best: CandidateFit) -> Misfits:
-    changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
-    chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
-    rms = start.reference_misfit * float(np.sqrt(chi2 / max(count, 1)))
-    return Misfits(baseline.fit.misfit, start.reference_misfit, rms)
+    return simulate_without_each_cause(findings)
 
 
 def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[str, ...]:

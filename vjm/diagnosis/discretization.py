@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -43,47 +44,44 @@ class DiscretizationBias:
     offset: tuple[Array, ...]
     shift: Array
 
+    @classmethod
+    def of(cls, point: Point, rig: Rig, rough: bool = False) -> Self | None:
+        """Compare a fitted chain with a finer one; None where that cannot be simulated.
 
-def discretization_bias(point: Point, rig: Rig, rough: bool = False) -> DiscretizationBias | None:
-    """Compare a fitted chain with a finer one; None where that cannot be simulated.
+        Args:
+            point: where the chain fits best.
+            rig: the arm.
+            rough: compare them at the same parameters, which gives most of the offset, and no shift.
+        """
+        start = with_offset(point, None)
+        finer = _finer(start, rig)
+        best, chi2, here = None, np.inf, start
+        try:
+            for remaining in reversed(range(1 if rough else _PASSES)):
+                predicted = _predictions(finer, here)
+                previous, chi2 = chi2, sum(map(_chi2, here.runs, predicted))
+                if not chi2 < previous * (1 - _CONVERGED):
+                    break
+                best = predicted, here.x
+                if remaining:
+                    offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
+                    shifted = with_offset(here, offset)
+                    states = [run.state for run in shifted.runs]
+                    fit = fit_trajectory(shifted.problem, shifted.x, None, states, rough=True)
+                    here = with_offset(fit.point, None)
+        except (SimulationDivergedError, InsufficientDataError):
+            return None
+        if best is None:
+            return None
+        predicted, x = best
+        offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
+        return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
-    Args:
-        point: where the chain fits best.
-        rig: the arm.
-        rough: compare them at the same parameters, which gives most of the offset, and no shift.
-    """
-    start = with_offset(point, None)
-    finer = _finer(start, rig)
-    best, chi2, here = None, np.inf, start
-    try:
-        for remaining in reversed(range(1 if rough else _PASSES)):
-            predicted = _predictions(finer, here)
-            previous, chi2 = chi2, sum(map(_chi2, here.runs, predicted))
-            if not chi2 < previous * (1 - _CONVERGED):
-                break
-            best = predicted, here.x
-            if remaining:
-                offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
-                shifted = with_offset(here, offset)
-                states = [run.state for run in shifted.runs]
-                fit = fit_trajectory(shifted.problem, shifted.x, None, states, rough=True)
-                here = with_offset(fit.point, None)
-    except (SimulationDivergedError, InsufficientDataError):
-        return None
-    if best is None:
-        return None
-    predicted, x = best
-    offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
-    return DiscretizationBias(tuple(offset), _EXTRAPOLATION * (x - point.x))
-
-
-def corrected(candidate: CandidateFit, bias: DiscretizationBias | None, rough: bool = False) -> CandidateFit:
-    """Fit again beside a known discretization bias; a rough fit is only a start for others."""
-    if bias is None:
-        return candidate
-    point = with_offset(candidate.point, bias.offset)
-    fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs], rough=rough)
-    return CandidateFit(fit, bias.shift)
+    def corrected(self, candidate: CandidateFit, rough: bool = False) -> CandidateFit:
+        """Fit a model again beside the bias; a rough fit is only a start for others."""
+        point = with_offset(candidate.point, self.offset)
+        fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs], rough=rough)
+        return CandidateFit(fit, self.shift)
 
 
 def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:

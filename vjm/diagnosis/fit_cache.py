@@ -10,19 +10,21 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 
+from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.baseline import SearchStart
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE,
     CandidateFit,
     Names,
+    adds_joint,
     named,
     refit,
-    with_start_size,
 )
-from vjm.diagnosis.discretization import CLOSE, corrected, discretization_bias, with_offset
+from vjm.diagnosis.discretization import CLOSE, DiscretizationBias, with_offset
 from vjm.diagnosis.records import Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.workers import Workers
@@ -33,6 +35,10 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.records import Array, Rig
 from vjm.simulation.initial_state import most_likely
 
+# Sizes that refits start from, in typical magnitudes.
+_LARGEST_START = 5.0  # a linear guess beyond that is no guide
+_NONSMOOTH_START = 0.5  # less friction or play does nothing that derivatives show
+_LEAST_JOINT_START = 0.1  # a joint that is nearly rigid has next to no derivative
 ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
 LOST_MISFIT = 3.0  # misfit from which a model does not follow the recordings
 _PERIODS = 3.0  # times the first horizon: long enough to compare models where nothing is a guide
@@ -67,24 +73,34 @@ class FitJob:
     start: CandidateFit
     effects: tuple[Effect, ...]
 
+    @classmethod
+    def of(cls, start: CandidateFit, kept: Sequence[Effect], added: Sequence[Effect], sizes: Array) -> Self:
+        """Return the refit of a model with further effects.
 
-def proposal(start: CandidateFit, screened: Screen, chosen: Sequence[int], screen_unreliable: bool = False) -> FitJob:
-    """Return the refit of a model with further effects, from sizes that a screen guesses.
+        Args:
+            start: the model.
+            kept: effects with the parameters from which their search starts.
+            added: further effects, with their shape parameters.
+            sizes: (s,) of those as a screen guesses them, in typical magnitudes.
+        """
+        parts = np.split(sizes, np.cumsum([effect.magnitude_count for effect in added])[:-1])
+        sized = [_with_start_size(effect, own, start.point.chain) for effect, own in zip(added, parts, strict=True)]
+        return cls(start, (*kept, *sized))
+
+
+def _with_start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
+    """Return an effect of a size from which a refit may start.
 
     Args:
-        start: the explanation.
-        screened: the score tests.
-        chosen: of its effects.
-        screen_unreliable: whether the start is no guide: then sizes are everyday ones.
+        effect: with its shape parameters.
+        guess: (s,) sizes by a screen, in typical magnitudes.
+        chain: to which it is added.
     """
-    added = [screened.effects[k] for k in chosen]
-    guess = np.ones(sum(effect.magnitude_count for effect in added)) if screen_unreliable else screened.guess(chosen)
-    stops = np.cumsum([effect.magnitude_count for effect in added])
-    new = [
-        with_start_size(effect, guess[stop - effect.magnitude_count : stop], start.point.chain)
-        for stop, effect in zip(stops, added, strict=True)
-    ]
-    return FitJob(start, (*start.effects, *new))
+    coordinates = effect.coordinates
+    smooth = _LEAST_JOINT_START if adds_joint(effect, chain) else -_LARGEST_START
+    least = _NONSMOOTH_START if effect.nonsmooth else smooth
+    coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
+    return effect.at(np.clip(coordinates, *effect.bounds))
 
 
 def _start_fit(job: FitJob, whole: float, record: float = np.inf) -> CandidateFit | None:
@@ -261,13 +277,21 @@ class FitCache:
             return self.linearization_point(candidate_fit)
         if candidate_fit.names not in self._refit_starts:
             self._refit_starts[candidate_fit.names] = (
-                _truncated_at_parameters(candidate_fit) if far else restart_from_nominal(candidate_fit)
+                _truncated_at_parameters(candidate_fit) if far else _restart_from_nominal(candidate_fit)
             )
         return self._refit_starts[candidate_fit.names]
 
     def screen_unreliable(self, candidate_fit: CandidateFit) -> bool:
         """Return True if no derivative is a guide from there."""
         return self.diverges_from_data and candidate_fit is self.start
+
+    def job(self, model: CandidateFit, screened: Screen, chosen: Sequence[int]) -> FitJob:
+        """Return the refit of a model with some effects of its screen; of typical sizes, where that is unreliable."""
+        added = [screened.effects[k] for k in chosen]
+        start = self.refit_start(model, is_nonsmooth(added))
+        typical = np.ones(sum(effect.magnitude_count for effect in added))
+        sizes = typical if self.screen_unreliable(model) else screened.guess(chosen)
+        return FitJob.of(start, start.effects, added, sizes)
 
     def best(self, count: int) -> CandidateFit | None:
         """Return the best model of so many effects."""
@@ -426,10 +450,10 @@ class FitCache:
             return candidate_fit
         self.tell("measuring the discretization error")
         rough = candidate_fit.misfit > COARSE
-        found = discretization_bias(candidate_fit.point, self.rig, rough)
+        found = DiscretizationBias.of(candidate_fit.point, self.rig, rough)
         if found is None:
             return candidate_fit
-        known = corrected(candidate_fit, found, rough)
+        known = found.corrected(candidate_fit, rough)
         self.discretization_offset, self.uncorrected = found.offset, {*self.tried} - {known.names}
         self._linearization_points.clear()
         self._refit_starts.clear()
@@ -480,7 +504,7 @@ def _truncated_at_parameters(fit: CandidateFit) -> CandidateFit:
     return _at_first_periods(fit, point.x, duration, [run.state for run in point.runs])
 
 
-def restart_from_nominal(fit: CandidateFit) -> CandidateFit:
+def _restart_from_nominal(fit: CandidateFit) -> CandidateFit:
     """Return the effects beside the nominal chain and the first periods; the fit itself if that cannot be simulated."""
     nominal = fit.point.problem.parametrisation.start
     x = np.concatenate([nominal, fit.point.x[nominal.size :]])

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -39,24 +40,44 @@ class Noise:
     colour: Array
     source: str
 
+    @classmethod
+    def of(cls, runs: Sequence[Run]) -> Self:
+        """Estimate the noise from quiet recordings, or from all where there is none.
 
-def camera_noise(runs: Sequence[Run]) -> Noise:
-    """Estimate the camera's noise from quiet recordings, or from all where there is none.
+        Args:
+            runs: recordings with their simulations, which need not be right.
+        """
+        quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
+        residuals = [part for part in map(_unexplained, quiet or runs) if part is not None]
+        if not residuals:
+            return cls(None, np.zeros(0), "taken as white: too few markers to distinguish noise from motion")
+        where = "the moving recordings, there being no quiet one"
+        if quiet:
+            where = "the quiet recording" + "s" * (len(quiet) > 1)
+        size, correlation, count = _autocorrelation(residuals)
+        colour = _autoregression(correlation, count)
+        kind = "white" if not colour.size else f"coloured (lag-one correlation {correlation[1]:.2f})"
+        return cls(size, colour, f"{kind}, {1e3 * size:.2g} mm, estimated from {where}")
 
-    Args:
-        runs: recordings with their simulations, which need not be right.
-    """
-    quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
-    residuals = [part for part in map(_unexplained, quiet or runs) if part is not None]
-    if not residuals:
-        return Noise(None, np.zeros(0), "taken as white: too few markers to distinguish noise from motion")
-    where = (
-        "the quiet recording" + "s" * (len(quiet) > 1) if quiet else "the moving recordings, there being no quiet one"
-    )
-    size, correlation, count = _autocorrelation(residuals)
-    colour = _autoregression(correlation, count)
-    kind = "white" if not colour.size else f"coloured (lag-one correlation {correlation[1]:.2f})"
-    return Noise(size, colour, f"{kind}, {1e3 * size:.2g} mm, estimated from {where}")
+    def whitened(self, observed: Observed) -> Observed:
+        """Return measurements with a matrix that whitens the noise of their markers; encoders are taken to be white.
+
+        Each coordinate is predicted from the last frames in which it was measured, across gaps too: its prediction
+        error, over its standard deviation, is white.
+        """
+        if not self.colour.size or not observed.markers.size:
+            return observed
+        correlation = _correlation(self.colour)
+        frames, channels = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
+        ticks = _ticks(observed.recording.time[observed.frames])
+        encoders = np.arange(observed.markers.size, observed.count)
+        entries = [(encoders, encoders, np.ones(encoders.size))]
+        for channel in np.unique(channels):
+            own = np.flatnonzero(channels == channel)
+            entries += _prediction_errors(own, ticks[frames[own]], self.colour.size, correlation)
+        rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
+        shape = (observed.count, observed.count)
+        return replace(observed, whitening=sparse.csr_array((values, (rows, columns)), shape=shape))
 
 
 def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
@@ -134,27 +155,6 @@ def _autoregression(correlation: Array, count: int) -> Array:
     significant = np.flatnonzero(np.abs(partial[1:]) > _SIGNIFICANT / np.sqrt(max(count, 1)))
     order = int(significant[-1]) + 1 if significant.size else 0
     return np.asarray(coefficients[1 : order + 1, order])
-
-
-def whitened(observed: Observed, noise: Noise) -> Observed:
-    """Return the measurements with a matrix that whitens the noise of their markers; encoders are taken to be white.
-
-    Each coordinate is predicted from the last frames in which it was measured, across gaps too: its prediction error,
-    over its standard deviation, is white.
-    """
-    if not noise.colour.size or not observed.markers.size:
-        return observed
-    correlation = _correlation(noise.colour)
-    frames, channels = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
-    ticks = _ticks(observed.recording.time[observed.frames])
-    encoders = np.arange(observed.markers.size, observed.count)
-    entries = [(encoders, encoders, np.ones(encoders.size))]
-    for channel in np.unique(channels):
-        own = np.flatnonzero(channels == channel)
-        entries += _prediction_errors(own, ticks[frames[own]], noise.colour.size, correlation)
-    rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-    shape = (observed.count, observed.count)
-    return replace(observed, whitening=sparse.csr_array((values, (rows, columns)), shape=shape))
 
 
 def _correlation(colour: Array) -> Array:

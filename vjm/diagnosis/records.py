@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, Self
 
 from vjm.effects.effect import Effect
 from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording
@@ -72,6 +72,11 @@ class Candidate:
     sizes: Mapping[str, float]
     smallest_detectable: Mapping[str, float]
     reason: str = ""
+
+    @classmethod
+    def untestable(cls, effect: Effect, reason: str) -> Self:
+        """Return a candidate that the recordings cannot show."""
+        return cls(effect, None, None, {}, {}, reason)
 
     @property
     def testable(self) -> bool:
@@ -153,70 +158,6 @@ class Proposal:
 
 
 @dataclass(frozen=True)
-class Misfits:
-    """RMS weighted residuals of a model before and after a change; one where they are noise.
-
-    Attributes:
-        baseline: of the reference recordings (of all training recordings, where none is), by the model without effects.
-        reference: of the reference recordings, as far as it counts as noise in the search; at least one.
-        changed: of the other recordings, by the best model.
-    """
-
-    baseline: float
-    reference: float
-    changed: float
-
-
-@dataclass(frozen=True)
-class Findings:
-    """Results of the steps of a diagnosis, from which its verdict follows.
-
-    Attributes:
-        experiment: what was diagnosed.
-        causes: new effects of the best model.
-        needed: candidates that are still significant beside the best model, the most needed first.
-        next_best: effects of the next best model.
-        model, base: the best model, and the model before any change.
-        recordings: simulated by both models.
-        residuals: test of the best model's residuals.
-        repeats: residuals of recordings that repeat each other; None where there are none.
-        misfits: before and after the change.
-        decrease: of chi^2 by the causes, as a share of what they leave.
-        least_decrease: decrease of chi^2 below which nothing matters.
-        insufficient: why the recordings support no statement, a sentence each; empty where they do.
-        candidates: table of the effects that were looked for.
-        proposals: recordings that would distinguish the first ambiguous cause from its alternatives, the best first.
-        symptoms: what the model before any change gets wrong.
-        noise: in words, how the camera's noise was estimated.
-        resemblance: in words, the generic force that the residuals resemble; empty where none was looked for.
-        warnings, notes: of the steps.
-        seed: of the bootstrap.
-    """
-
-    experiment: Experiment
-    causes: tuple[Cause, ...]
-    needed: tuple[Effect, ...]
-    next_best: tuple[Effect, ...]
-    model: Model
-    base: Model
-    recordings: tuple[RecordingComparison, ...]
-    residuals: ResidualTest
-    repeats: RepeatComparison | None
-    misfits: Misfits
-    decrease: float
-    least_decrease: float
-    insufficient: tuple[str, ...] = ()
-    candidates: tuple[Candidate, ...] = ()
-    proposals: tuple[Proposal, ...] = ()
-    symptoms: Symptoms | None = None
-    noise: str = ""
-    resemblance: str = ""
-    warnings: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    seed: int = 0
-
-
-@dataclass(frozen=True)
 class Gain:
     """Improvement of held-out recordings by the causes.
 
@@ -249,55 +190,94 @@ class Remaining:
     description: str = ""
 
 
-@dataclass(frozen=True)
-class Diagnosis:
-    """What a model gets wrong, why, and what is gained by adding the cause.
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """Results of the steps of a diagnosis, from which its verdict follows.
+
+    Misfits are RMS weighted residuals, one where they are noise.
 
     Attributes:
         experiment: what was diagnosed.
-        verdict: `none`, `named`, `set`, `unknown` or `insufficient`.
-        causes: what was found, the one that explains most first.
-        candidates: every effect that was looked for.
-        model: with the causes found.
-        base: without them.
-        parameters: of the extended model's chain.
-        recordings: simulated without and with the causes.
-        gain: on held-out recordings; None where there are none.
-        remaining: whether the residuals are noise.
-        symptoms: what the model without effects gets wrong, before any cause is named.
-        next_experiment: the recording that would tell what these cannot; None where there is nothing to tell.
-        noise: in words, how the sensors' noise was estimated.
+        causes: new effects of the best model, the one that explains most first.
+        candidates: table of the effects that were looked for.
+        model: the best model, with the causes.
+        base: the model before any change, without them.
+        recordings: simulated by both models.
+        symptoms: what the model before any change gets wrong.
         next_best: effects of the next best model; empty where no other was fitted.
+        noise: in words, how the sensors' noise was estimated.
         warnings: what a user should know before trusting the result.
         notes: what was decided on the way, and why.
+        insufficient: why the recordings support no statement, a sentence each; empty where they do.
+        needed: candidates that are still significant beside the best model, the most needed first.
+        residuals: test of the best model's residuals.
+        resemblance: in words, the generic force that the residuals resemble; empty where none was looked for.
+        repeats: residuals of recordings that repeat each other; None where there are none.
+        proposals: recordings that would distinguish the first ambiguous cause from its alternatives, the best first.
+        decrease: of chi^2 by the causes, as a share of what they leave.
+        least_decrease: decrease of chi^2 below which nothing matters.
+        baseline_misfit: of the reference recordings (of all, where none is), by the model without effects.
+        reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
+        changed_misfit: of the other recordings, by the best model.
+        seed: of random numbers.
     """
 
     experiment: Experiment
-    verdict: Verdict
     causes: tuple[Cause, ...]
-    candidates: tuple[Candidate, ...]
     model: Model
     base: Model
-    parameters: tuple[Estimate, ...]
     recordings: tuple[RecordingComparison, ...]
-    gain: Gain | None
-    remaining: Remaining
-    symptoms: Symptoms | None
-    next_experiment: str | None
-    noise: str = ""
+    candidates: tuple[Candidate, ...] = ()
+    symptoms: Symptoms | None = None
     next_best: tuple[Effect, ...] = ()
+    noise: str = ""
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    insufficient: tuple[str, ...] = ()
+    needed: tuple[Effect, ...] = ()
+    residuals: ResidualTest = ResidualTest((), 1.0, 0.0)
+    resemblance: str = ""
+    repeats: RepeatComparison | None = None
+    proposals: tuple[Proposal, ...] = ()
+    decrease: float = 0.0
+    least_decrease: float = 0.0
+    baseline_misfit: float = 1.0
+    reference_misfit: float = 1.0
+    changed_misfit: float = 1.0
+    seed: int = 0
 
+    @property
+    def parameters(self) -> tuple[Estimate, ...]:
+        """Parameters of the best model's chain."""
+        return self.model.estimates
 
-def most_improved(recordings: Sequence[RecordingComparison]) -> RecordingComparison | None:
-    """Return the recording in which causes gain most; held-out ones count twice. None where none can be simulated."""
-    usable = [each for each in recordings if each.reference is not None and each.simulated is not None]
-    moving = [each for each in usable if each.recording.kind != "quiet" and each.recording.frames.size >= 40]  # legible
-    return max(moving or usable, key=_improvement, default=None)
+    @property
+    def most_improved(self) -> RecordingComparison | None:
+        """Recording in which the causes gain most; held-out ones count twice. None where none can be simulated."""
+        usable = [each for each in self.recordings if each.reference is not None and each.simulated is not None]
+        # Fewer frames than 40 show little of a motion.
+        moving = [each for each in usable if each.recording.kind != "quiet" and each.recording.frames.size >= 40]
+        return max(moving or usable, key=_improvement, default=None)
 
 
 def _improvement(comparison: RecordingComparison) -> float:
     before, after = (0.0 if one is None else one.marker_rms for one in (comparison.reference, comparison.simulated))
     weight = 2.0 if comparison.recording.role == "holdout" else 1.0
     return weight * (before**2 - after**2) / comparison.noise[0] ** 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis(Findings):
+    """Findings of a diagnosis and its conclusions: what a model gets wrong, why, and what adding the cause gains.
+
+    Attributes:
+        verdict: `none`, `named`, `set`, `unknown` or `insufficient`.
+        gain: on held-out recordings; None where there are none.
+        remaining: residuals of the best model.
+        next_experiment: the recording that would settle what these cannot; None where there is nothing to settle.
+    """
+
+    verdict: Verdict
+    gain: Gain | None
+    remaining: Remaining
+    next_experiment: str | None

@@ -17,7 +17,7 @@ from scipy.fft import dct
 
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.records import RepeatComparison, ResidualBand, ResidualTest
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.screen import Screen
 from vjm.effects.effect import Effect, Motion, magnitude, shape_parameter
 from vjm.identification.trajectory_fit import Point
 from vjm.records import Array, Rig
@@ -25,7 +25,6 @@ from vjm.simulation.run import Run
 
 _MISJUDGED = 1.3  # mean square above Nyquist/2 up to which the noise may have been misjudged; more is a signal there
 _LEAST_COEFFICIENTS = 20  # of a band: their sum of squares is then known within a third (sqrt(2/20))
-_LEAST_REPEATED = 100  # values: an RMS is then known within 7 % (1/sqrt(2 N))
 
 
 def residual_test(runs: Sequence[Run]) -> ResidualTest:
@@ -82,7 +81,7 @@ def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
     sums, differences = np.zeros(0), np.zeros(0)
     for one, other in _repeated_residuals(runs):
         sums, differences = np.r_[sums, one + other], np.r_[differences, one - other]
-    if sums.size < _LEAST_REPEATED:
+    if sums.size < 100:  # an RMS is then known within 7 % (1/sqrt(2 N))
         return None
     common, individual = (float(np.sqrt(np.mean(part**2) / 2)) for part in (sums, differences))
     return RepeatComparison(common, individual, runs[0].observed.noise[0])
@@ -139,11 +138,8 @@ class _JointProbe(Effect):
         return rig.active_links
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Return the torque on the link's active joint."""
-        joint = chain.joint_names.index(f"{chain.links[self.link or 0].name}_joint")
-        return self._force(slice(joint, joint + 1), np.ones(1))
-
-    def _force(self, joints: slice, scale: Array) -> Motion:
+        """Return torques (..., nv) on the joints that the probe acts on."""
+        joints, scale = self._joints(chain)
         shape = _SHAPES[self.shape][1]
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
@@ -153,10 +149,14 @@ class _JointProbe(Effect):
 
         return force
 
+    def _joints(self, chain: Chain) -> tuple[slice, Array]:
+        joint = chain.joint_names.index(f"{chain.links[self.link or 0].name}_joint")
+        return slice(joint, joint + 1), np.ones(1)
+
 
 @dataclass(frozen=True)
 class _BendingProbe(_JointProbe):
-    """A bending moment of a given shape in all of a link."""
+    """A bending moment in all of a link, of a given shape in its curvature times its length."""
 
     id = "bending_probe"
     clause = "a bending moment in {link}"
@@ -165,10 +165,9 @@ class _BendingProbe(_JointProbe):
         """Return all links."""
         return tuple(range(len(rig.links)))
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Return the moment as a function of the link's curvature times its length."""
+    def _joints(self, chain: Chain) -> tuple[slice, Array]:
         link = chain.links[self.link or 0]
-        return self._force(chain.passive_slices[self.link or 0], link.length / link.cells)
+        return chain.passive_slices[self.link or 0], link.length / link.cells
 
 
 def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> str:
@@ -179,7 +178,7 @@ def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> st
         effects: those that its model has.
         rig: the arm.
     """
-    probes = screen(
+    probes = Screen.of(
         point, effects, [variant for probe in (_JointProbe(), _BendingProbe()) for variant in probe.variants(rig, [])]
     )
     best = int(np.argmax(probes.statistics))

@@ -47,6 +47,13 @@ class Screen:
     R: Array
     unprojected: Array
 
+    @classmethod
+    def of(
+        cls, point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = ALONE
+    ) -> Screen:
+        """Test absent effects beside a fit; arguments as for `Directions.of`."""
+        return Directions.of(point, present, variants, workers).screen()
+
     @cached_property
     def products(self) -> Array:
         """(c + 1, c + 1) inner products of directions and residuals."""
@@ -62,12 +69,7 @@ class Screen:
     @cached_property
     def statistics(self) -> Array:
         """(V,) fall of chi^2 by each effect alone; zero if absorbed, or if its best size is on the wrong side."""
-        return np.array([self._gain([k]) for k in range(len(self.effects))])
-
-    @cached_property
-    def p_values(self) -> Array:
-        """(V,) probability that noise alone gives one effect as large a statistic."""
-        return self.tail(self.statistics)
+        return np.array([self.gain([k]) for k in range(len(self.effects))])
 
     @cached_property
     def sizes(self) -> Array:
@@ -88,11 +90,14 @@ class Screen:
 
     def one_each(self, chosen: Iterable[int]) -> list[int]:
         """Return, of several variants of an effect at a place, the one that explains most; the most needed first."""
-        return first_of_each(self.effects, sorted(chosen, key=lambda k: -self.statistics[k]))
+        return self.first_of_each(sorted(chosen, key=lambda k: -self.statistics[k]))
 
-    def pair(self, one: int, other: int) -> float:
-        """Return the fall of chi^2 by two effects together."""
-        return self._gain([one, other])
+    def first_of_each(self, order: Iterable[int]) -> list[int]:
+        """Return, of several variants of an effect at a place, the first in an order."""
+        first: dict[Key, int] = {}
+        for k in order:
+            first.setdefault(self.effects[k].key, k)
+        return list(first.values())
 
     def guess(self, chosen: Sequence[int]) -> Array:
         """Return the best sizes (s,) of some effects together, in units of their typical magnitudes."""
@@ -129,28 +134,21 @@ class Screen:
                 statistics[:, k] = np.einsum("di,ij,dj->d", noise[:, part], inverse, noise[:, part])
         return statistics
 
-    def _gain(self, chosen: Sequence[int]) -> float:
+    def gain(self, chosen: Sequence[int]) -> float:
+        """Return the fall of chi^2 by some effects together, as far as their sizes are on the right sides."""
         if any(self.absorbed[k] for k in chosen):
             return 0.0
         guess = self.guess(chosen)
         first = 0
         for k in chosen:
             if self.one_sided[k] and guess[first] < 0:
-                return 0.0 if len(chosen) == 1 else max(self._gain([other]) for other in chosen if other != k)
+                return 0.0 if len(chosen) == 1 else max(self.gain([other]) for other in chosen if other != k)
             first += self.sizes[k]
         unexplained = self.R[:, -1] - self.R[:, self._columns(chosen)] @ guess
         return float(self.R[:, -1] @ self.R[:, -1] - unexplained @ unexplained)
 
     def _columns(self, chosen: Sequence[int]) -> list[int]:
         return [column for k in chosen for column in range(self.parts[k].start, self.parts[k].stop)]
-
-
-def first_of_each(effects: Sequence[Effect], order: Iterable[int]) -> list[int]:
-    """Return, of several variants of an effect at a place, the first in an order."""
-    first: dict[Key, int] = {}
-    for k in order:
-        first.setdefault(effects[k].key, k)
-    return list(first.values())
 
 
 @dataclass(frozen=True)
@@ -215,11 +213,6 @@ class Directions:
         rows = self.rows[:, [*others, *kept, *(coordinates + k for k in sizes), -1]]
         information = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
         return Screen(tuple(effects), _parts(counts), information.eliminated(len(others)).R, unprojected)
-
-
-def screen(point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = ALONE) -> Screen:
-    """Return the score tests of absent effects beside a fit; arguments as for `Directions.of`."""
-    return Directions.of(point, present, variants, workers).screen()
 
 
 def _parts(counts: Sequence[int]) -> tuple[slice, ...]:

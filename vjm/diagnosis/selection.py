@@ -20,17 +20,16 @@ from vjm.diagnosis.candidate_fit import (
     Extension,
     Names,
     named,
-    with_start_size,
 )
-from vjm.diagnosis.candidates import CandidateSet, FamilyTest, build_candidates
+from vjm.diagnosis.candidates import CandidateSet, FamilyTest
 from vjm.diagnosis.encoder_feedback import (
     feedback_possible,
     fit_open_loop,
     fit_with_feedback,
     nominal_with_feedback,
 )
-from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell, proposal
-from vjm.diagnosis.screen import screen
+from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell
+from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
@@ -184,12 +183,12 @@ class Search:
         ]
         variants = [candidate_set.variants[k] for k in kept]
         linearization_point = self.trials.linearization_point(candidate_fit)
-        screened = screen(linearization_point.point, linearization_point.effects, variants, self.workers)
+        screened = Screen.of(linearization_point.point, linearization_point.effects, variants, self.workers)
         return FamilyTest.of(screened, candidate_set.multiplicity[kept], self.rules.alpha, self.rules.seed)
 
     def _candidates(self, candidate_fit: CandidateFit) -> CandidateSet:
         """Candidates, with tones where the residuals have peaks."""
-        return build_candidates(self.effects, self.rig, self.trials.linearization_point(candidate_fit).point)
+        return CandidateSet.of(self.effects, self.rig, self.trials.linearization_point(candidate_fit).point)
 
     def least_decrease(self, candidate_fit: CandidateFit) -> float:
         """Return the decrease of the chi^2 they are tested by from which candidates beside a model matter.
@@ -212,11 +211,7 @@ class Search:
         """Refit models, giving up those that will not come near the best."""
         jobs = []
         for start, chosen in steps:
-            screened = family.screen if start is best else first.screen
-            nonsmooth = any(screened.effects[k].nonsmooth for k in chosen)
-            job = proposal(
-                self.trials.refit_start(start, nonsmooth), screened, chosen, self.trials.screen_unreliable(start)
-            )
+            job = self.trials.job(start, (family if start is best else first).screen, chosen)
             if len(named(job.effects)) == len(job.effects):
                 jobs.append(job)
         self.trials.fit(jobs)
@@ -238,18 +233,11 @@ class Search:
         new = [added[k] for k in sizes]
         start = trials.tried.get(names, self.start)
         if new and start.names == names:
-            linearization_point, afar = trials.linearization_point(start), trials.screen_unreliable(start)
-            screened = screen(linearization_point.point, linearization_point.effects, new, self.workers)
-            jobs = [
-                proposal(trials.refit_start(start, each.nonsmooth), screened, [k], afar) for k, each in enumerate(new)
-            ]
-            trials.fit(jobs, every=True)
+            linearization_point = trials.linearization_point(start)
+            screened = Screen.of(linearization_point.point, linearization_point.effects, new, self.workers)
+            trials.fit([trials.job(start, screened, [k]) for k in range(len(new))], every=True)
         elif new:  # the others were never fitted without the cause
-            chain = best.point.chain
-            trials.fit(
-                [FitJob(best, (*others, with_start_size(added[k], size, chain))) for k, size in sizes.items()],
-                every=True,
-            )
+            trials.fit([FitJob.of(best, others, [added[k]], size) for k, size in sizes.items()], every=True)
 
     def _apart(
         self, family: FamilyTest, first: FamilyTest, best: CandidateFit, steps: Sequence[Step]
@@ -294,7 +282,7 @@ class Search:
         screened = first.screen
         others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.names]
         scored = [
-            (screened.pair(i, j), i, j)
+            (screened.gain([i, j]), i, j)
             for n, i in enumerate(others)
             for j in others[:n]
             if screened.effects[i].key != screened.effects[j].key

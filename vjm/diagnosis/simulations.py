@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.encoder_feedback import simulate_open_loop, without_feedback
-from vjm.diagnosis.records import Cause, most_improved
+from vjm.diagnosis.records import Findings
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.records import Array, Experiment, RecordingComparison
@@ -78,27 +78,22 @@ def _simulate(model: CandidateFit, observed: Sequence[Observed], states: Sequenc
     return {each.recording.file: run for each, run in zip(observed, runs, strict=True)}
 
 
-def without_each_cause(
-    model: Model, causes: Sequence[Cause], recordings: Sequence[RecordingComparison]
-) -> tuple[Cause, ...]:
-    """Return the causes, each with the most improved recording simulated without it.
-
-    Args:
-        model: with the causes, and with what was present before a change.
-        causes: a single one leaves the model that was fitted without it.
-        recordings: simulated with and without the causes.
-    """
-    shown = most_improved(recordings)
-    if shown is None or len(causes) == 1:
-        return tuple(replace(cause, without=None if shown is None else shown.reference) for cause in causes)
-    completed = []
-    for cause in causes:
-        others = tuple(effect for effect in model.effects if effect.key != cause.effect.key)
-        try:
-            completed.append(replace(cause, without=replace(model, effects=others).replay(shown.recording)))
-        except (InsufficientDataError, SimulationDivergedError):
-            completed.append(cause)
-    return tuple(completed)
+def simulate_without_each_cause(findings: Findings) -> Findings:
+    """Simulate the most improved recording without each cause; a single one leaves the model fitted without it."""
+    shown = findings.most_improved
+    if shown is None:
+        return findings
+    causes = []
+    for cause in findings.causes:
+        others = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
+        without = shown.reference
+        if len(findings.causes) > 1:
+            try:
+                without = replace(findings.model, effects=others).replay(shown.recording)
+            except (InsufficientDataError, SimulationDivergedError):
+                without = None
+        causes.append(replace(cause, without=without))
+    return replace(findings, causes=tuple(causes))
 
 
 def find_symptoms(model: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:

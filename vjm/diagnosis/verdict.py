@@ -11,14 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from vjm.diagnosis.records import Diagnosis, Findings, Gain, Remaining, RepeatComparison, Verdict
-from vjm.records import REFERENCE, Array, Experiment, Recording, RecordingComparison
+from vjm.records import REFERENCE, Array, Experiment, RecordingComparison
 
 _UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard deviations
 _NO_GAIN = 0.002  # reduction of the held-out RMS that nobody would notice
 _SMALL_DECREASE = 0.02  # share of chi^2; causes that explain more are real even where held-out recordings miss them
 _CLEARLY_MORE = 2.0  # times the misfit that was there before the change
 _DISTINGUISHING = 30.0  # chi^2, three times the least that distinguishes: a linear forecast may be too large
-_LEAST_FRAMES = 30  # with any marker; an RMS is then known within 13 % (1/sqrt(2 N))
 
 
 def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
@@ -48,13 +47,9 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
         for label in dict.fromkeys(recording.repeat for recording in experiment.recordings if recording.repeat)
         if len({recording.condition for recording in experiment.recordings if recording.repeat == label}) > 1
     ]
-    if held_out and all(_is_blind(recording) for recording in held_out):
+    if held_out and all(recording.frames.size < 30 for recording in held_out):  # an RMS within 13 % (1/sqrt(2 N))
         reasons.append("the held-out recordings show next to no marker: nothing could confirm a cause")
     return tuple(reasons)
-
-
-def _is_blind(recording: Recording) -> bool:
-    return recording.frames.size < _LEAST_FRAMES
 
 
 def estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
@@ -75,7 +70,7 @@ def estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain 
     blocks = []
     for part in frames:
         # The reduction is a ratio of sums: this is how each frame moves it, to first order.
-        length = block_length(part[:, 1] - after / max(before, 1e-300) * part[:, 0])
+        length = _block_length(part[:, 1] - after / max(before, 1e-300) * part[:, 0])
         blocks.append(np.add.reduceat(part[:, :2], np.arange(0, len(part), length), axis=0))
     stacked = np.concatenate(blocks)
     draws = np.random.default_rng(seed).integers(0, len(stacked), (2000, len(stacked)))  # quantiles to 0.15 sigma
@@ -104,7 +99,7 @@ def _squares(comparison: RecordingComparison) -> Array:
     return np.column_stack([np.sum(part, axis=(1, 2)) for part in (*squares, known)])
 
 
-def block_length(series: Array) -> int:
+def _block_length(series: Array) -> int:
     """Return the optimal block length of a circular block bootstrap of a series' mean, at most a third of the series.
 
     Source: Politis and White, Econometric Reviews 23, 2004, with the correction by Patton, Politis and White,
@@ -131,8 +126,8 @@ def block_length(series: Array) -> int:
 
 def is_unexplained(findings: Findings) -> bool:
     """Return True if the best model leaves more than noise, or clearly more than was missing before the change."""
-    if findings.misfits.reference > 1:
-        return findings.misfits.changed > _CLEARLY_MORE * findings.misfits.baseline
+    if findings.reference_misfit > 1:
+        return findings.changed_misfit > _CLEARLY_MORE * findings.baseline_misfit
     matters = findings.residuals.excess > findings.least_decrease
     return bool(findings.needed) or (findings.residuals.p_value < _UNLIKELY and matters)
 
@@ -152,28 +147,20 @@ def conclude(findings: Findings) -> Diagnosis:
         verdict = "set"
     if unexplained:
         verdict = "unknown"
+    elif findings.reference_misfit == 1 and findings.residuals.p_value < _UNLIKELY:
+        note = "the residuals are a little more than noise, and too little to matter"
+        findings = replace(findings, notes=(*findings.notes, note))
     return _diagnosis(findings, verdict, gain, Remaining(findings.residuals.p_value, _description(findings)))
 
 
 def _diagnosis(findings: Findings, verdict: Verdict, gain: Gain | None, remaining: Remaining) -> Diagnosis:
-    return Diagnosis(
-        experiment=findings.experiment,
-        verdict=verdict,
-        causes=findings.causes,
-        candidates=findings.candidates,
-        model=findings.model,
-        base=findings.base,
-        parameters=findings.model.estimates,
-        recordings=findings.recordings,
-        gain=gain,
-        remaining=remaining,
-        symptoms=findings.symptoms,
-        next_experiment=_next_experiment(findings, verdict),
+    told = replace(
+        findings,
         noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
-        next_best=findings.next_best,
         warnings=tuple(dict.fromkeys(text for text in (*findings.insufficient, *findings.warnings) if text)),
-        notes=(*findings.notes, *_note(findings, verdict)),
     )
+    next_experiment = _next_experiment(findings, verdict)
+    return Diagnosis(**vars(told), verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
 
 
 def _without_causes(findings: Findings) -> Findings:
@@ -191,13 +178,13 @@ def _without_causes(findings: Findings) -> Findings:
 
 def _description(findings: Findings) -> str:
     """Where something remains and what it looks like; empty where nothing does."""
-    misfits, residuals = findings.misfits, findings.residuals
+    residuals = findings.residuals
     if not is_unexplained(findings):
-        if misfits.reference <= 1:
+        if findings.reference_misfit <= 1:
             return ""
         return (
-            f"the changed recordings are missed by {misfits.changed:.2g} times the noise; the reference ones were by "
-            f"{misfits.baseline:.2g}, by a model without effects: about what was missing before the change"
+            f"the changed recordings are missed by {findings.changed_misfit:.2g} times the noise; the reference ones "
+            f"were by {findings.baseline_misfit:.2g}, by a model without effects: as much was missing before the change"
         )
     parts = []
     if residuals.bands and residuals.p_value < _UNLIKELY:
@@ -228,13 +215,6 @@ def _noise_by_repeats(repeats: RepeatComparison | None) -> str:
         return "no recording that was fitted repeats another"
     difference = 1e3 * repeats.individual * repeats.noise
     return f"residuals of recordings that repeat each other differ by {difference:.2g} mm"
-
-
-def _note(findings: Findings, verdict: Verdict) -> Sequence[str]:
-    small = findings.misfits.reference == 1 and findings.residuals.p_value < _UNLIKELY
-    if verdict in ("unknown", "insufficient") or not small:
-        return ()
-    return ("the residuals are a little more than noise, and too little to matter",)
 
 
 def _next_experiment(findings: Findings, verdict: Verdict) -> str | None:

@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from vjm.diagnosis.records import most_improved
 from vjm.effects.effect import Abscissa, Effect
 from vjm.errors import InsufficientDataError
 from vjm.records import REFERENCE, Array, Recording, SimulatedRecording
@@ -494,7 +493,7 @@ def _causes(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 def _without(cause: Cause, diagnosis: Diagnosis) -> list[RecordingComparison]:
     """Recordings simulated without this cause but with the others, the one in which all causes gain most first."""
-    first = most_improved(diagnosis.recordings)
+    first = diagnosis.most_improved
     if first is None:
         return []
     if len(diagnosis.causes) == 1:
