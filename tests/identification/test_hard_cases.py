@@ -17,7 +17,7 @@ from tests.fine_beam import Camera
 from tests.fine_beam.make_hub import TRUTH, write_hub_experiment
 from tests.identification.test_recovery import DEMO
 from vjm.errors import InsufficientDataError
-from vjm.experiment.cleaning import cleaned, impossible
+from vjm.experiment.cleaning import _impossible, cleaned
 from vjm.identification import Identification, identify
 from vjm.records import Link
 
@@ -209,14 +209,14 @@ def straight(frames: int) -> Array:
 def test_a_single_culprit_goes_alone() -> None:
     markers = straight(3)
     markers[1, 2, 1] = 1.0
-    wrong = impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
+    wrong = _impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
     assert np.argwhere(wrong).tolist() == [[1, 2]]
 
 
 def test_where_no_single_marker_explains_it_all_go() -> None:
     markers = straight(3)
     markers[1, [1, 3]] = markers[1, [3, 1]]
-    wrong = impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
+    wrong = _impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
     assert wrong[1].all()
     assert not wrong[[0, 2]].any()
 

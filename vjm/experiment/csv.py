@@ -11,14 +11,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from vjm.errors import RecordingError, shown
-from vjm.experiment.records import Array, Recording, Rig, check_columns
+from vjm.experiment.records import Array, Indices, Recording, Rig, check_columns
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_IN_CELLS = b"0123456789+-.eE \t\r"
-_CELL = "a finite number, or an empty cell where nothing was measured"
 _TEXT = "a CSV text file in UTF-8"
 
 
@@ -35,7 +31,7 @@ def read_recording(file: Path, table: dict[str, Any], rig: Rig) -> Recording:
     """
     columns, body = _read_text(file)
     check_columns(file, columns, rig, table["kind"], row=1)
-    values, lines = _parse_cells(file, columns, body)
+    values, lines = _parse(file, columns, body)
     try:
         return Recording.from_dataframe(pd.DataFrame(values, columns=list(columns)), rig, **table)
     except RecordingError as error:
@@ -63,21 +59,6 @@ def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
     return _split_header(file, header.decode("utf-8")), rest[0] if rest else b""
 
 
-def _parse_cells(file: Path, columns: tuple[str, ...], body: bytes) -> tuple[Array, NDArray[np.intp]]:
-    """Return the (T, c) numbers after a header, NaN where a cell is empty, and the line of the file of each row."""
-    body = body.rstrip(b"\r\n")
-    if not body or body.isspace():
-        raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
-    values = _parse_at_once(body, columns)
-    if values is None:
-        return _parse_row_by_row(file, columns, body.decode("utf-8"))
-    lines = np.arange(2, len(values) + 2, dtype=np.intp)
-    if np.isinf(values).any():
-        row, column = np.argwhere(np.isinf(values))[0]
-        raise RecordingError(file, int(lines[row]), columns[column], "an infinite value", _CELL)
-    return values, lines
-
-
 def _split_header(file: Path, header: str) -> tuple[str, ...]:
     try:
         names = tuple(name.strip() for name in next(csv.reader([header], strict=True), []))
@@ -89,69 +70,62 @@ def _split_header(file: Path, header: str) -> tuple[str, ...]:
     return names
 
 
+def _parse(file: Path, columns: tuple[str, ...], body: bytes) -> tuple[Array, Indices]:
+    """Return the (T, c) numbers after a header, NaN where a cell is empty, and the line of the file of each row."""
+    body = body.rstrip(b"\r\n")
+    if not body or body.isspace():
+        raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
+    values = _parse_at_once(body, columns)
+    if values is None:
+        return _parse_row_by_row(file, columns, body.decode("utf-8"))
+    return values, np.arange(2, len(values) + 2, dtype=np.intp)
+
+
 def _parse_at_once(body: bytes, columns: tuple[str, ...]) -> Array | None:
-    """Return the (T, c) values of a body whose every line is a full row of plain numbers; None for any other body."""
-    if not _is_plain(body, len(columns)):
+    """Return the (T, c) values of a body whose every line is a full row of finite numbers; None for any other body."""
+    separators = body.translate(None, b"0123456789+-.eE \t\r") + b"\n"  # and whatever does not belong in a number
+    line = b"," * (len(columns) - 1) + b"\n"
+    if separators != line * (len(separators) // len(columns)) or body.count(b"\r") != body.count(b"\r\n"):
         return None
+    options: dict[str, Any] = {"index_col": False, "skip_blank_lines": False, "low_memory": False, "engine": "c"}
+    empty: dict[str, Any] = {"na_values": [""], "keep_default_na": False}
     try:
-        frame = pd.read_csv(
-            io.BytesIO(body),
-            header=None,
-            names=list(columns),
-            index_col=False,
-            dtype=np.float64,
-            na_values=[""],
-            keep_default_na=False,
-            skip_blank_lines=False,
-            engine="c",
-            low_memory=False,
-        )
+        frame = pd.read_csv(io.BytesIO(body), header=None, names=list(columns), dtype=np.float64, **options, **empty)
     except ValueError:  # a cell such as 1-2: the slow path says where
         return None
-    return frame.to_numpy(dtype=np.float64)
+    values = frame.to_numpy(dtype=np.float64)
+    return None if np.isinf(values).any() else values
 
 
-def _is_plain(body: bytes, width: int) -> bool:
-    """Return True if a body has no character but those of numbers, and `width` cells in every line."""
-    if body.count(b"\r") != body.count(b"\r\n"):
-        return False
-    separators = body.translate(None, _IN_CELLS) + b"\n"  # and whatever else does not belong in a number
-    line = b"," * (width - 1) + b"\n"
-    return separators == line * (len(separators) // width)
-
-
-def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str) -> tuple[Array, NDArray[np.intp]]:
+def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str) -> tuple[Array, Indices]:
     """Read text that has a fault, quotes, or blank lines; locate the fault."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[list[float]] = []
     lines: list[int] = []
     try:
-        for row in reader:
-            if any(cell.strip() for cell in row) or len(row) > 1:
-                rows.append(_parse_row(file, columns, reader.line_num + 1, row))
-                lines.append(reader.line_num + 1)
+        for cells in reader:
+            line = reader.line_num + 1  # after the header
+            if not any(cell.strip() for cell in cells) and len(cells) <= 1:
+                continue
+            if len(cells) != len(columns):
+                problem = f"{len(cells)} cell{'' if len(cells) == 1 else 's'}"
+                raise RecordingError(file, line, None, problem, f"{len(columns)} cells, as in the header")
+            rows.append([_parse_cell(file, line, *item) for item in zip(columns, cells, strict=True)])
+            lines.append(line)
     except csv.Error as error:
-        raise RecordingError(
-            file, reader.line_num + 1, None, f"cannot be read ({error})", "cells and commas"
-        ) from error
+        line = reader.line_num + 1
+        raise RecordingError(file, line, None, f"cannot be read ({error})", "cells and commas") from error
     return np.array(rows, dtype=np.float64), np.array(lines, dtype=np.intp)
 
 
-def _parse_row(file: Path, columns: tuple[str, ...], line: int, row: list[str]) -> list[float]:
-    if len(row) != len(columns):
-        expected = f"{len(columns)} cells, as in the header"
-        raise RecordingError(file, line, None, f"{len(row)} cell{'' if len(row) == 1 else 's'}", expected)
-    return [_parse_cell(file, line, name, cell.strip()) for name, cell in zip(columns, row, strict=True)]
-
-
-def _parse_cell(file: Path, line: int, column: str, cell: str) -> float:
+def _parse_cell(file: Path, line: int, column: str, text: str) -> float:
+    cell = text.strip()
     if not cell:
         return math.nan
-    if _NUMBER.fullmatch(cell):
-        value = float(cell)
-        if math.isfinite(value):
-            return value
-        raise RecordingError(file, line, column, f"an infinite value, {shown(cell)}", _CELL)
-    infinite = cell.lstrip("+-").lower() in {"inf", "infinity"}
+    number = re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", cell, re.ASCII)
+    if number and math.isfinite(float(cell)):
+        return float(cell)
+    infinite = number or cell.lstrip("+-").lower() in {"inf", "infinity"}
     problem = f"an infinite value, {shown(cell)}" if infinite else f"{shown(cell)} is not a number"
-    raise RecordingError(file, line, column, problem, _CELL)
+    expected = "a finite number, or an empty cell where nothing was measured"
+    raise RecordingError(file, line, column, problem, expected)

@@ -41,16 +41,8 @@ _FIELDS: dict[str, Any] = {
 _FILE = create_model("File", __config__=STRICT, **_FIELDS)
 
 
-def load_experiment(path: str | os.PathLike[str]) -> Experiment:
-    """Read an experiment file and every recording it lists.
-
-    Args:
-        path: the TOML file; recordings are found relative to it.
-
-    Raises:
-        ExperimentError: the experiment file is unusable, or a recording it lists is missing.
-        RecordingError: a recording is unusable.
-    """
+def load(path: str | os.PathLike[str]) -> Experiment:
+    """Read an experiment file and every recording it lists; see `vjm.load_experiment`."""
     file = Path(path)
     document = _read_toml(file)
     try:

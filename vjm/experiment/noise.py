@@ -10,13 +10,9 @@ from scipy.signal import get_window
 
 from vjm.experiment.records import Array, Recording, Rig
 
-_QUANTILE = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
-_LEAST_SAMPLES = 16
-_SMALLEST_NOISE = 1e-9  # of the signal's size; exact data still need a finite weight
-
 
 def white_noise(samples: ArrayLike) -> float:
-    """1-sigma of the white part of evenly sampled signals.
+    """Return the 1-sigma of the white part of evenly sampled signals.
 
     A low quantile of the windowed periodogram: its bins are noise power times an exponential variate, and the few that
     hold motion do not move the quantile.
@@ -28,18 +24,19 @@ def white_noise(samples: ArrayLike) -> float:
         The noise, in the signals' unit; NaN for fewer than 16 samples.
     """
     values = np.asarray(samples, dtype=float)
-    if len(values) < _LEAST_SAMPLES:
+    if len(values) < 16:
         return float("nan")
     # Ends that differ would leak over the whole spectrum: the window and the second difference of a line take that out.
     line = np.linspace(0, 1, len(values))[:, None]
     detrended = values - values[:1] * (1 - line) - values[-1:] * line
     window = get_window("blackmanharris", len(values))[:, None]
     power = np.abs(np.fft.rfft(detrended * window, axis=0)[4:-1]) ** 2 / np.sum(window**2)
-    return float(np.sqrt(np.quantile(power, _QUANTILE) / -np.log(1 - _QUANTILE)))
+    low = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
+    return float(np.sqrt(np.quantile(power, low) / -np.log(1 - low)))
 
 
 def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, float]:
-    """Marker noise [m] and encoder noise [rad]: the experiment file's, else the median over recordings.
+    """Return marker noise [m] and encoder noise [rad]: the experiment's, else the median over recordings.
 
     Quiet recordings, where there are any, speak for all.
     """
@@ -52,9 +49,9 @@ def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, floa
 
 
 def _complete(values: Array) -> Array:
+    """Return the complete rows of the columns that were measured."""
     rows = values[np.isfinite(values).any(axis=1)]
-    columns = np.isfinite(rows).any(axis=0)
-    rows = rows[:, columns]
+    rows = rows[:, np.isfinite(rows).any(axis=0)]
     kept: Array = rows[np.isfinite(rows).all(axis=1)]
     return kept
 
@@ -65,4 +62,4 @@ def _marker_noise(recording: Recording) -> float:
 
 def _median(values: list[float], size: float) -> float:
     known = [value for value in values if np.isfinite(value)]
-    return max(float(np.median(known)) if known else 0.0, _SMALLEST_NOISE * size)
+    return max(float(np.median(known)) if known else 0.0, 1e-9 * size)  # exact data still need a finite weight
