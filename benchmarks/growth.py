@@ -16,9 +16,8 @@ from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.records import Experiment, Link, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import rollouts
-from vjm.simulation.integrators import sample
-from vjm.simulation.measurement import Arcs
+from vjm.simulation.integrate import simulate_trajectories
+from vjm.simulation.measurement import MarkerArcs
 
 SAMPLES = (10_000, 100_000, 1_000_000)
 JOINTS = (5, 10, 20, 40)
@@ -44,8 +43,8 @@ def recording_of(rig: Rig, chain: Chain, seed: int, rows: int) -> Recording:
     markers = np.full((rows, len(MARKERS), 2), np.nan)
     empty = Recording(t, markers, np.zeros((rows, 1)), torque, kind="driven", role="train", file=f"r{seed}.csv")
     rest = np.zeros((1, chain.size))
-    q = sample(rollouts([Arm(chain)], [empty], rest, rest)[0], t)[0][:, 0]
-    markers[::10] = Arcs.of(rig).markers(chain, q[::10]) + NOISE * rng.standard_normal(markers[::10].shape)
+    q = simulate_trajectories([Arm(chain)], [empty], rest, rest)[0].sample(t)[0][:, 0]
+    markers[::10] = MarkerArcs.of(rig).positions(chain, q[::10]) + NOISE * rng.standard_normal(markers[::10].shape)
     theta = q[:, :1] + ENCODER_NOISE * rng.standard_normal((rows, 1))
     return Recording(t, markers, theta, torque, kind="driven", role="train", file=f"r{seed}.csv")
 

@@ -17,8 +17,8 @@ from vjm.identification.trajectory_fit import Point, TrajectoryProblem
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate
-from vjm.simulation.measurement import Observed
-from vjm.simulation.run import Start, run_all
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import InitialStatePrior, simulate_runs
 
 NOISE = (3e-4, 1e-4)
 LINK = Link("beam", "revolute", 1.0, 0.44, 1.97, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)
@@ -80,10 +80,10 @@ def point_of(
     """An arm at rest at the start of recordings, beside them."""
     parametrisation = Parametrisation(chain, "uniform", (0,))
     colour = Noise(noise[0], np.array([correlation] if correlation else []), "")
-    observed = tuple(colour.whitened(Observed.of(RIG, each, noise)) for each in recordings)
+    observed = tuple(colour.whitened(Observations.of(RIG, each, noise)) for each in recordings)
     problem = TrajectoryProblem(parametrisation, observed)
     arm = Arm.of(chain, effects)
-    starts = [Start.of(arm, each) for each in recordings]
+    starts = [InitialStatePrior.of(arm, each) for each in recordings]
     rest = np.zeros(2 * arm.chain.size)
-    runs = run_all([arm] * len(starts), observed, starts, [rest] * len(starts), 1.0)
+    runs = simulate_runs([arm] * len(starts), observed, starts, [rest] * len(starts), 1.0)
     return Point(problem, parametrisation.start, tuple(runs))

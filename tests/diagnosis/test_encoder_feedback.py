@@ -39,7 +39,7 @@ from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.identification.uncertainty import covariance, of_trajectory
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.measurement import Observed
+from vjm.simulation.measurement import Observations
 
 
 def made(effects: Sequence[Effect], seed: int, duration: float = 2.0) -> list[Recording]:
@@ -125,11 +125,11 @@ def test_a_further_recording_is_replayed_open_loop() -> None:
     found = refit(start, (truth,))
     assert found is not None
     other = made((truth,), 6)[1]
-    ((run, known),) = simulate_open_loop(found, [Observed.of(RIG, other, NOISE)])
+    ((run, known),) = simulate_open_loop(found, [Observations.of(RIG, other, NOISE)])
     assert known
     assert run.arm.feedback is None
     assert run.observed.feedback is None
-    markers, _ = run.observed.spread(run.observed.values - run.observed.predicted(run.arm, run.steps))
+    markers, _ = run.observed.on_grid(run.observed.values - run.observed.predicted(run.arm, run.trajectory))
     assert np.sqrt(np.nanmean(markers**2)) < 2 * NOISE[0]
 
 

@@ -13,12 +13,12 @@ from vjm.diagnosis.noise import Noise, _autoregression, _correlation
 from vjm.effects import InPlaneGravity
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.measurement import Observed
+from vjm.simulation.measurement import Observations
 
 RIG = Rig("rig", (Link("beam", "clamped", 1.0, 0.4, 2.0, (0.5, 1.0)),))
 
 
-def coloured(seed: int, frames: int, coefficients: list[float], dropped: float) -> Observed:
+def coloured(seed: int, frames: int, coefficients: list[float], dropped: float) -> Observations:
     """What a camera with autoregressive noise of 1 mm shows of an arm that stands still; some frames are lost."""
     random = np.random.default_rng(seed)
     white = random.standard_normal((frames + 500, 2, 2))
@@ -28,7 +28,7 @@ def coloured(seed: int, frames: int, coefficients: list[float], dropped: float) 
     time = np.arange(frames)[kept] / 100
     empty = np.zeros((kept.sum(), 0))
     recording = Recording(time, noise[kept], empty, empty, kind="quiet", role="train", file="quiet.csv")
-    return Observed.of(RIG, recording, (1e-3, 1e-4))
+    return Observations.of(RIG, recording, (1e-3, 1e-4))
 
 
 def autocovariance(coefficients: list[float]) -> np.ndarray:
@@ -71,7 +71,7 @@ def test_whitened_noise_is_white_and_of_unit_size(seed: int, coefficients: list[
 
 def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:
     integer = Noise(1e-3, np.array([0.8]), "").whitened(coloured(4, 500, [0.8], 0.1))
-    part = integer.until(2.0)
+    part = integer.truncated(2.0)
     values = integer.whitened(integer.values).reshape(-1, 4)[: part.values.size // 4]
     np.testing.assert_allclose(part.whitened(part.values).reshape(-1, 4), values, rtol=1e-12)
 
@@ -101,5 +101,6 @@ def test_noise_is_known_where_a_simulation_has_coiled_the_arm_up() -> None:
     """Newton's steps lead nowhere from there; they begin at a straight link too."""
     wrong = point_of(chain_of(), (), recorded(Arm(chain_of()), 1)).runs
     coil = np.array([0.0, 2.5, -2.0, 2.5])
-    runs = [replace(run, steps=replace(run.steps, q=run.steps.q + coil[: run.chain.size])) for run in wrong]
+    coils = [replace(run.trajectory, q=run.trajectory.q + coil[: run.chain.size]) for run in wrong]
+    runs = [replace(run, trajectory=trajectory) for run, trajectory in zip(wrong, coils, strict=True)]
     assert Noise.of(runs).size == pytest.approx(NOISE[0], rel=0.1)

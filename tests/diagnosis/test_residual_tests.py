@@ -11,7 +11,7 @@ import pytest
 
 from vjm.diagnosis.residual_tests import residual_test
 from vjm.records import Array, Link, Recording, Rig
-from vjm.simulation.measurement import Observed
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 RIG = Rig("rig", (Link("beam", "revolute", 1.0, 0.4, 2.0, (0.5, 1.0)),))
@@ -24,7 +24,7 @@ def run_of(markers: Array, angles: Array, rate: float = 100.0) -> Run:
     recording = Recording(
         time=time, markers=markers.reshape(-1, 2, 2), theta=angles, tau=angles, kind="driven", file="a.csv"
     )
-    observed = Observed.of(RIG, recording, (1.0, 1.0))
+    observed = Observations.of(RIG, recording, (1.0, 1.0))
     return cast(Run, SimpleNamespace(observed=observed, residual=observed.values))
 
 

@@ -38,7 +38,7 @@ from vjm.effects import (
 )
 from vjm.identification.trajectory_fit import Point
 from vjm.simulation.arm import Arm
-from vjm.simulation.run import Start, run_all, transferred
+from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
 
 EFFECTS: tuple[Effect, ...] = (
     TipPayload(),
@@ -77,11 +77,12 @@ def sized(variant: Effect, size: float) -> Effect:
 def residuals(arm: Arm, point: Point, changes: Sequence[np.ndarray]) -> np.ndarray:
     """Of all recordings, simulated from their initial states and changes of these."""
     observed = [run.observed for run in point.runs]
-    starts = [Start.of(arm, each.recording) for each in observed]
+    starts = [InitialStatePrior.of(arm, each.recording) for each in observed]
     states = [
-        transferred(point.chain, arm.chain, run.state + change) for run, change in zip(point.runs, changes, strict=True)
+        transfer_state(point.chain, arm.chain, run.state + change)
+        for run, change in zip(point.runs, changes, strict=True)
     ]
-    runs = run_all([arm] * len(states), observed, starts, states, 1.0)
+    runs = simulate_runs([arm] * len(states), observed, starts, states, 1.0)
     return np.concatenate([run.residual for run in runs])
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.simulation.setups import rollout
 from vjm.chain.curve import marker_positions
 from vjm.chain.layout import layout, layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Chain
@@ -20,7 +21,6 @@ from vjm.identification.parameters import Parametrisation
 from vjm.identification.prepare import Options, read_data
 from vjm.identification.torque_method import evaluate, fit_refined, fit_uniform, refined
 from vjm.records import Experiment, Link, Recording, Rig
-from vjm.simulation.integrate import rollout
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / "shared" / "data"

@@ -24,8 +24,8 @@ from vjm.identification.trajectory_method import _coarsest
 from vjm.identification.uncertainty import to_physical
 from vjm.records import Experiment, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.measurement import Observed
-from vjm.simulation.run import Start, run_all
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import InitialStatePrior, simulate_runs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -74,7 +74,7 @@ def truth_point(joint: str, n: int, kind: str) -> Point:
         bends = (end_load_shape(chain, 0.05), end_load_shape(chain, 0.02) * np.linspace(1, -3, n))
         states = [np.r_[bend, np.zeros(n)] for bend in bends]
     observed = tuple(
-        Observed.of(
+        Observations.of(
             rig_of(chain),
             replace(r, markers=np.zeros_like(r.markers), theta=np.zeros_like(r.theta)),
             (NOISE, ENCODER_NOISE),
@@ -82,8 +82,8 @@ def truth_point(joint: str, n: int, kind: str) -> Point:
         for r in recordings
     )
     parametrisation = Parametrisation(chain, kind, (0,) if joint == "revolute" else ())
-    starts = [Start.of(Arm(chain), each.recording) for each in observed]
-    runs = run_all([Arm(chain)] * len(observed), observed, starts, states, 1.0)
+    starts = [InitialStatePrior.of(Arm(chain), each.recording) for each in observed]
+    runs = simulate_runs([Arm(chain)] * len(observed), observed, starts, states, 1.0)
     return Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
 
 
@@ -117,7 +117,7 @@ def estimates(point: Point, seed: int) -> Array:
         observed = tuple(
             replace(
                 run.observed,
-                values=run.observed.predicted(run.arm, run.steps) + sign * each / run.observed.weights,
+                values=run.observed.predicted(run.arm, run.trajectory) + sign * each / run.observed.weights,
             )
             for run, each in zip(point.runs, noise, strict=True)
         )
@@ -147,10 +147,10 @@ def test_coloured_noise_widens_the_standard_errors() -> None:
         observed = []
         for run in point.runs:
             seen = run.observed
-            rows = [len(series) for series in run.series()]
+            rows = [len(series) for series in run.residual_series()]
             sizes = [10, 1]
             noise = [_coloured(rng, count, size).ravel() for count, size in zip(rows, sizes, strict=True)]
-            predicted = seen.predicted(run.arm, run.steps)
+            predicted = seen.predicted(run.arm, run.trajectory)
             observed.append(replace(seen, values=predicted + np.concatenate(noise) / seen.weights))
         problem = replace(point.problem, observed=tuple(observed))
         fit = fit_trajectory(problem, point.x, states=[run.state for run in point.runs])
@@ -420,9 +420,9 @@ def test_steps_are_as_long_as_no_estimate_minds(noise: float) -> None:
     states = [run.state for run in point.runs]
     observed = [replace(run.observed, noise=(noise, noise)) for run in point.runs]
     step_multiple = _coarsest(point.chain, observed, states, 1.0)
-    starts = [run.start for run in point.runs]
+    starts = [run.prior for run in point.runs]
     exact, found = (
-        run_all([Arm(point.chain)] * len(observed), observed, starts, states, c) for c in (0.25, step_multiple)
+        simulate_runs([Arm(point.chain)] * len(observed), observed, starts, states, c) for c in (0.25, step_multiple)
     )
     error = sum(float(np.sum((a.residual - b.residual) ** 2)) for a, b in zip(exact, found, strict=True))
     assert (step_multiple > 1.0) == (noise > 1e-5)

@@ -26,9 +26,9 @@ from vjm.records import Estimate, RecordingComparison, SimulatedRecording
 from vjm.report.figures.pictures import identification_pictures
 from vjm.report.figures.style import Picture
 from vjm.simulation.integrate import simulate
-from vjm.simulation.measurement import Observed
+from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
-from vjm.simulation.run import Start, run_all
+from vjm.simulation.run import InitialStatePrior, simulate_runs
 
 Array = NDArray[np.float64]
 Replayer = Callable[[Model, Recording], SimulatedRecording]
@@ -131,9 +131,9 @@ def _summary(model: Model, train: list[Recording]) -> TrajectorySummary:
     parametrisation = Parametrisation(model.chain, "uniform", ())
     noise = (model.marker_noise, model.encoder_noise)
     simulated = [each for each in train if not each.tau.size or np.isfinite(each.tau).any()]
-    observed = tuple(Observed.of(model.rig, each, noise) for each in simulated)
-    starts = [Start.of(model.arm, each.recording) for each in observed]
-    runs = run_all([model.arm] * len(observed), observed, starts, [start.rest for start in starts], 2.0)
+    observed = tuple(Observations.of(model.rig, each, noise) for each in simulated)
+    starts = [InitialStatePrior.of(model.arm, each.recording) for each in observed]
+    runs = simulate_runs([model.arm] * len(observed), observed, starts, [start.rest for start in starts], 2.0)
     point = Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
     whiteness = tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0) for k, each in enumerate(train))
     return TrajectorySummary(whiteness, TrajectoryFit(point, True, 7))

@@ -7,11 +7,13 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tests.chain.beams import beam_chain
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.records import Link, Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import simulate_trajectories
 
 Array = NDArray[np.float64]
 DOWN = (0.0, -9.81)
@@ -81,6 +83,23 @@ def recording_of(
         gravity=gravity,
         payload=payload,
     )
+
+
+def rollout(
+    chains: list[Chain],
+    recording: Recording,
+    q: ArrayLike,
+    v: ArrayLike,
+    integrator: str = "exponential",
+    step: float | None = None,
+) -> tuple[Array, Array]:
+    """Angles and rates (T, C, nv) of copies of a chain, all driven by one recording's torque."""
+    arms = [Arm(chain) for chain in chains]
+    runs = simulate_trajectories(
+        arms, [recording] * len(arms), [*np.atleast_2d(q)], [*np.atleast_2d(v)], integrator, step
+    )
+    angles, rates = zip(*(run.sample(recording.time) for run in runs), strict=True)
+    return np.concatenate(angles, axis=1), np.concatenate(rates, axis=1)
 
 
 def end_load_shape(chain: Chain, deflection: float) -> Array:

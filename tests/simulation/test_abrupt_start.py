@@ -13,24 +13,24 @@ from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
 from vjm.records import Kind, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.encoder_feedback import EncoderFeedback
-from vjm.simulation.initial_state import backtrack, most_likely, run_or_rest, state_at_rest
-from vjm.simulation.integrators import still
-from vjm.simulation.measurement import Arcs, Observed, view
-from vjm.simulation.run import Run, Start, run_all
+from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest, state_at_rest
+from vjm.simulation.measurement import MarkerArcs, Observations
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
+from vjm.simulation.system import Trajectory
 
 GAP, ANGLE = 0.004, 0.3
 PLAY = Arm.of(chain_of(), [Backlash(link=0, gap=GAP)])
 STUCK = Arm.of(chain_of(), [CoulombFriction(link=0, torque=0.008)])
 
 
-def seen_at(arm: Arm, q: Array, seed: int, kind: Kind = "quiet") -> Observed:
+def seen_at(arm: Arm, q: Array, seed: int, kind: Kind = "quiet") -> Observations:
     """What camera and encoder show of an arm that does not move."""
     time = np.arange(401) / 200
     random = np.random.default_rng(seed)
-    markers = view(arm, Arcs.of(RIG), still(time, q), time)
+    markers = MarkerArcs.of(RIG).frames(arm, Trajectory.at_rest(time, q), time)
     markers = markers + NOISE[0] * random.standard_normal(markers.shape)
     theta = q[arm.chain.active] + NOISE[1] * random.standard_normal((time.size, 1))
-    return Observed.of(
+    return Observations.of(
         RIG, Recording(time, markers, theta, np.zeros((401, 1)), kind=kind, role="train", file=f"{kind}.csv"), NOISE
     )
 
@@ -43,15 +43,17 @@ def stands(arm: Arm, twist: float = 0.0) -> Array:
     return q
 
 
-def runs_of(arm: Arm, observed: Observed, state: Array, known: Array) -> Run:
-    return run_or_rest([arm], [observed], [Start.of(arm, observed.recording)], [state], [known], 1.0)[0]
+def runs_of(arm: Arm, observed: Observations, state: Array, known: Array) -> Run:
+    return simulate_or_rest([arm], [observed], [InitialStatePrior.of(arm, observed.recording)], [state], [known], 1.0)[
+        0
+    ]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize("twist", [-0.002, 0.0, 0.0013])
 def test_a_loose_hub_stands_where_it_is_seen(seed: int, twist: float) -> None:
     observed = seen_at(PLAY, stands(PLAY, twist), seed)
-    found = state_at_rest(PLAY, observed, Start.of(PLAY, observed.recording))
+    found = state_at_rest(PLAY, observed, InitialStatePrior.of(PLAY, observed.recording))
     q, v = np.split(found, 2)
     assert not v.any()
     assert q[PLAY.chain.roots] == pytest.approx(twist, abs=4e-5)  # 0.3 mm over 400 frames of five markers
@@ -62,7 +64,7 @@ def test_a_loose_hub_stands_where_it_is_seen(seed: int, twist: float) -> None:
 
 def test_it_stands_on_a_flank_where_it_is_seen_beyond() -> None:
     observed = seen_at(PLAY, stands(PLAY, 1.2 * GAP / 2), 1)
-    found = state_at_rest(PLAY, observed, Start.of(PLAY, observed.recording))
+    found = state_at_rest(PLAY, observed, InitialStatePrior.of(PLAY, observed.recording))
     assert found[PLAY.chain.roots] == pytest.approx(GAP / 2, abs=1e-12)
 
 
@@ -84,9 +86,9 @@ def test_what_was_known_before_is_kept_where_it_is_better() -> None:
     moving[STUCK.chain.size] = 0.5
     blank = seen_at(STUCK, stands(STUCK), 5)
     free = runs_of(STUCK, replace(blank, recording=replace(blank.recording, kind="driven")), moving, moving)
-    markers = view(STUCK, Arcs.of(RIG), free.steps, time)
-    theta = free.path[0][:, STUCK.chain.active]
-    observed = Observed.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
+    markers = MarkerArcs.of(RIG).frames(STUCK, free.trajectory, time)
+    theta = free.motion[0][:, STUCK.chain.active]
+    observed = Observations.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
     rest = np.concatenate([stands(STUCK), np.zeros(STUCK.chain.size)])
     assert runs_of(STUCK, observed, rest, moving).state is moving
 
@@ -103,7 +105,7 @@ def test_effects_say_where_an_arm_stays() -> None:
     effects: list[Effect] = [CoulombFriction(link=0, torque=0.008), Backlash(link=0, gap=GAP)]
     arm = Arm.of(chain_of(), effects)
     q = np.random.default_rng(7).normal(size=(5, arm.chain.size))
-    found = arm.rest_state(q)
+    found = arm.rest_angles(q)
     others = np.delete(np.arange(arm.chain.size), arm.chain.roots)
     assert np.array_equal(found[:, others], q[:, others])
     assert found[:, arm.chain.roots] == pytest.approx(np.clip(q[:, arm.chain.roots], -GAP / 2, GAP / 2))
@@ -116,12 +118,12 @@ def test_a_recording_begins_with_as_much_of_a_change_as_follows_it_best(share: f
     change = np.zeros(state.size)
     change[STUCK.chain.size :] = 0.1
     blank = seen_at(STUCK, stands(STUCK), 6, "driven")
-    start = Start.of(STUCK, blank.recording)
-    true = run_all([STUCK], [blank], [start], [state + share * change], 1.0)[0]
-    markers = view(STUCK, Arcs.of(RIG), true.steps, blank.recording.time)
-    theta = true.path[0][:, STUCK.chain.active]
-    observed = Observed.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
-    whole = run_all([STUCK], [observed], [start], [state + change], 1.0)[0]
+    start = InitialStatePrior.of(STUCK, blank.recording)
+    true = simulate_runs([STUCK], [blank], [start], [state + share * change], 1.0)[0]
+    markers = MarkerArcs.of(RIG).frames(STUCK, true.trajectory, blank.recording.time)
+    theta = true.motion[0][:, STUCK.chain.active]
+    observed = Observations.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
+    whole = simulate_runs([STUCK], [observed], [start], [state + change], 1.0)[0]
     found = backtrack([whole], [change], 1.0)[0]
     assert found.state == pytest.approx(state + share * change, abs=1e-12)
     assert (found is whole) == (share == 1.0)
@@ -135,12 +137,12 @@ def test_only_what_sticks_and_is_held_is_left_after_a_few_steps_in_vain(
     arm = Arm.of(chain_of(), [effect])
     observed = seen_at(arm, stands(arm), 7, "driven")
     if held:
-        observed = observed.held(EncoderFeedback.of(observed.recording, arm.chain, NOISE[1], 1.0, 0.3))
+        observed = observed.with_feedback(EncoderFeedback.of(observed.recording, arm.chain, NOISE[1], 1.0, 0.3))
     moving = np.concatenate([stands(arm), np.full(arm.chain.size, 0.05)])
     tried = []
     monkeypatch.setattr(
         "vjm.simulation.initial_state._attempts", lambda pending, step_multiple: tried.append(0) or [None]
     )
-    ((run, _),) = most_likely([arm], [observed], [moving])
+    ((run, _),) = fit_initial_states([arm], [observed], [moving])
     assert run.state is moving
     assert (len(tried) == 4) == (held and effect.nonsmooth)

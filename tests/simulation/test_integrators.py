@@ -23,6 +23,7 @@ from tests.simulation.setups import (
     jerky_torque,
     recording_of,
     rig_of,
+    rollout,
     steel_link,
     two_link_arm,
 )
@@ -31,8 +32,8 @@ from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import INTEGRATORS, default_step, rollout, rollouts, simulate
-from vjm.simulation.integrators import Steps, sample
+from vjm.simulation.integrate import INTEGRATORS, default_step, simulate, simulate_trajectories
+from vjm.simulation.system import Trajectory
 
 Array = NDArray[np.float64]
 TEN_SECONDS = np.arange(5001) / 500.0
@@ -203,7 +204,7 @@ def test_a_torque_turns_a_free_arm_by_its_impulse() -> None:
     chain = arm_of(steel_link(4, "revolute"))
     time = np.arange(201) / 100.0
     recording = recording_of(chain, time, lambda t: np.random.default_rng(3).normal(0.0, 0.1, (t.size, 1)))
-    (found,) = rollouts([Arm(chain)], [recording], np.zeros((1, 5)), np.zeros((1, 5)))
+    (found,) = simulate_trajectories([Arm(chain)], [recording], np.zeros((1, 5)), np.zeros((1, 5)))
     inside = found.time <= time[-1]
     momentum = [
         lagrange_mass_matrix(chain, q)[0] @ v for q, v in zip(found.q[inside, 0], found.v[inside, 0], strict=True)
@@ -271,9 +272,9 @@ def test_quintics_are_sampled_exactly(seed: int, count: int, start: float, step:
         scaled = polynomial.polyder(coefficients, order, axis=0)
         return np.moveaxis(polynomial.polyval((time - start) / (step * count), scaled), -1, 0) / (step * count) ** order
 
-    steps = Steps(knots, at(knots, 0), at(knots, 1), at(knots, 2), at(knots, 0)[..., :0])
+    trajectory = Trajectory(knots, at(knots, 0), at(knots, 1), at(knots, 2), at(knots, 0)[..., :0])
     time = np.sort(np.r_[knots, rng.uniform(knots[0], knots[-1], 20)])
-    q, v = sample(steps, time)
+    q, v = trajectory.sample(time)
     assert q.shape == (count + 20, 2, 3)
     np.testing.assert_allclose(q, at(time, 0), atol=1e-9 * max(1.0, abs(start) / step))
     np.testing.assert_allclose(v, at(time, 1), atol=1e-9 * max(1.0, abs(start) / step) / step)

@@ -13,20 +13,33 @@ from numpy.typing import NDArray
 
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
-from tests.simulation.setups import DOWN, arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
+from tests.simulation.setups import (
+    DOWN,
+    arm_of,
+    end_load_shape,
+    jerky_torque,
+    recording_of,
+    rig_of,
+    rollout,
+    steel_link,
+)
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
-from vjm.records import Recording, SimulatedRecording
+from vjm.records import Recording, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import replay
-from vjm.simulation.integrate import rollout, simulate
-from vjm.simulation.measurement import Arcs
+from vjm.simulation.initial_state import replays
+from vjm.simulation.integrate import simulate
+from vjm.simulation.measurement import MarkerArcs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
 ENCODER_NOISE = 1e-4
 DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
+
+
+def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> SimulatedRecording:
+    return replays([arm], rig, [recording], marker_noise, encoder_noise)[0]
 
 
 def seen(chain: Chain, recording: Recording, q: Array, v: Array, noise: float = 0.0, seed: int = 0) -> Recording:
@@ -107,7 +120,7 @@ def test_no_neighbouring_state_fits_better(seed: int) -> None:
     steps = np.vstack([np.diag(scale), scale * np.random.default_rng(seed).normal(size=(6, state.size))])
     states = state + np.vstack([0 * state, steps, -steps])
     paths, _ = rollout([chain] * len(states), noisy, *np.hsplit(states, 2))
-    markers = Arcs.of(rig_of(chain)).markers(chain, paths)
+    markers = MarkerArcs.of(rig_of(chain)).positions(chain, paths)
     chi2 = np.sum(((noisy.markers[:, None] - markers) / NOISE) ** 2, axis=(0, 2, 3))
     assert chi2[0] == pytest.approx(result.chi2, rel=1e-9)
     assert (chi2[1:] > chi2[0]).all()

@@ -8,12 +8,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
+from tests.simulation.setups import (
+    arm_of,
+    end_load_shape,
+    jerky_torque,
+    recording_of,
+    rig_of,
+    rollout,
+    steel_link,
+    two_link_arm,
+)
 from vjm.chain.curve import marker_positions
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InputError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.records import Recording
-from vjm.simulation.integrate import INTEGRATORS, rollout, simulate
+from vjm.simulation.integrate import INTEGRATORS, simulate
 
 Array = NDArray[np.float64]
 HUB = arm_of(steel_link(3, "revolute"))

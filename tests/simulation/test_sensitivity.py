@@ -25,12 +25,12 @@ from tests.simulation.setups import (
 from vjm.chain.virtual_links import Chain
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.exponential import phi_functions
-from vjm.simulation.integrate import rollouts
+from vjm.simulation.integrate import simulate_trajectories
+from vjm.simulation.integrators import phi_functions
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observed
-from vjm.simulation.run import Run, Start, run_all, transferred
-from vjm.simulation.sensitivity import Moved
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs, transfer_state
+from vjm.simulation.sensitivity import PerturbedArm
 
 Array = NDArray[np.float64]
 STEP = 1e-5
@@ -58,17 +58,17 @@ def two_links() -> tuple[Chain, Recording, Array]:
 ARMS = {"hub": hub, "clamped": clamped, "two links": two_links}
 
 
-def seen_by(chain: Chain, recording: Recording) -> Observed:
+def seen_by(chain: Chain, recording: Recording) -> Observations:
     """As if everything had been measured."""
     everything = replace(
         recording, markers=np.zeros_like(recording.markers), theta=np.zeros((recording.time.size, chain.active.size))
     )
-    return Observed.of(rig_of(chain), everything, NOISE)
+    return Observations.of(rig_of(chain), everything, NOISE)
 
 
 def run_of(chain: Chain, recording: Recording, state: Array) -> Run:
     seen = seen_by(chain, recording)
-    return run_all([Arm(chain)], [seen], [Start.of(Arm(chain), recording)], [state], 1.0)[0]
+    return simulate_runs([Arm(chain)], [seen], [InitialStatePrior.of(Arm(chain), recording)], [state], 1.0)[0]
 
 
 def changed(chain: Chain, by: float) -> dict[str, Chain]:
@@ -89,21 +89,21 @@ def changed(chain: Chain, by: float) -> dict[str, Chain]:
     return {name: replace(chain, links=(*chain.links[:-1], part)) for name, part in parts.items()}
 
 
-def by_differences(run: Run, moved: list[tuple[Array, Chain, Array, Chain]], seen: Observed) -> Array:
+def by_differences(run: Run, moved: list[tuple[Array, Chain, Array, Chain]], seen: Observations) -> Array:
     """(N, C) central differences of the weighted predictions."""
     columns = []
     for ahead, one, behind, other in moved:
         values = [
-            seen.weights * seen.predicted(Arm(chain), run_of(chain, seen.recording, state).steps)
+            seen.weights * seen.predicted(Arm(chain), run_of(chain, seen.recording, state).trajectory)
             for state, chain in ((ahead, one), (behind, other))
         ]
         columns.append((values[0] - values[1]) / (2 * STEP))
     return np.stack(columns, axis=1)
 
 
-def of_one_stretch(run: Run, moved: list[Moved]) -> Array:
+def of_one_stretch(run: Run, moved: list[PerturbedArm]) -> Array:
     """The run's derivatives, all of them in a single stretch of time."""
-    (rows,) = list(run.rows(moved))
+    (rows,) = list(run.weighted_slopes(moved))
     return rows[0]
 
 
@@ -112,7 +112,7 @@ def test_parameters(arm: str) -> None:
     chain, recording, state = ARMS[arm]()
     run = run_of(chain, recording, state)
     ahead, behind = changed(chain, STEP), changed(chain, -STEP)
-    moved = [Moved(Arm(each), STEP) for each in ahead.values()]
+    moved = [PerturbedArm(Arm(each), STEP) for each in ahead.values()]
     found = of_one_stretch(run, moved)[:, -len(moved) :]
     pairs = [(state, ahead[name], state, behind[name]) for name in ahead]
     expected = by_differences(run, pairs, run.observed)
@@ -142,11 +142,11 @@ def test_initial_state(arm: str) -> None:
 def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     chain, recording, state = hub()
     run = run_of(chain, recording, state)
-    moved = [Moved(Arm(each), STEP) for each in changed(chain, STEP).values()]
+    moved = [PerturbedArm(Arm(each), STEP) for each in changed(chain, STEP).values()]
     whole = run.linearized(moved)
     monkeypatch.setattr("vjm.simulation.sensitivity._NUMBERS_A_CHUNK", 2000)
     again = run_of(chain, recording, state)
-    assert len(list(again.rows(moved))) > 3
+    assert len(list(again.weighted_slopes(moved))) > 3
     np.testing.assert_allclose(again.linearized(moved).R.T @ again.linearized(moved).R, whole.R.T @ whole.R, rtol=1e-8)
 
 
@@ -182,7 +182,7 @@ def test_triangle_is_the_least_squares_problem(seed: int) -> None:
     inner = np.linalg.lstsq(J[:, :3], r - J[:, 3:] @ others, rcond=None)[0]
     np.testing.assert_allclose(linearized.solve(3, others), inner, atol=1e-9)
     np.testing.assert_allclose(linearized.eliminated(3).best(), best[3:], atol=1e-9)
-    follow = linearized.followed(3)
+    follow = linearized.elimination_slopes(3)
     np.testing.assert_allclose(J[:, :3].T @ (J[:, 3:] - J[:, :3] @ follow), 0.0, atol=1e-9)
 
 
@@ -198,11 +198,11 @@ def test_triangle_of_fewer_rows_than_unknowns() -> None:
 def test_a_state_told_in_another_chain_s_joints_looks_the_same(given_joints: int) -> None:
     one, other = arm_of(steel_link(given_joints, "revolute")), arm_of(steel_link(6, "revolute"))
     state = np.r_[0.3, end_load_shape(one, 0.08), 0.5, end_load_shape(one, 0.2)]
-    moved = transferred(one, other, state)
+    moved = transfer_state(one, other, state)
     rig = rig_of(one)
-    seen = Observed.of(rig, recording_of(one, np.arange(2.0)), NOISE)
+    seen = Observations.of(rig, recording_of(one, np.arange(2.0)), NOISE)
     q, p = state[: one.size], moved[: other.size]
-    np.testing.assert_allclose(seen.arcs.markers(other, p[None]), seen.arcs.markers(one, q[None]), atol=2e-5)
+    np.testing.assert_allclose(seen.arcs.positions(other, p[None]), seen.arcs.positions(one, q[None]), atol=2e-5)
     assert moved[other.size] == 0.5
 
 
@@ -212,7 +212,7 @@ def test_a_torque_s_moments_survive_its_steps() -> None:
     noise = np.random.default_rng(5).normal(0, 1, (1001, 1))
     recording = recording_of(chain, np.arange(1001) / 1000.0, lambda _: noise)
     rest = np.zeros((1, 2))
-    (wide,) = rollouts([Arm(chain)], [recording], rest, rest, step=1e-2)
+    (wide,) = simulate_trajectories([Arm(chain)], [recording], rest, rest, step=1e-2)
     torque = PPoly.from_spline(make_interp_spline(recording.time, noise[:, 0], k=1))
     inertia = 0.02 + 0.44 / 3
     expected = torque.antiderivative(2)(wide.time) / inertia

@@ -22,8 +22,8 @@ from vjm.identification.prepare import Options, read_data
 from vjm.identification.trajectory_fit import Point
 from vjm.identification.trajectory_method import Search, first_fit, simulated
 from vjm.records import REFERENCE, Experiment, Progress
-from vjm.simulation.initial_state import most_likely
-from vjm.simulation.measurement import Observed
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 _LEAST_JOINTS = 8  # of a link: the third mode's frequency is then right to about one per cent (error of order 1/n^2)
@@ -44,7 +44,7 @@ class Baseline:
 
     fit: CandidateFit
     noise: Noise
-    changed: tuple[Observed, ...]
+    changed: tuple[Observations, ...]
     problems: tuple[str, ...]
 
 
@@ -81,13 +81,13 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
 
 def _further_recordings(
     experiment: Experiment, search: Search
-) -> tuple[list[Observed], list[Observed], tuple[str, ...]]:
+) -> tuple[list[Observations], list[Observations], tuple[str, ...]]:
     """Training recordings not yet fitted: those at rest, those that may have changed; and why others are not usable."""
     train = [recording for recording in experiment.cleaned_recordings if recording.role == "train"]
     fitted = {each.recording.file for each in search.observed}
     referenced = any(each.condition == REFERENCE for each in train)
-    resting: list[Observed] = []
-    changed: list[Observed] = []
+    resting: list[Observations] = []
+    changed: list[Observations] = []
     problems: list[str] = []
     for recording in train:
         if recording.file in fitted:
@@ -98,24 +98,24 @@ def _further_recordings(
             problems.append(str(error))
             continue
         for one in usable:
-            observed = Observed.of(experiment.rig, one, search.observed[0].noise)
+            observed = Observations.of(experiment.rig, one, search.observed[0].noise)
             (changed if referenced and one.condition != REFERENCE else resting).append(observed)
     return resting, changed, tuple(problems)
 
 
-def _simulated(point: Point, observed: Sequence[Observed]) -> list[Run]:
+def _simulated(point: Point, observed: Sequence[Observations]) -> list[Run]:
     """Simulations of further recordings by the model of a fit; those that diverge are left out."""
     runs: list[Run] = []
     for each in observed:
         arm = point.problem.varied.arms(point.x, [each.recording])[0]
         try:
-            runs += [run for run, _ in most_likely([arm], [each], step_multiple=point.problem.step_multiple)]
+            runs += [run for run, _ in fit_initial_states([arm], [each], step_multiple=point.problem.step_multiple)]
         except SimulationDivergedError:
             continue
     return runs
 
 
-def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Observed:
+def _prepared(observed: Observations, size: tuple[float, float], noise: Noise) -> Observations:
     """Measurements with the noise that was found, without frames that a delayed camera took outside of the drive."""
     recording = observed.recording
     if recording.theta.shape[1]:
@@ -123,7 +123,7 @@ def _prepared(observed: Observed, size: tuple[float, float], noise: Noise) -> Ob
         inside = (recording.time >= begin) & (recording.time <= end)
         if inside.sum() > recording.time.size / 2:
             recording = replace(recording, markers=np.where(inside[:, None, None], recording.markers, np.nan))
-    return noise.whitened(observed.again(recording, size))
+    return noise.whitened(observed.of_recording(recording, size))
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ class SearchStart:
         known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
         others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
         arms = problem.varied.arms(point.x, [each.recording for each in others])
-        new = [run for run, _ in most_likely(arms, others, step_multiple=problem.step_multiple)]
+        new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
         runs = [*(known if misfit > 1 else point.runs), *new]
         problem = replace(problem, observed=tuple(run.observed for run in runs))
         everywhere = CandidateFit.unfitted(problem, point.x, runs)
@@ -166,15 +166,15 @@ class SearchStart:
         return cls(everywhere, refit(everywhere, everywhere.effects) or everywhere, False, misfit)
 
 
-def _with_larger_noise(observed: Observed, factor: float) -> Observed:
+def _with_larger_noise(observed: Observations, factor: float) -> Observations:
     return replace(observed, noise=(factor * observed.noise[0], factor * observed.noise[1]))
 
 
 def _is_lost(run: Run) -> bool:
     """Compare the markers' residual with their motion."""
     observed = run.observed
-    residual, _ = observed.spread(observed.values - observed.predicted(run.arm, run.steps))
-    measured, _ = observed.spread(observed.values)
+    residual, _ = observed.on_grid(observed.values - observed.predicted(run.arm, run.trajectory))
+    measured, _ = observed.on_grid(observed.values)
     motion = np.nanstd(measured, axis=0)
     # In step the ratio is much smaller, out of phase it is 1.4.
     return bool(np.sqrt(np.nanmean(residual**2)) > 0.3 * np.sqrt(np.mean(motion**2)))

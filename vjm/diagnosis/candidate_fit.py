@@ -22,7 +22,7 @@ from vjm.identification.uncertainty import Information, covariance, estimates, o
 from vjm.records import REFERENCE, Array, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run, transferred
+from vjm.simulation.run import Run, transfer_state
 
 Names = frozenset[Key]
 
@@ -212,7 +212,7 @@ def refit(
     x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *extension.bounds)
     problem = replace(whole or start.point.problem, extension=extension)
     arms = problem.arms(x)
-    states = [transferred(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
+    states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
     known = _followed_for(start, extension.effects) if whole is None else start.point.problem.longest
     try:
         return CandidateFit(fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless))

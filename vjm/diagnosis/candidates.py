@@ -96,7 +96,7 @@ def _power(runs: Sequence[Run], frequencies: Array) -> Array:
     power = np.zeros(frequencies.size)
     for run in runs:
         observed, time = run.observed, run.observed.recording.time - run.observed.recording.time[0]
-        markers, angles = observed.spread(run.residual)
+        markers, angles = observed.on_grid(run.residual)
         for instants, residual in ((time[observed.frames], markers), (time, angles)):
             known = np.isfinite(residual).any(axis=1)
             if known.any():

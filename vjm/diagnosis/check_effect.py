@@ -27,11 +27,11 @@ from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_traj
 from vjm.model import dynamics
 from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import default_step, rollouts, simulation
-from vjm.simulation.integrators import Steps
-from vjm.simulation.measurement import Arcs, Observed
-from vjm.simulation.run import Start, run_all, transferred
-from vjm.simulation.sensitivity import Path, followed
+from vjm.simulation.integrate import default_step, sensor_readings, simulate_trajectories
+from vjm.simulation.measurement import MarkerArcs, Observations
+from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
+from vjm.simulation.sensitivity import MotionSamples, follow_internal_states
+from vjm.simulation.system import Trajectory
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,9 @@ class Bench:
 
     def states(self, arm: Arm) -> list[Array]:
         """(2 nv,) initial state of each trial, in the joints of an arm made of this chain."""
-        return [transferred(self.chain, arm.chain, trial.state) for trial in self.trials]
+        return [transfer_state(self.chain, arm.chain, trial.state) for trial in self.trials]
 
-    def steps(self, arm: Arm, step: float | None = None) -> list[Steps]:
+    def steps(self, arm: Arm, step: float | None = None) -> list[Trajectory]:
         """Trajectories of all trials, by an arm made of this chain.
 
         Args:
@@ -154,12 +154,12 @@ class Bench:
             SimulationDivergedError: one of them diverged.
         """
         q, v = zip(*(np.split(state, 2) for state in self.states(arm)), strict=True)
-        return rollouts([arm] * len(self.trials), self.recordings, q, v, step=step)
+        return simulate_trajectories([arm] * len(self.trials), self.recordings, q, v, step=step)
 
     def simulate(self, arm: Arm, step: float | None = None) -> list[Simulation]:
         """The same at the recordings' instants, as the sensors show them."""
-        arcs, runs = Arcs.of(self.rig), self.steps(arm, step)
-        return [simulation(arm, arcs, *each) for each in zip(self.recordings, runs, strict=True)]
+        arcs, runs = MarkerArcs.of(self.rig), self.steps(arm, step)
+        return [sensor_readings(arm, arcs, *each) for each in zip(self.recordings, runs, strict=True)]
 
     def beginning(self, duration: float) -> Bench:
         """The first trial alone, and of that the first seconds."""
@@ -719,7 +719,7 @@ def _power(chain: Chain, arm: Arm, seed: int) -> tuple[Array, Array]:
     random, n = np.random.default_rng(seed), arm.chain.size
     q = random.normal(size=(_STATES, n))
     v = random.normal(size=(_STATES, n)) * 10 ** -random.uniform(0, _FASTEST, (_STATES, 1))
-    rest = arm.rest(q)
+    rest = arm.initial_states(q)
     z, time = rest + 0.1 * random.normal(size=rest.shape), random.uniform(0, 10, _STATES)
     force, found = arm.forces(_PAYLOAD), np.zeros((_STATES, n))
     if force is not None:
@@ -737,9 +737,9 @@ def _work(chain: Chain, arm: Arm, seed: int) -> tuple[Array, Array]:
     pulsation, phase = random.uniform(1.0, 8.0, (4, n)), random.uniform(0.0, 2 * np.pi, (4, n))
     angle = time[:, None, None] * pulsation + phase
     q, v = 0.3 * (np.sin(angle) - np.sin(phase)).sum(axis=1), 0.3 * (pulsation * np.cos(angle)).sum(axis=1)
-    path = Path(time, q, v, np.zeros_like(q), np.zeros((time.size, 0)))
+    path = MotionSamples(time, q, v, np.zeros_like(q), np.zeros((time.size, 0)))
     force = arm.forces(_PAYLOAD)
-    found = np.zeros_like(q) if force is None else force(time, q, v, followed(arm, path))
+    found = np.zeros_like(q) if force is None else force(time, q, v, follow_internal_states(arm, path))
     if n == chain.size:
         found -= (arm.chain.damping - chain.damping) * v
     power = found * v
@@ -850,7 +850,7 @@ def _problem(bench: Bench, true: Effect, seed: int) -> TrajectoryProblem:
         markers = shown.markers + _NOISE[0] * random.normal(size=shown.markers.shape)
         theta = shown.theta + _NOISE[1] * random.normal(size=shown.theta.shape)
         made = replace(recording, markers=np.where(inside[:, None, None], markers, np.nan), theta=theta)
-        observed.append(Observed.of(bench.rig, made, _NOISE))
+        observed.append(Observations.of(bench.rig, made, _NOISE))
     return TrajectoryProblem(Parametrisation(bench.chain, "uniform", bench.rig.active_links), tuple(observed))
 
 
@@ -860,9 +860,9 @@ def _standard_errors(case: _Case) -> Array:
     problem = replace(case.problem, extension=Extension(base, (true,)))
     x = np.concatenate([base.start, true.coordinates])
     arms = problem.arms(x)
-    starts = [Start.of(arm, seen.recording) for arm, seen in zip(arms, problem.observed, strict=True)]
+    starts = [InitialStatePrior.of(arm, seen.recording) for arm, seen in zip(arms, problem.observed, strict=True)]
     states = case.bench.states(arms[0])
-    point = Point(problem, x, tuple(run_all(arms, problem.observed, starts, states, problem.step_multiple)))
+    point = Point(problem, x, tuple(simulate_runs(arms, problem.observed, starts, states, problem.step_multiple)))
     return _known(case, point.gathered()[0].R[:, :-1])
 
 
@@ -908,7 +908,7 @@ def _fitted(case: _Case) -> Effect:
         x = np.concatenate([base.point.x, sizes, variant.coordinates[variant.magnitude_count :]])
         x = np.clip(x, *extension.bounds)
         arms = zip(base.point.runs, problem.arms(x), strict=True)
-        states = [transferred(run.chain, arm.chain, run.state) for run, arm in arms]
+        states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in arms]
         try:
             point = fit_trajectory(problem, x, None, states, hopeless=_Patience(nonsmooth=case.true.nonsmooth)).point
         except SimulationDivergedError:

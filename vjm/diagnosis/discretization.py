@@ -23,7 +23,7 @@ from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
 from vjm.model import dynamics
 from vjm.records import Array, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.run import Run, Start, run_all, transferred
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs, transfer_state
 
 CLOSE = 2.0  # misfit up to which the discretization error is comparable with what else is missing
 _REFINEMENT = 3  # times as many joints: leaves a ninth of the error, which the extrapolation removes
@@ -107,9 +107,9 @@ def _predictions(finer: Coordinates, point: Point) -> list[Array]:
     """What the finer chain predicts for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [each.recording for each in observed])
-    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
+    starts = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     states = [_transferred_with_momentum(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
-    return [_predicted(run) for run in run_all(arms, observed, starts, states, point.problem.step_multiple)]
+    return [_predicted(run) for run in simulate_runs(arms, observed, starts, states, point.problem.step_multiple)]
 
 
 def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
@@ -117,7 +117,7 @@ def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
 
     Initial rates of fast modes differ from chain to chain; a joint that turns freely must not drift by the difference.
     """
-    state = transferred(run.chain, arm.chain, run.state)
+    state = transfer_state(run.chain, arm.chain, run.state)
     active = arm.chain.active
     if not active.size:
         return state
@@ -131,7 +131,7 @@ def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
 
 
 def _predicted(run: Run) -> Array:
-    return run.observed.predicted(run.arm, run.steps)
+    return run.observed.predicted(run.arm, run.trajectory)
 
 
 def _chi2(run: Run, predicted: Array) -> float:

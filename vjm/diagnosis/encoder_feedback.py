@@ -18,9 +18,9 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryProblem
 from vjm.records import Array
 from vjm.simulation.encoder_feedback import EncoderFeedback
-from vjm.simulation.initial_state import most_likely
-from vjm.simulation.integrate import locked_frequencies
-from vjm.simulation.measurement import Observed
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.integrate import locked_joint_frequencies
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 # Times the slowest vibration, and the damping ratio. Measured on dry friction: held more softly (0.6), fits still lose
@@ -56,7 +56,7 @@ def nominal_with_feedback(candidate_fit: CandidateFit) -> CandidateFit | None:
     """Simulate the nominal chain with encoder feedback, fitting initial states only; None where that fails."""
     problem, x = _held_problem(candidate_fit)
     try:
-        found = most_likely(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
+        found = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
     except (InsufficientDataError, SimulationDivergedError):
         return None
     return CandidateFit.unfitted(problem, x, [run for run, _ in found])
@@ -83,14 +83,14 @@ def without_feedback(candidate_fit: CandidateFit, free: CandidateFit) -> Candida
         return candidate_fit
     point, observed = candidate_fit.point, free.point.problem.observed
     arms = [run.arm.with_feedback(None) for run in point.runs]
-    found = most_likely(arms, observed, [run.state for run in point.runs], point.problem.step_multiple, _FEW)
+    found = fit_initial_states(arms, observed, [run.state for run in point.runs], point.problem.step_multiple, _FEW)
     problem = replace(point.problem, observed=observed)
     again = replace(point, problem=problem, runs=tuple(run for run, _ in found))
     return replace(candidate_fit, fit=replace(candidate_fit.fit, point=again))
 
 
 def simulate_open_loop(
-    candidate_fit: CandidateFit, observed: Sequence[Observed], states: Sequence[Array | None] | None = None
+    candidate_fit: CandidateFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
 ) -> list[tuple[Run, bool]]:
     """Simulate recordings that were not fitted open loop; also return whether their initial states were found.
 
@@ -102,7 +102,7 @@ def simulate_open_loop(
         states: (2 nv,) found before for the same recordings; None: not yet.
 
     Raises:
-        InsufficientDataError, SimulationDivergedError: as `most_likely`.
+        InsufficientDataError, SimulationDivergedError: as `fit_initial_states`.
     """
     point = candidate_fit.point
     arms, step_multiple = (
@@ -110,16 +110,16 @@ def simulate_open_loop(
         point.problem.step_multiple,
     )
     if not candidate_fit.uses_feedback:
-        return most_likely(arms, observed, states, step_multiple)
+        return fit_initial_states(arms, observed, states, step_multiple)
     known = [True] * len(observed)
     if states is None:
-        search_start = most_likely(
+        search_start = fit_initial_states(
             arms, [_guided(each, _nominal(candidate_fit)) for each in observed], step_multiple=step_multiple
         )
         states, known = [run.state for run, _ in search_start], [found for _, found in search_start]
     return [
         (run, found)
-        for (run, _), found in zip(most_likely(arms, observed, states, step_multiple, _FEW), known, strict=True)
+        for (run, _), found in zip(fit_initial_states(arms, observed, states, step_multiple, _FEW), known, strict=True)
     ]
 
 
@@ -131,12 +131,12 @@ def _held_problem(candidate_fit: CandidateFit) -> tuple[TrajectoryProblem, Array
     return replace(point.problem, observed=observed), np.concatenate([start, point.x[start.size :]])
 
 
-def _guided(observed: Observed, chain: Chain) -> Observed:
+def _guided(observed: Observations, chain: Chain) -> Observations:
     """Recording with feedback; a quiet one as it is, since nothing drifts in it."""
     if observed.recording.kind == "quiet":
         return observed
-    frequency = _FREQUENCY * locked_frequencies(chain)[0]
-    return observed.held(EncoderFeedback.of(observed.recording, chain, observed.noise[1], frequency, _RATIO))
+    frequency = _FREQUENCY * locked_joint_frequencies(chain)[0]
+    return observed.with_feedback(EncoderFeedback.of(observed.recording, chain, observed.noise[1], frequency, _RATIO))
 
 
 def _nominal(candidate_fit: CandidateFit) -> Chain:

@@ -33,7 +33,7 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
 from vjm.records import Array, Rig
-from vjm.simulation.initial_state import most_likely
+from vjm.simulation.initial_state import fit_initial_states
 
 # Sizes that refits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
@@ -519,7 +519,7 @@ def _at_first_periods(
 ) -> CandidateFit:
     """Coordinates x (p,) beside the recordings' first seconds, not fitted."""
     part = fit.point.problem.until(duration)
-    found = most_likely(part.arms(x), part.observed, states, part.step_multiple)
+    found = fit_initial_states(part.arms(x), part.observed, states, part.step_multiple)
     return CandidateFit.unfitted(part, x, [run for run, _ in found])
 
 

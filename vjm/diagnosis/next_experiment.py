@@ -17,7 +17,7 @@ from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.records import Proposal
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.records import REFERENCE, Array, Indices, Recording
-from vjm.simulation.run import Run, Start, run_all
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 
 # From a recording, its initial state (2 nv,) and the indices of active coordinates to another recording and state.
 _Change = Callable[[Recording, Array, Indices], tuple[Recording, Array]]
@@ -88,14 +88,14 @@ def _evidence(true: CandidateFit, other: CandidateFit, run: Run, change: _Change
     try:
         shown, predicted = (_changed_run(each, k, change) for each in (true, other))
         moved = replace(other.point.problem, observed=(predicted.observed,)).moved(other.point.x)[0]
-        slopes = np.zeros((predicted.residual.size, 2 * predicted.basis.slow + len(moved)))
+        slopes = np.zeros((predicted.residual.size, 2 * predicted.basis.slow_count + len(moved)))
         for measured, part in predicted.slopes(moved):
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0
     values, vectors = linalg.eigh(other.information.normal)
     known = np.zeros((len(moved), slopes.shape[1]))
-    known[:, 2 * predicted.basis.slow :] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    known[:, 2 * predicted.basis.slow_count :] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.vstack([slopes, known])
     difference = np.concatenate([predicted.residual - shown.residual, np.zeros(len(moved))])
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
@@ -108,6 +108,6 @@ def _changed_run(candidate: CandidateFit, k: int, change: _Change) -> Run:
     point = candidate.point
     run = point.runs[k]
     recording, state = change(run.observed.recording, run.state, run.chain.active)
-    observed = run.observed.again(recording)
+    observed = run.observed.of_recording(recording)
     (arm,) = point.problem.varied.arms(point.x, [recording])
-    return run_all([arm], [observed], [Start.of(arm, recording)], [state], 1.0)[0]
+    return simulate_runs([arm], [observed], [InitialStatePrior.of(arm, recording)], [state], 1.0)[0]

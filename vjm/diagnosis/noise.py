@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from vjm.records import Array, Indices, Mask
-from vjm.simulation.measurement import Observed, sampled
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 _HIGHEST_ORDER = 4  # of the autoregression; cameras filter over a few frames
@@ -59,7 +59,7 @@ class Noise:
         kind = "white" if not colour.size else f"coloured (lag-one correlation {correlation[1]:.2f})"
         return cls(size, colour, f"{kind}, {1e3 * size:.2g} mm, estimated from {where}")
 
-    def whitened(self, observed: Observed) -> Observed:
+    def whitened(self, observed: Observations) -> Observations:
         """Return measurements with a matrix that whitens the noise of their markers; encoders are taken to be white.
 
         Each coordinate is predicted from the last frames in which it was measured, across gaps too: its prediction
@@ -89,11 +89,11 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
     channels = np.isfinite(markers).mean(axis=0) > 0.5
     complete = np.isfinite(markers[:, channels]).all(axis=1)
     time = observed.recording.time[observed.frames][complete]
-    directions = run.basis.shapes[:, : run.basis.slow]
+    directions = run.basis.shapes[:, : run.basis.slow_count]
     if time.size < _LEAST_FRAMES or channels.sum() <= directions.shape[1]:
         return None
     # An incomplete model may have moved the arm anywhere: start from the encoders' angles, and from straight links too.
-    simulated = sampled(run.steps, time)
+    simulated = run.trajectory.angles(time)
     for joint, theta in zip(run.chain.active, observed.recording.theta.T, strict=True):
         known = np.isfinite(theta)
         if known.any():
@@ -110,8 +110,8 @@ def _fit_frames(run: Run, q: Array, directions: Array, markers: Array, channels:
     """Residuals (F, c) [m] of marker coordinates (F, 2 k), fitted frame by frame (Newton) from angles q (F, nv)."""
     residual = np.zeros(0)
     for _ in range(12):  # quadratic convergence needs fewer once it is near
-        predicted = run.observed.arcs.shown(run.arm, q).reshape(len(q), -1)[:, channels]
-        slopes = run.observed.arcs.slope(run.arm, q, directions)[:, channels]
+        predicted = run.observed.arcs.measured_positions(run.arm, q).reshape(len(q), -1)[:, channels]
+        slopes = run.observed.arcs.slopes(run.arm, q, directions)[:, channels]
         difference = markers[:, channels] - predicted
         change = (np.linalg.pinv(slopes) @ difference[:, :, None])[:, :, 0]
         residual = difference - (slopes @ change[:, :, None])[:, :, 0]

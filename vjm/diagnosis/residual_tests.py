@@ -48,7 +48,7 @@ def residual_test(runs: Sequence[Run]) -> ResidualTest:
 def _bands(run: Run) -> Iterator[ResidualBand]:
     """Octaves of one recording's sensors; the upper half of the spectrum, where no arm moves, tells the noise level."""
     observed = run.observed
-    markers, angles = observed.spread(run.residual)
+    markers, angles = observed.on_grid(run.residual)
     time = observed.recording.time
     for sensor, series, instants in (("markers", markers, time[observed.frames]), ("encoder", angles, time)):
         rows = np.isfinite(series).any(axis=1)
@@ -106,7 +106,7 @@ def _repeated_residuals(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
 def _marker_residuals(run: Run) -> tuple[Array, Array]:
     """Instants since the start (F,) [s] and residuals of the markers (F, 2 k), in units of the noise."""
     time = run.observed.recording.time
-    return time[run.observed.frames] - time[0], run.observed.spread(run.residual)[0]
+    return time[run.observed.frames] - time[0], run.observed.on_grid(run.residual)[0]
 
 
 # In words, and as functions of time [s], angle [rad] and rate [rad/s].

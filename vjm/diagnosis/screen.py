@@ -22,8 +22,8 @@ from vjm.identification.trajectory_fit import Point
 from vjm.records import REFERENCE, Array, Mask
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.run import Run, Start, run_all, transferred
-from vjm.simulation.sensitivity import Moved
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs, transfer_state
+from vjm.simulation.sensitivity import PerturbedArm
 
 _ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
@@ -249,9 +249,9 @@ def _linearized(
             squares[:] += np.sum(directions**2, axis=0)
             yield weights[measured, None] * slopes, weights[measured] * run.residual[measured]
 
-    initial = 2 * run.basis.slow
+    initial = 2 * run.basis.slow_count
     columns = initial + len(coordinates) + len(moved)
-    information = SquareRootInformation.of(rows(), columns).with_rows(*run.preferred(columns))
+    information = SquareRootInformation.of(rows(), columns).with_rows(*run.prior_rows(columns))
     return information.eliminated(initial).R, squares
 
 
@@ -262,12 +262,12 @@ def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
     return variant.at(coordinates)
 
 
-def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -> list[Moved]:
+def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -> list[PerturbedArm]:
     """The arm with each size of an effect off its null; unchanged if the slope is zero or found by simulation."""
     if run.observed.recording.condition == REFERENCE or adds_joint(variant, point.chain):
-        return [Moved(run.arm, _STEP)] * variant.magnitude_count
+        return [PerturbedArm(run.arm, _STEP)] * variant.magnitude_count
     effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
-    return [Moved(Arm.of(point.chain, (*present, effect)), _STEP) for effect in effects]
+    return [PerturbedArm(Arm.of(point.chain, (*present, effect)), _STEP) for effect in effects]
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
@@ -292,9 +292,9 @@ def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect])
         for run in point.runs:
             absent = run.observed.recording.condition == REFERENCE
             arms.append(run.arm if absent else extended)
-            states.append(run.state if absent else transferred(run.chain, extended.chain, run.state))
-            starts.append(Start.of(arms[-1], run.observed.recording))
+            states.append(run.state if absent else transfer_state(run.chain, extended.chain, run.state))
+            starts.append(InitialStatePrior.of(arms[-1], run.observed.recording))
     count = len(point.runs)
     observed = [run.observed for run in point.runs] * len(added)
-    residuals = [run.residual for run in run_all(arms, observed, starts, states, point.problem.step_multiple)]
+    residuals = [run.residual for run in simulate_runs(arms, observed, starts, states, point.problem.step_multiple)]
     return [residuals[first : first + count] for first in range(0, len(residuals), count)]

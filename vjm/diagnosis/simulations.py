@@ -12,7 +12,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.records import Array, Experiment, RecordingComparison
 from vjm.simulation.initial_state import simulated_recording
-from vjm.simulation.measurement import Observed
+from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
 from vjm.symptoms.find import Symptoms, symptoms
@@ -39,7 +39,7 @@ def compare_recordings(
     """
     recordings = {run.observed.recording.file: run.observed.recording for run in before.point.runs}
     further = [each for each in experiment.cleaned_recordings if each.file not in recordings]
-    observed = [Observed.of(experiment.rig, recording, noise) for recording in further]
+    observed = [Observations.of(experiment.rig, recording, noise) for recording in further]
     by_best = _simulate(best, observed)
     trimmed_runs = {file: trimmed(run) for file, (run, _) in by_best.items()}
     changed = [each for file, each in trimmed_runs.items() if each is not by_best[file][0].observed]
@@ -64,7 +64,7 @@ def _fitted(model: CandidateFit | None, open_loop: CandidateFit) -> _Runs:
     return {run.observed.recording.file: (run, True) for run in without_feedback(model, open_loop).point.runs}
 
 
-def _simulate(model: CandidateFit, observed: Sequence[Observed], states: Sequence[Array] | None = None) -> _Runs:
+def _simulate(model: CandidateFit, observed: Sequence[Observations], states: Sequence[Array] | None = None) -> _Runs:
     """Simulations of recordings that were not fitted; those that are not possible are left out."""
     if not observed:
         return {}

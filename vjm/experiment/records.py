@@ -321,6 +321,12 @@ class Recording:
         return self if same else replace(self, gravity=gravity, file=file)
 
     @property
+    def initial_theta(self) -> Array:
+        """(n_a,) active joints' angles first measured; zero where none was [rad]."""
+        first = [column[np.isfinite(column)][:1] for column in self.theta.T]
+        return np.array([value[0] if value.size else 0.0 for value in first])
+
+    @property
     def frames(self) -> NDArray[np.intp]:
         """Rows at which the camera measured anything at all."""
         return np.flatnonzero(np.isfinite(self.markers).any(axis=(1, 2)))

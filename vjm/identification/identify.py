@@ -90,7 +90,7 @@ def _check_choices(method: str, parameters: str, angles: str | None, virtual_joi
         ("method", method, METHODS),
         ("parameters", parameters, PARAMETRISATIONS),
         ("angles", angles, (None, *ANGLE_METHODS)),
-        ("loss", loss, tuple(LOSSES)),
+        ("loss", loss, LOSSES),
     ):
         if given not in choices:
             raise ChoiceError(what, given, choices)

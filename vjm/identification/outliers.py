@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
 
 from vjm.records import Array, Mask, Recording
-from vjm.simulation.measurement import Observed, view
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 _AROUND = 15  # frames that say what a residual should be like
@@ -50,12 +50,12 @@ def without_outliers(recording: Recording, markers: Array, noise: float) -> tupl
     return replace(recording, markers=np.where(wrong, np.nan, recording.markers)), count
 
 
-def trimmed(run: Run) -> Observed:
+def trimmed(run: Run) -> Observations:
     """What was measured in a recording that a model follows, without outliers; the same where there are none."""
     seen = run.observed
-    markers = view(run.arm, seen.arcs, run.steps, seen.recording.time)
+    markers = seen.arcs.frames(run.arm, run.trajectory, seen.recording.time)
     recording, count = without_outliers(seen.recording, markers, seen.noise[0])
-    return seen.again(recording) if count else seen
+    return seen.of_recording(recording) if count else seen
 
 
 def _outlying(values: Array) -> Mask:

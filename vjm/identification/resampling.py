@@ -16,7 +16,7 @@ from vjm.identification.records import Identification
 from vjm.identification.trajectory_fit import FixedParameter, Point, TrajectoryFit, fit_trajectory
 from vjm.identification.uncertainty import covariance, of_trajectory, reach_of, to_physical
 from vjm.records import Array, Progress
-from vjm.simulation.measurement import Observed
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 _MOST_STEPS = 12
@@ -259,10 +259,10 @@ def _refit(point: Point, kind: str, seed: np.random.SeedSequence) -> tuple[Array
     return parametrisation.physical(x), np.sqrt(np.diag(to_physical(parametrisation, x, covariance(information))))
 
 
-def _remade(run: Run, errors: Array) -> Observed:
+def _remade(run: Run, errors: Array) -> Observations:
     """The recording as the run would have made it, with weighted errors (N,)."""
     seen = run.observed
-    return replace(seen, values=seen.predicted(run.arm, run.steps) + errors / seen.weights)
+    return replace(seen, values=seen.predicted(run.arm, run.trajectory) + errors / seen.weights)
 
 
 def _noise(run: Run, rng: np.random.Generator) -> Array:
@@ -272,7 +272,7 @@ def _noise(run: Run, rng: np.random.Generator) -> Array:
 def _blocks(run: Run, rng: np.random.Generator) -> Array:
     """The run's own weighted residuals (N,), blocks as long as they are correlated drawn with replacement."""
     errors = []
-    for series in run.series():
+    for series in run.residual_series():
         # Instants at which the sensor showed nothing are no part of a block.
         rows = np.isfinite(series).any(axis=1)
         values = series[rows]

@@ -23,11 +23,11 @@ from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import backtrack, most_likely, run_or_rest
+from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
 from vjm.simulation.least_squares import Damping, SquareRootInformation
-from vjm.simulation.measurement import Observed
-from vjm.simulation.run import Run, Start
-from vjm.simulation.sensitivity import Moved
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import InitialStatePrior, Run
+from vjm.simulation.sensitivity import PerturbedArm
 
 _DERIVATIVE_STEP = 1e-6
 
@@ -80,7 +80,7 @@ class TrajectoryProblem:
     """
 
     parametrisation: Parametrisation
-    observed: tuple[Observed, ...]
+    observed: tuple[Observations, ...]
     step_multiple: float = 1.0
     preference: tuple[Array, Array] | None = None
     spread: float = 1.0
@@ -104,14 +104,14 @@ class TrajectoryProblem:
 
     def until(self, duration: float) -> TrajectoryProblem:
         """The same with the recordings' first seconds only."""
-        parts = [each.until(float(each.recording.time[0]) + duration) for each in self.observed]
+        parts = [each.truncated(float(each.recording.time[0]) + duration) for each in self.observed]
         return replace(self, observed=tuple(parts))
 
     def arms(self, x: Array) -> tuple[Arm, ...]:
         """What moves in each recording."""
         return self.varied.arms(x, [each.recording for each in self.observed])
 
-    def moved(self, x: Array) -> tuple[tuple[Moved, ...], ...]:
+    def moved(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
         """For each recording, its arm with each coordinate moved a little."""
         found = []
         upper = self.varied.bounds[1]
@@ -120,7 +120,7 @@ class TrajectoryProblem:
             by = by if value + by <= upper[k] else -by
             point = x.copy()
             point[k] += by
-            found.append([Moved(arm, by) for arm in self.arms(point)])
+            found.append([PerturbedArm(arm, by) for arm in self.arms(point)])
         return tuple(zip(*found, strict=True))
 
     def preferred(self, x: Array) -> tuple[Array, Array]:
@@ -300,11 +300,11 @@ def _search(
     hopeless: Callable[[Point, float], bool] | None,
 ) -> TrajectoryFit:
     if states is None:
-        found = most_likely(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
+        found = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
         point = Point(problem, x, tuple(run for run, _ in found))
     else:
         point = _point(problem, x, states, states)
-        point = replace(point, runs=tuple(run.weighed() for run in point.runs))
+        point = replace(point, runs=tuple(run.with_scaled_prior() for run in point.runs))
     damping, done, iteration, promised = Damping(), False, 0, np.inf
     for iteration in range(_MOST_ITERATIONS):
         tell(iteration)
@@ -318,7 +318,7 @@ def _search(
             break
         trial = _attempt(point, step)
         if trial is not None and trial.cost < point.cost:
-            point = replace(trial, runs=tuple(run.weighed() for run in trial.runs))
+            point = replace(trial, runs=tuple(run.with_scaled_prior() for run in trial.runs))
             damping = damping.better()
         else:
             if trial is not None and _step(point, 0.0).predicted < _ROUGH * max(point.misfit, 1.0) ** 2:
@@ -338,10 +338,10 @@ def _point(
     spreads: Sequence[float] | None = None,
 ) -> Point:
     arms = problem.arms(x)
-    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
+    starts = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
     if spreads is not None:
-        starts = [replace(start, spread=spread) for start, spread in zip(starts, spreads, strict=True)]
-    runs = run_or_rest(arms, problem.observed, starts, states, known, problem.step_multiple)
+        starts = [replace(prior, scale=scale) for prior, scale in zip(starts, spreads, strict=True)]
+    runs = simulate_or_rest(arms, problem.observed, starts, states, known, problem.step_multiple)
     return Point(problem, x, tuple(runs))
 
 
@@ -397,7 +397,7 @@ def _attempt(point: Point, step: _Step) -> Point | None:
     """The point a step further; None where a simulation diverges or the chain is none."""
     moved = [run.state + by for run, by in zip(point.runs, step.states, strict=True)]
     try:
-        spreads = [run.start.spread for run in point.runs]
+        spreads = [run.prior.scale for run in point.runs]
         trial = _point(point.problem, point.x + step.change, moved, [run.state for run in point.runs], spreads)
     except (SimulationDivergedError, InsufficientDataError):  # or it does not come to rest under its load
         return None

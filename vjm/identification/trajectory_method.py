@@ -32,11 +32,11 @@ from vjm.identification.trajectory_fit import (
 from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
 from vjm.records import Array, Experiment, Progress, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import most_likely
-from vjm.simulation.integrators import measured_torque, still
-from vjm.simulation.least_squares import LOSSES
-from vjm.simulation.measurement import Observed
-from vjm.simulation.run import Start, run_all, transferred
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.least_squares import Loss
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
+from vjm.simulation.system import Trajectory, measured_torque
 
 _LOST = 10.0  # RMS residual over noise of the first periods beyond which other starts are tried
 _EXPLAINED = 0.3  # unless it is less than this share of the motion
@@ -82,8 +82,8 @@ def _motion(problem: TrajectoryProblem, x: Array) -> float:
     """RMS of what was measured about the arm's rest, in units of the noise."""
     squares = 0.0
     for seen, arm in zip(problem.observed, problem.arms(x), strict=True):
-        rest = Start.of(arm, seen.recording).rest[: arm.chain.size]
-        residual = seen.residual(arm, still(seen.recording.time, rest))
+        rest = InitialStatePrior.of(arm, seen.recording).rest[: arm.chain.size]
+        residual = seen.residual(arm, Trajectory.at_rest(seen.recording.time, rest))
         squares += float(residual @ residual)
     return float(np.sqrt(squares / sum(seen.count for seen in problem.observed)))
 
@@ -91,7 +91,7 @@ def _motion(problem: TrajectoryProblem, x: Array) -> float:
 def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
     """RMS weighted residual from the most likely initial states at coordinates x; infinite where nothing runs."""
     try:
-        found = most_likely(problem.arms(x), problem.observed)
+        found = fit_initial_states(problem.arms(x), problem.observed)
     except SimulationDivergedError:
         return np.inf
     return Point(problem, x, tuple(run for run, _ in found)).misfit
@@ -127,7 +127,7 @@ class Search:
 
     experiment: Experiment
     data: Data
-    observed: tuple[Observed, ...]
+    observed: tuple[Observations, ...]
     hubs: tuple[int, ...]
     progress: Progress | None
     rough: bool = False
@@ -194,7 +194,7 @@ class Search:
     def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
         """Uniform links with so many joints, from a fit with about as many."""
         chain = self.template(joints)
-        states = [transferred(run.chain, chain, run.state) for run in fit.point.runs]
+        states = [transfer_state(run.chain, chain, run.state) for run in fit.point.runs]
         problem = self.problem(joints)
         chain = problem.parametrisation.chain(fit.point.x)
         problem = replace(problem, step_multiple=_coarsest(chain, problem.observed, states, fit.point.misfit**2))
@@ -251,7 +251,7 @@ def _note(gain: float, fewer: TrajectoryFit, more: TrajectoryFit) -> str:
     return f"{note} and move " + ", ".join(f"{c.name} by {100 * shift:.2g} %" for c, shift in named)
 
 
-def _coarsest(chain: Chain, observed: Sequence[Observed], states: Sequence[Array], excess: float) -> float:
+def _coarsest(chain: Chain, observed: Sequence[Observations], states: Sequence[Array], excess: float) -> float:
     """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error.
 
     Args:
@@ -261,10 +261,10 @@ def _coarsest(chain: Chain, observed: Sequence[Observed], states: Sequence[Array
         excess: mean square of the weighted residuals.
     """
     arms = [Arm(chain)] * len(observed)
-    starts = [Start.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
-    exact = run_all(arms, observed, starts, states, 1.0)
+    starts = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
+    exact = simulate_runs(arms, observed, starts, states, 1.0)
     for step_multiple in _COARSE:
-        runs = run_all(arms, observed, starts, states, step_multiple)
+        runs = simulate_runs(arms, observed, starts, states, step_multiple)
         error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
         if error < _UNSEEN * max(excess, 1.0):
             return step_multiple
@@ -338,7 +338,7 @@ def first_fit(
     """
     recordings, problems = simulated(data.recordings)
     noise = (data.settings.marker_noise, data.settings.encoder_noise)
-    observed = tuple(Observed.of(experiment.rig, each, noise, LOSSES[loss]) for each in recordings)
+    observed = tuple(Observations.of(experiment.rig, each, noise, Loss(loss)) for each in recordings)
     torque = fit_uniform(experiment, data, progress) if data.prepared else None
     search = Search(experiment, data, observed, driven_hubs(experiment, recordings), progress, rough)
     joints = search.candidates()[0]

@@ -139,7 +139,7 @@ def _larger(one: Array, other: Array, normal: Array) -> Array:
 def _whiteness(run: Run) -> Whiteness:
     """Ljung and Box's test over all the sensors of a recording."""
     statistic, freedom, largest = 0.0, 0, 0.0
-    for series in run.series():
+    for series in run.residual_series():
         known = np.isfinite(series).any(axis=1)
         values = np.nan_to_num(series[known])
         lags = min(_LAGS, len(values) // 4)

@@ -1,4 +1,4 @@
-"""What is simulated: a chain, and what acts on it and on its sensors beyond it."""
+"""An arm to simulate: a chain, and the effects on it and on its sensors."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from vjm.records import Array, Recording
 from vjm.simulation.encoder_feedback import EncoderFeedback
 
 T = TypeVar("T")
+_MOMENT = 1e-4  # s, over which encoders' readings are differentiated
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Arm:
     Attributes:
         chain: with all that the effects change of it.
         effects: those present, in the order in which they were added.
-        feedback: what draws its active joints towards what was measured; None: it moves as it does.
+        feedback: from measured angles to active joints; None: open loop.
     """
 
     chain: Chain
@@ -33,22 +34,22 @@ class Arm:
     feedback: EncoderFeedback | None = None
 
     def __reduce__(self) -> tuple[type[Arm], tuple[Chain, tuple[Effect, ...], EncoderFeedback | None]]:
-        return Arm, (self.chain, self.effects, self.feedback)  # without functions that were kept
+        return Arm, (self.chain, self.effects, self.feedback)  # without cached functions, which cannot be pickled
 
     @classmethod
     def of(cls, chain: Chain, effects: Sequence[Effect] = ()) -> Arm:
-        """A chain with effects added; those at their null are left out."""
+        """Return a chain with effects added; those at their null are left out."""
         present = tuple(effect for effect in effects if not effect.is_null)
         for effect in present:
             chain = effect.chain(chain)
         return cls(chain, present)
 
     def with_feedback(self, feedback: EncoderFeedback | None) -> Arm:
-        """The same on a guide."""
+        """Return the same arm with other feedback."""
         return self if feedback is self.feedback else replace(self, feedback=feedback)
 
     def inputs(self, recording: Recording) -> Recording:
-        """The recording with what really drove the arm."""
+        """Return the recording with the inputs that really drove the arm."""
         for effect in self.effects:
             recording = effect.true_inputs(recording)
         return recording
@@ -58,62 +59,59 @@ class Arm:
         """Number of each effect's internal states."""
         return tuple(effect.state_count(self.chain) for effect in self.effects)
 
-    def rest(self, q: Array) -> Array:
-        """(..., nz) internal states at a recording's start, at angles q (..., nv) [rad]."""
+    def initial_states(self, q: Array) -> Array:
+        """Return (..., nz) internal states at a recording's start, at angles q (..., nv) [rad]."""
         parts = [effect.initial_states(self.chain, q) for effect in self.effects]
         return np.concatenate([np.zeros((*q.shape[:-1], 0)), *parts], axis=-1)
 
-    def rest_state(self, q: Array) -> Array:
-        """Angles (..., nv) near the given ones [rad] at which its effects let it stay."""
+    def rest_angles(self, q: Array) -> Array:
+        """Return angles (..., nv) near the given ones [rad] at which the effects let the arm stay."""
         for effect in self.effects:
             q = effect.rest_angles(self.chain, q)
         return q
 
     def forces(self, payload: float) -> Motion | None:
-        """The effects' generalised forces together; None where there are none."""
-        acting = self._told(lambda effect: effect.force(self.chain, payload))
-        if not acting:
+        """Return the sum of the effects' generalised forces; None where there are none."""
+        forces = self._hooks(lambda effect: effect.force(self.chain, payload))
+        if not forces:
             return None
-        if len(acting) == 1 and len(self.effects) == 1:
-            return acting[0][0]
+        if len(self.effects) == 1:
+            return forces[0][0]
 
         def total(time: Array, q: Array, v: Array, z: Array) -> Array:
-            summed = acting[0][0](time, q, v, z[..., acting[0][1]])
-            for force, part in acting[1:]:
-                summed = summed + force(time, q, v, z[..., part])
-            return summed
+            return np.asarray(sum(force(time, q, v, z[..., part]) for force, part in forces))
 
         return total
 
     @cached_property
     def rates(self) -> Motion | None:
         """Rates of change of all internal states; None where there are none."""
-        changing = self._told(lambda effect: effect.state_rates(self.chain))
-        if not changing:
+        functions = self._hooks(lambda effect: effect.state_rates(self.chain))
+        if not functions:
             return None
 
-        def together(time: Array, q: Array, v: Array, z: Array) -> Array:
-            found = np.zeros(z.shape)
-            for rates, part in changing:
-                found[..., part] = rates(time, q, v, z[..., part])
-            return found
+        def all_rates(time: Array, q: Array, v: Array, z: Array) -> Array:
+            rates = np.zeros(z.shape)
+            for function, part in functions:
+                rates[..., part] = function(time, q, v, z[..., part])
+            return rates
 
-        return together
+        return all_rates
 
     @cached_property
     def rate_independent_update(self) -> RateIndependentUpdate | None:
-        """How internal states follow the joints' way, the others as given; None where none does."""
-        following = self._told(lambda effect: effect.rate_independent_update(self.chain))
-        if not following:
+        """Update of the internal states that depend on the joints' path only; None where none does."""
+        functions = self._hooks(lambda effect: effect.rate_independent_update(self.chain))
+        if not functions:
             return None
 
-        def together(q: Array, z: Array, to: Array) -> Array:
-            found = z.copy()
-            for rate_independent_update, part in following:
-                found[..., part] = rate_independent_update(q, z[..., part], to)
-            return found
+        def update(q: Array, z: Array, to: Array) -> Array:
+            updated = z.copy()
+            for function, part in functions:
+                updated[..., part] = function(q, z[..., part], to)
+            return updated
 
-        return together
+        return update
 
     @property
     def longest_step(self) -> float:
@@ -122,8 +120,22 @@ class Arm:
 
     @cached_property
     def sensors(self) -> tuple[Effect, ...]:
-        """The effects that are in the sensors."""
+        """Effects on the sensors."""
         return tuple(effect for effect in self.effects if effect.sensor)
+
+    def encoder_angles(self, theta: Array) -> Array:
+        """Return the encoders' readings of active joints' angles (..., n_a) [rad]."""
+        for effect in self.sensors:
+            theta = effect.encoder_angles(theta)
+        return theta
+
+    def read_encoders(self, theta: Array, rate: Array) -> tuple[Array, Array]:
+        """Return the encoders' readings of angles [rad] and rates [rad/s] (..., n_a) of the active joints."""
+        if all(type(effect).encoder_angles is Effect.encoder_angles for effect in self.sensors):
+            return theta, rate
+        flat, flat_rate = (values.reshape(-1, theta.shape[-1]) for values in (theta, rate))
+        before, now, after = (self.encoder_angles(flat + t * flat_rate) for t in (-_MOMENT, 0, _MOMENT))
+        return now.reshape(theta.shape), ((after - before) / (2 * _MOMENT)).reshape(theta.shape)
 
     @cached_property
     def smooth(self) -> tuple[Arm, NDArray[np.intp]]:
@@ -133,17 +145,17 @@ class Arm:
             return self, np.arange(sum(self.states))
         kept = [
             np.arange(part.start, part.stop)
-            for part, effect in zip(self._parts, effects, strict=True)
+            for part, effect in zip(self._state_slices, effects, strict=True)
             if effect.state_count(self.chain)
         ]
         return Arm(self.chain, effects, self.feedback), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
 
     @cached_property
-    def _parts(self) -> list[slice]:
+    def _state_slices(self) -> list[slice]:
         stops = np.cumsum(self.states, dtype=int).tolist()
         return [slice(stop - count, stop) for stop, count in zip(stops, self.states, strict=True)]
 
-    def _told(self, hook: Callable[[Effect], T | None]) -> list[tuple[T, slice]]:
-        """What a hook of the effects says, and which internal states are theirs, of those where it says anything."""
-        told = [(hook(effect), part) for effect, part in zip(self.effects, self._parts, strict=True)]
-        return [(each, part) for each, part in told if each is not None]
+    def _hooks(self, hook: Callable[[Effect], T | None]) -> list[tuple[T, slice]]:
+        """Results of a hook, with the internal states of their effects; None is left out."""
+        results = [(hook(effect), part) for effect, part in zip(self.effects, self._state_slices, strict=True)]
+        return [(result, part) for result, part in results if result is not None]

@@ -12,50 +12,44 @@ from vjm.errors import ChoiceError, ShapeError
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.exponential import exponential
-from vjm.simulation.integrators import Drive, Steps, System, runge_kutta, sample
-from vjm.simulation.measurement import Arcs, view
+from vjm.simulation.integrators import exponential, runge_kutta
+from vjm.simulation.measurement import MarkerArcs
+from vjm.simulation.system import Drive, System, Trajectory
 
-# Steps a period of the locked arm's slowest mode; measured on 1 m chains of 4 to 40 joints bent by an eighth of their
-# length, or driven: the tip stays within 1e-6 m for 10 s. The error grows with the arm's length and the fourth power of
-# the step; the top modes of larger chains, however fast, are in the part that is advanced exactly.
 INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
-
-_STEPS_A_PERIOD = 60.0
-_MORE_A_JOINT = 16.0
-_MOST_STEPS_A_PERIOD = 220.0
-# Where an active joint further out swings the arm's outer part about fast: a joint's worth, and at most.
-_ELBOW_STEPS_A_JOINT = 880.0
-_MOST_ELBOW_STEPS = 5200.0
-REFERENCE_STEP = 1e-4  # s, section 6.4
-_LEAST_STEPS = 20
-_HALF_INTERVAL = 1 / 140  # periods of the slowest mode
-_HALF_INTERVAL_ELBOW = 1 / 600  # where the arm changes its shape altogether
-_ABOUT_EQUAL = 1.5  # durations within this factor are advanced together
+_REFERENCE_STEP = 1e-4  # s, section 6.4
+_LEAST_STEPS = 20  # of a short recording
+# Half an interval over which derivatives of the motion are advanced, in periods of the slowest mode; shorter where an
+# elbow changes the arm's shape altogether.
+_HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
+_SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
 _MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 10 GB for 432
-_MOST_COARSE = 2.0  # times the step that effects ask for
 
 
 def default_step(chain: Chain, payload: float = 0.0) -> float:
-    """Step of the exponential integrator [s] that keeps the tip within 1e-6 m of the reference over 10 s."""
-    slowest, _ = locked_frequencies(chain, payload)
-    longer = sum(link.length for link in chain.links) ** -0.25
-    most = max(link.virtual_joints for link in chain.links)
-    steps = min(_STEPS_A_PERIOD + _MORE_A_JOINT * most, _MOST_STEPS_A_PERIOD)
+    """Return the exponential integrator's step [s] that keeps the tip within 1e-6 m of the reference over 10 s.
+
+    Measured on 1 m chains of 4 to 40 joints bent by an eighth of their length, or driven. The error grows with the
+    arm's length and the fourth power of the step; the top modes of larger chains, however fast, are in the part that is
+    advanced exactly. An active joint further out swings the arm's outer part about fast.
+    """
+    slowest, _ = locked_joint_frequencies(chain, payload)
+    joints = max(link.virtual_joints for link in chain.links)
+    steps_a_period = min(60.0 + 16.0 * joints, 220.0)
     if (chain.active > 0).any():
-        steps = min(_ELBOW_STEPS_A_JOINT * most, _MOST_ELBOW_STEPS)
-    return float(longer / (steps * slowest))
+        steps_a_period = min(880.0 * joints, 5200.0)
+    return float(sum(link.length for link in chain.links) ** -0.25 / (steps_a_period * slowest))
 
 
-def locked_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
-    """Natural frequencies of the slowest and the fastest mode with the active joints locked [Hz]."""
+def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
+    """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
     M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
     p = chain.passive
-    locked = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)], rest[p]).frequencies
-    return float(locked[0]), float(locked[-1])
+    frequencies = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)], rest[p]).frequencies
+    return float(frequencies[0]), float(frequencies[-1])
 
 
-def rollouts(
+def simulate_trajectories(
     arms: Sequence[Arm],
     recordings: Sequence[Recording],
     q: Sequence[Array],
@@ -64,7 +58,7 @@ def rollouts(
     step: float | None = None,
     step_multiple: float = 1.0,
     longest: float = np.inf,
-) -> list[Steps]:
+) -> list[Trajectory]:
     """Simulate several recordings, or several copies over one, all advanced together where they are alike.
 
     Args:
@@ -78,7 +72,7 @@ def rollouts(
 
     Returns:
         C trajectories of one copy each, from the recording's first instant to its last or a little beyond: their
-        numbers of steps are multiples of two `half_interval`s.
+        numbers of steps are multiples of two `steps_per_half_interval`s.
 
     Raises:
         ChoiceError: unknown integrator.
@@ -88,33 +82,36 @@ def rollouts(
     if integrator not in INTEGRATORS:
         raise ChoiceError("integrator", integrator, INTEGRATORS)
     driven = [arm.inputs(recording) for arm, recording in zip(arms, recordings, strict=True)]
-    found: list[Steps | None] = [None] * len(arms)
-    for group in _alike(arms, driven):
-        first, own = driven[group[0]], [arms[k] for k in group]
-        h = min(_step_of(own[0].chain, first, integrator, step, step_multiple), longest, _allowed(own, step_multiple))
-        counts = [_count(arms[k].chain, driven[k], h) for k in group]
+    trajectories: dict[int, Trajectory] = {}
+    for group in _similar(arms, driven):
+        first, copies = driven[group[0]], [arms[k] for k in group]
+        allowed = min(arm.longest_step for arm in copies) * min(step_multiple, 2.0)
+        h = min(_step(copies[0].chain, first, integrator, step, step_multiple), longest, allowed)
+        counts = [_step_count(arms[k].chain, driven[k], h) for k in group]
         drive = Drive.of([driven[k] for k in group], h, max(counts))
-        system = System.of(own, [driven[k].payload for k in group], first.gravity)
-        angles, rates = (np.stack([np.asarray(each[k], dtype=float) for k in group]) for each in (q, v))
-        states = np.stack([arm.rest(angle) for arm, angle in zip(own, angles, strict=True)])
-        with np.errstate(over="ignore", invalid="ignore"):  # what diverges is noticed, and said
-            steps = INTEGRATORS[integrator](system, angles, rates, states, drive)
+        system = System.of(copies, [driven[k].payload for k in group], first.gravity)
+        angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
+        states = np.stack([arm.initial_states(angle) for arm, angle in zip(copies, angles, strict=True)])
+        with np.errstate(over="ignore", invalid="ignore"):  # divergence is noticed, and raised
+            together = INTEGRATORS[integrator](system, angles, rates, states, drive)
         for c, (k, count) in enumerate(zip(group, counts, strict=True)):
             rows = slice(count + 1)
-            time = driven[k].time[0] + steps.time[rows]
-            found[k] = Steps(time, *(values[rows, c : c + 1] for values in (steps.q, steps.v, steps.a, steps.z)))
-    return [each for each in found if each is not None]
+            motion = (values[rows, c : c + 1] for values in (together.q, together.v, together.a, together.z))
+            trajectories[k] = Trajectory(driven[k].time[0] + together.time[rows], *motion)
+    return [trajectories[k] for k in range(len(arms))]
 
 
-def _alike(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[int]]:
+def _similar(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[int]]:
     """Indices of runs that can be advanced together: as many unknowns, the same gravity, about equally long."""
+    kinds = [
+        (recording.gravity, arm.chain.size, sum(arm.states)) for arm, recording in zip(arms, recordings, strict=True)
+    ]
+    durations = [_duration(recording) for recording in recordings]
     groups: list[list[int]] = []
-    for k in np.argsort([_duration(recording) for recording in recordings], kind="stable").tolist():
+    for k in np.argsort(durations, kind="stable").tolist():
         for group in groups:
-            first = recordings[group[0]]
-            short = _duration(recordings[k]) <= _ABOUT_EQUAL * _duration(first)
-            same = recordings[k].gravity == first.gravity and _unknowns(arms[k]) == _unknowns(arms[group[0]])
-            if short and same and (len(group) + 1) * arms[k].chain.size <= _MOST_TOGETHER:
+            similar = durations[k] <= _SIMILAR_DURATIONS * durations[group[0]] and kinds[k] == kinds[group[0]]
+            if similar and (len(group) + 1) * arms[k].chain.size <= _MOST_TOGETHER:
                 group.append(k)
                 break
         else:
@@ -122,68 +119,31 @@ def _alike(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[in
     return groups
 
 
-def _allowed(arms: Sequence[Arm], step_multiple: float) -> float:
-    """Step that the effects allow [s]."""
-    return min(arm.longest_step for arm in arms) * min(step_multiple, _MOST_COARSE)
-
-
-def _unknowns(arm: Arm) -> tuple[int, int]:
-    return arm.chain.size, sum(arm.states)
-
-
 def _duration(recording: Recording) -> float:
     return float(recording.time[-1] - recording.time[0])
 
 
-def _step_of(chain: Chain, recording: Recording, integrator: str, step: float | None, step_multiple: float) -> float:
+def _step(chain: Chain, recording: Recording, integrator: str, step: float | None, step_multiple: float) -> float:
     if step is None:
-        step = step_multiple * default_step(chain, recording.payload) if integrator == "exponential" else REFERENCE_STEP
+        exact = integrator != "exponential"
+        step = _REFERENCE_STEP if exact else step_multiple * default_step(chain, recording.payload)
     if not 0 < step < np.inf:
         raise ShapeError("step", step, "a positive number of seconds")
     duration = _duration(recording)
     return min(step, duration / _LEAST_STEPS) if duration > 0 else step
 
 
-def half_interval(chain: Chain, recording: Recording, step: float) -> int:
-    """Number of steps [s] in half an interval over which derivatives of the motion are advanced at once."""
-    slowest, _ = locked_frequencies(chain, recording.payload)
+def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> int:
+    """Return the number of steps [s] in half an interval over which derivatives are advanced at once."""
+    slowest, _ = locked_joint_frequencies(chain, recording.payload)
     periods = _HALF_INTERVAL_ELBOW if (chain.active > 0).any() else _HALF_INTERVAL
     return max(1, int(periods / (slowest * step) + 1e-9))
 
 
-def _count(chain: Chain, recording: Recording, step: float) -> int:
-    multiple = 2 * half_interval(chain, recording, step)
+def _step_count(chain: Chain, recording: Recording, step: float) -> int:
+    multiple = 2 * steps_per_half_interval(chain, recording, step)
     count = max(1, int(np.ceil(_duration(recording) / step - 1e-9)))
     return multiple * -(-count // multiple)
-
-
-def rollout(
-    chains: Sequence[Chain],
-    recording: Recording,
-    q: ArrayLike,
-    v: ArrayLike,
-    integrator: str = "exponential",
-    step: float | None = None,
-) -> tuple[Array, Array]:
-    """Angles of several copies of a chain over one recording, all driven by its torque.
-
-    Args:
-        chains: C chains with the same coordinates.
-        recording: gives the instants, torque, gravity and payload.
-        q, v: (C, nv) initial angles [rad] and rates [rad/s].
-        integrator: `exponential` or `rk4`.
-        step: [s]; None: the integrator's default.
-
-    Returns:
-        q, v (T, C, nv) at the recording's instants [rad, rad/s].
-
-    Raises:
-        ChoiceError, InsufficientDataError, SimulationDivergedError: as `rollouts`.
-    """
-    arms = [Arm(chain) for chain in chains]
-    runs = rollouts(arms, [recording] * len(arms), [*np.atleast_2d(q)], [*np.atleast_2d(v)], integrator, step)
-    angles, rates = zip(*(sample(run, recording.time) for run in runs), strict=True)
-    return np.concatenate(angles, axis=1), np.concatenate(rates, axis=1)
 
 
 def simulate(
@@ -206,18 +166,15 @@ def simulate(
         step: [s]; None: the integrator's default.
 
     Raises:
-        ChoiceError, InsufficientDataError, SimulationDivergedError: as `rollout`.
+        ChoiceError, InsufficientDataError, SimulationDivergedError: as `simulate_trajectories`.
     """
-    whole = arm if isinstance(arm, Arm) else Arm(arm)
-    steps = rollouts([whole], [recording], [np.asarray(q)], [np.asarray(v)], integrator, step)[0]
-    return simulation(whole, Arcs.of(rig), recording, steps)
+    arm = arm if isinstance(arm, Arm) else Arm(arm)
+    trajectories = simulate_trajectories([arm], [recording], [np.asarray(q)], [np.asarray(v)], integrator, step)
+    return sensor_readings(arm, MarkerArcs.of(rig), recording, trajectories[0])
 
 
-def simulation(arm: Arm, arcs: Arcs, recording: Recording, steps: Steps) -> Simulation:
-    """A trajectory at a recording's instants, as its sensors would show it."""
-    angles, rates = (each[:, 0] for each in sample(steps, recording.time))
-    markers = view(arm, arcs, steps, recording.time)
-    theta = angles[:, arm.chain.active]
-    for effect in arm.sensors:
-        theta = effect.encoder_angles(theta)
-    return Simulation(recording.time, angles, rates, theta, markers)
+def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory: Trajectory) -> Simulation:
+    """Return a trajectory at a recording's instants, with the readings of its sensors."""
+    angles, rates = (values[:, 0] for values in trajectory.sample(recording.time))
+    markers = arcs.frames(arm, trajectory, recording.time)
+    return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)

@@ -1,240 +1,25 @@
 """Time steps for virtual-joint chains: stiff in K, smooth in everything else.
 
-Every integrator advances all copies of a `Mechanism` together, each under its own torque.
+Every integrator advances all copies of a `System` together, each under its own torque.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.effects.effect import Effect, Motion, RateIndependentUpdate
-from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.errors import SimulationDivergedError
 from vjm.model import dynamics
-from vjm.records import Array, Recording
-from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import EncoderFeedback, shown
+from vjm.records import Array, Indices
+from vjm.simulation.system import Drive, System, Trajectory
 
-_GAUSS = np.array([-1.0, 1.0]) / np.sqrt(3.0)  # exact for the product of a line and a quadratic
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Active joints' torques over evenly spaced steps.
-
-    Within a step the torque may have kinks at its samples. There it is replaced by the quadratic with the same mean,
-    first and second moment: all that motion slower than the step can tell apart.
-
-    Attributes:
-        start, middle, end: (S, C, n_a) the quadratic's values at the steps' ends and middles [N m].
-        ends: (S + 1, C, n_a) the torque itself at the steps' ends [N m].
-        first: (C,) instants of the first step's start [s].
-        step: [s].
-    """
-
-    start: Array
-    middle: Array
-    end: Array
-    ends: Array
-    first: Array
-    step: float
-
-    @classmethod
-    def of(cls, recordings: Sequence[Recording], step: float, count: int) -> Drive:
-        """The drive of C recordings, each from its own first instant; no torque acts after a recording's end.
-
-        Raises:
-            InsufficientDataError: an active joint without measured torque.
-        """
-        parts = [_fitted(*measured_torque(recording), recording.time, step, count) for recording in recordings]
-        start, middle, end, ends = (np.stack(each, axis=1) for each in zip(*parts, strict=True))
-        return cls(start, middle, end, ends, np.array([recording.time[0] for recording in recordings]), step)
+_DIVERGED = 1e3  # rad; no joint turns so far
+_ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 
 
-def measured_torque(recording: Recording) -> tuple[Array, Array]:
-    """Instants (T',) [s] and torques (T', n_a) [N m] at which all the active joints' torques were measured.
-
-    Raises:
-        InsufficientDataError: an active joint without measured torque: what drives it is unknown.
-    """
-    if recording.tau.shape[1] == 0:
-        return recording.time[:1], np.zeros((1, 0))
-    known = np.isfinite(recording.tau).all(axis=1)
-    if known.sum() < 2:
-        raise InsufficientDataError(
-            f"simulation of {recording.file}",
-            "no torque was measured at its active joints",
-            "record the column LINK.tau",
-        )
-    return recording.time[known], recording.tau[known]
-
-
-def _fitted(knots: Array, torque: Array, time: Array, step: float, count: int) -> tuple[Array, Array, Array, Array]:
-    """The quadratics' values (S, n_a) at starts, middles and ends, and the torque at the steps' ends (S + 1, n_a)."""
-    edges = np.asarray(time[0] + step * np.arange(count + 1))
-    # Pieces on which the torque is a line: between neighbouring knots and steps' ends.
-    inner = knots[(knots > edges[0]) & (knots < edges[-1])]
-    bounds = np.union1d(edges, inner)
-    middles, halves = (bounds[1:] + bounds[:-1]) / 2, np.diff(bounds) / 2
-    owner = np.clip(((middles - edges[0]) / step).astype(int), 0, count - 1)
-    instants = middles[:, None] + halves[:, None] * _GAUSS
-    x = (instants - edges[owner][:, None]) * 2 / step - 1
-    moments = (np.ones_like(x), x, (3 * x**2 - 1) / 2)
-    after = time[-1] + 1e-9 * step
-    quadratics, ends = [], []
-    for column in torque.T:
-        values = np.where(instants > after, 0.0, np.interp(instants, knots, column)) * halves[:, None]
-        c0, c1, c2 = (
-            (2 * k + 1) / step * np.bincount(owner, (values * moment).sum(axis=1), count)
-            for k, moment in enumerate(moments)
-        )
-        quadratics.append((c0 - c1 + c2, c0 - c2 / 2, c0 + c1 + c2))
-        ends.append(np.where(edges > after, 0.0, np.interp(edges, knots, column)))
-    if not quadratics:
-        empty = np.zeros((count, 0))
-        return empty, empty, empty, np.zeros((count + 1, 0))
-    start, middle, end = (np.stack(each, axis=-1) for each in zip(*quadratics, strict=True))
-    return start, middle, end, np.stack(ends, axis=-1)
-
-
-_LARGEST_ANGLE = 1e3  # rad; beyond it a trajectory has diverged
-
-
-class Acting(NamedTuple):
-    """Effects on some of the copies.
-
-    Attributes:
-        copies: their numbers.
-        force: generalised forces; None: none.
-        rates: of change of the internal states; None: none have any.
-        rate_independent_update: how internal states follow the joints' way; None: none do.
-    """
-
-    copies: NDArray[np.intp]
-    force: Motion | None
-    rates: Motion | None
-    rate_independent_update: RateIndependentUpdate | None
-
-
-@dataclass(frozen=True)
-class System:
-    """What is integrated: the copies' mechanism with their springs and dampers.
-
-    Attributes:
-        mechanism: the copies as branches of one model.
-        stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
-        active: coordinates that torques drive.
-        acting: what acts on the copies beyond springs, dampers and torques.
-        states: number nz of each copy's internal states.
-        feedback: what draws the copies' active joints; None: nothing does.
-        sensors: of each copy, the effects in what it shows.
-    """
-
-    mechanism: dynamics.Mechanism
-    stiffness: Array
-    damping: Array
-    active: NDArray[np.intp]
-    acting: tuple[Acting, ...] = ()
-    states: int = 0
-    feedback: EncoderFeedback | None = None
-    sensors: tuple[tuple[Effect, ...], ...] = ()
-
-    @classmethod
-    def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
-        """The system of several arms with the same coordinates, each with its own payload [kg] on the tip.
-
-        Args:
-            arms: one a copy.
-            payloads: one a copy [kg].
-            gravity: in the plane, for all [m/s^2].
-        """
-        chains = [arm.chain for arm in arms]
-        return cls(
-            dynamics.build(chains, payloads, gravity),
-            np.stack([chain.stiffness for chain in chains]),
-            np.stack([chain.damping for chain in chains]),
-            chains[0].active,
-            _acting(arms, payloads),
-            sum(arms[0].states),
-            EncoderFeedback.together([arm.feedback for arm in arms]),
-            tuple(arm.sensors for arm in arms),
-        )
-
-    @property
-    def is_pushed(self) -> bool:
-        """Whether anything acts beyond springs, dampers and torques."""
-        return bool(self.acting) or self.feedback is not None
-
-    def pushed(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
-        """Forces of effects and guide (C, nv) [N m] and rates of internal states (C, nz), since the start [s]."""
-        force, rates = np.zeros(q.shape), np.zeros(z.shape)
-        for copies, push, change, _ in self.acting:
-            rows = slice(None) if len(copies) == len(q) else copies
-            at = np.full(len(copies), time)
-            if push is not None:
-                force[rows] = push(at, q[rows], v[rows], z[rows])
-            if change is not None:
-                rates[rows] = change(at, q[rows], v[rows], z[rows])
-        if self.feedback is not None:
-            force[:, self.active] += self.feedback.torque(time, *self._shown(q[:, self.active], v[:, self.active]))
-        return force, rates
-
-    def _shown(self, theta: Array, rate: Array) -> tuple[Array, Array]:
-        """What encoders show of the copies' active joints' angles and rates (C, n_a)."""
-        if not any(self.sensors):
-            return theta, rate
-        found = [shown(*each) for each in zip(self.sensors, theta, rate, strict=True)]
-        return np.stack([angle for angle, _ in found]), np.stack([speed for _, speed in found])
-
-    def carried(self, q: Array, z: Array, to: Array) -> Array:
-        """Internal states (C, nz), those that follow the joints' way carried from angles q to others (C, nv)."""
-        ways = [
-            (each.copies, each.rate_independent_update)
-            for each in self.acting
-            if each.rate_independent_update is not None
-        ]
-        found = z.copy() if ways else z
-        for copies, rate_independent_update in ways:
-            found[copies] = rate_independent_update(q[copies], z[copies], to[copies])
-        return found
-
-    def acceleration(self, q: Array, v: Array, torque: Array, force: Array) -> Array:
-        """(C, nv) accelerations at q, v (C, nv) under active joints' torques (C, n_a) and forces (C, nv) [N m]."""
-        total = force - self.stiffness * q - self.damping * v
-        total[:, self.active] += torque
-        flat = dynamics.forward_dynamics(self.mechanism, q.ravel(), v.ravel(), total.ravel())
-        return flat.reshape(q.shape)
-
-    def free_acceleration(self, x: Array, torque: Array) -> Array:
-        """(C, nv) accelerations at x = (q, v) (C, 2 nv) under torques (C, nv) of all joints, springs included."""
-        n = torque.shape[1]
-        flat = dynamics.forward_dynamics(self.mechanism, x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
-        return flat.reshape(torque.shape)
-
-
-def _acting(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[Acting, ...]:
-    """What acts on the copies; those with the same effects and payload together."""
-    groups: dict[tuple[int, int, float], list[int]] = {}
-    for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
-        groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)
-    found = [
-        Acting(
-            np.array(copies),
-            arms[copies[0]].forces(payload),
-            arms[copies[0]].rates,
-            arms[copies[0]].rate_independent_update,
-        )
-        for (*_, payload), copies in groups.items()
-    ]
-    return tuple(each for each in found if each.force is not None or each.rates is not None)
-
-
-def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Steps:
-    """Classical fourth-order Runge-Kutta with fixed steps: the reference (section 6.4 takes 100 us).
+def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+    """Integrate by classical fourth-order Runge-Kutta steps: the reference (section 6.4 takes 100 us).
 
     Args:
         system: the copies.
@@ -249,11 +34,11 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> S
         SimulationDivergedError: the trajectory left the finite numbers.
     """
     step, count = drive.step, len(drive.start)
-    record = Recorder(drive, q, z)
+    record = _Recorder(drive, q, z)
     half = step / 2
 
     def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
-        force, rates = system.pushed(time, q, v, z)
+        force, rates = system.further_forces(time, q, v, z)
         return system.acceleration(q, v, torque, force), rates
 
     for k in range(count):
@@ -261,87 +46,254 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> S
         a1, z1 = slopes(time, q, v, z, drive.start[k])
         record.put(k, q, v, a1, z)
         q2, v2 = q + half * v, v + half * a1
-        a2, z2 = slopes(time + half, q2, v2, system.carried(q, z + half * z1, q2), middle)
+        a2, z2 = slopes(time + half, q2, v2, system.update_states(q, z + half * z1, q2), middle)
         q3, v3 = q + half * v2, v + half * a2
-        a3, z3 = slopes(time + half, q3, v3, system.carried(q, z + half * z2, q3), middle)
+        a3, z3 = slopes(time + half, q3, v3, system.update_states(q, z + half * z2, q3), middle)
         q4, v4 = q + step * v3, v + step * a3
-        a4, z4 = slopes(time + step, q4, v4, system.carried(q, z + step * z3, q4), drive.end[k])
+        a4, z4 = slopes(time + step, q4, v4, system.update_states(q, z + step * z3, q4), drive.end[k])
         end = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        z = system.carried(q, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), end)
+        z = system.update_states(q, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), end)
         q = end
     return record.finish(q, v, slopes(count * step, q, v, z, drive.ends[-1])[0], z)
 
 
-class Recorder:
-    """Keeps the steps and notices divergence."""
+def exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+    """Integrate by fourth-order exponential time differencing (Cox and Matthews 2002, ETDRK4): the fast default.
+
+    The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
+    resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
+    at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
+    that this becomes where the linear part is zero. Arguments, result and errors are those of `runge_kutta`.
+    """
+    n, count = q.shape[1], len(drive.start)
+    linear = _LinearPropagator(system, drive.step)
+    weights = linear.at(q)
+    shared = len(weights.state) == 1
+
+    def multiply(states: Array, matrices: Array) -> Array:
+        """(C, m) states times the transposed matrix of each copy, or that all copies share."""
+        return np.asarray(states @ matrices[0] if shared else np.matmul(states[:, None, :], matrices)[:, 0, :])
+
+    record = _Recorder(drive, q, z)
+    # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
+    missing = drive.ends[:-1] - drive.start
+    torques = [_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end)]
+    size, step = 2 * n, drive.step
+
+    def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
+        if not system.has_further_forces:
+            return system.free_acceleration(x, springs + torque), z
+        force, rates = system.further_forces(k * step, x[:, :n], x[:, n:], z)
+        return system.free_acceleration(x, springs + torque + force), rates
+
+    def update(x: Array, z: Array, to: Array) -> Array:
+        return system.update_states(x[:, :n], z, to[:, :n]) if system.effects else z
+
+    x = np.concatenate([q, v], axis=1)
+    for k in range(count):
+        if linear.varies:
+            weights = linear.at(x)
+        p = multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
+        a, z1 = accelerate(k, x, z, p[:, :n], torques[0][k])
+        record.put(k, x[:, :n], x[:, n:], a + multiply(missing[k], weights.answer), z)
+        drift, result = p[:, size : 2 * size], p[:, 2 * size :]
+        p = multiply(a - p[:, n:size], weights.first)
+        first, result = p[:, :size], result + p[:, size:]
+        x2 = drift + first
+        p = multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
+        later = p[:, size:] - first
+        a, z2 = accelerate(k + 0.5, x2, update(x, z + step / 2 * z1, x2), p[:, :n], torques[1][k])
+        p = multiply(a - p[:, n:size], weights.middle)
+        x3, result = drift + p[:, :size], result + p[:, size:]
+        p = multiply(x3, weights.rate)
+        a, z3 = accelerate(k + 0.5, x3, update(x, z + step / 2 * z2, x3), p[:, :n], torques[1][k])
+        p = multiply(a - p[:, n:], weights.middle)
+        x4, result = later + 2 * p[:, :size], result + p[:, size:]
+        p = multiply(x4, weights.rate)
+        a, z4 = accelerate(k + 1, x4, update(x, z + step * z3, x4), p[:, :n], torques[2][k])
+        to = result + multiply(a - p[:, n:], weights.end)
+        z = update(x, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), to)
+        x = to
+    q, v = x[:, :n], x[:, n:]
+    force, _ = system.further_forces(count * step, q, v, z)
+    return record.finish(q, v, system.acceleration(q, v, drive.ends[-1], force), z)
+
+
+def _of_all_joints(system: System, active: Array) -> Array:
+    """Torques of all joints (S, C, nv) from those of the active ones (S, C, n_a)."""
+    torques = np.zeros((len(active), *system.stiffness.shape))
+    torques[:, :, system.active] = active
+    return torques
+
+
+def phi_functions(W: Array) -> tuple[Array, Array, Array, Array]:
+    """Return exp, phi_1, phi_2, phi_3 of matrices W (K, m, m): power series of halved matrices, then doubling.
+
+    phi_k(z) = (phi_{k-1}(z) - 1 / (k - 1)!) / z with phi_0 = exp (Hochbruck and Ostermann 2010).
+    """
+    norm = float(np.abs(W).sum(axis=2).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / 0.5))))
+    X = W / 2.0**halvings
+    X2 = X @ X
+    one, X3 = np.eye(W.shape[-1]), X2 @ X
+    c = 1 / np.cumprod(np.arange(1.0, 12.0))[2:]  # 1 / (k + 3)!, enough for norms of up to a half
+    phi3 = c[6] * one + c[7] * X + c[8] * X2
+    phi3 = c[3] * one + c[4] * X + c[5] * X2 + X3 @ phi3
+    phi3 = c[0] * one + c[1] * X + c[2] * X2 + X3 @ phi3
+    phi2 = one / 2 + X @ phi3
+    phi1 = one + X @ phi2
+    flow = one + X @ phi1
+    for _ in range(halvings):
+        phi3 = (flow @ phi3 + phi1 / 2 + phi2 + phi3) / 8
+        phi2 = (flow @ phi2 + phi1 + phi2) / 4
+        phi1 = (flow @ phi1 + phi1) / 2
+        flow = flow @ flow
+    return flow, phi1, phi2, phi3
+
+
+def rate_scale(acceleration: Array) -> float:
+    """Return the size of rates per unit of angles that balances d/dt (q, v) = (v, a) [1/s].
+
+    Args:
+        acceleration: (..., nv, >= nv) derivative of a by q, and by more [1/s^2].
+    """
+    size = acceleration.shape[-2]
+    largest = float(np.abs(acceleration[..., :size]).sum(axis=-1).max())
+    return max(float(np.sqrt(largest)), 1e-6)
+
+
+@dataclass(frozen=True)
+class _Weights:
+    """ETDRK4's matrices (C, ...), transposed, and side by side where they multiply the same vector.
+
+    The remainder enters the rates only, so its weights are (2 nv, nv). `answer` turns active torques (n_a,) into
+    accelerations (nv,). One copy stands for all where they are equal.
+    """
+
+    state: Array
+    first: Array
+    second: Array
+    middle: Array
+    rate: Array
+    end: Array
+    answer: Array
+
+    @classmethod
+    def of(cls, system: System, inertia: Array, copies: list[int], step: float) -> _Weights:
+        """Return those of some copies with mass matrices (c, nv, nv)."""
+        n = inertia.shape[1]
+        try:
+            inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
+        except np.linalg.LinAlgError as error:
+            remedy = "a joint moves nothing: give its hub or its links mass"
+            raise SimulationDivergedError(0.0, step, remedy) from error
+        springs = np.zeros((len(copies), n, 2 * n))
+        springs[:, range(n), range(n)] = -system.stiffness[copies]
+        springs[:, range(n), range(n, 2 * n)] = -system.damping[copies]
+        rate: Array = inverse @ springs
+        half_flow, half_phi, _, _ = _flow(rate, step / 2)
+        flow, phi1, phi2, phi3 = _flow(rate, step)
+        half = step / 2 * half_phi[:, :, n:]
+        start = step * (phi1 - 3 * phi2 + 4 * phi3)[:, :, n:]
+        middle = step * (2 * phi2 - 4 * phi3)[:, :, n:]
+        end = step * (4 * phi3 - phi2)[:, :, n:]
+        return cls(
+            state=_side_by_side(springs, rate, half_flow, flow),
+            first=_side_by_side(half, start),
+            second=_side_by_side(springs, rate, half_flow),
+            middle=_side_by_side(half, middle),
+            rate=_side_by_side(springs, rate),
+            end=_side_by_side(end),
+            answer=_side_by_side(inverse[:, :, system.active]),
+        )
+
+    def of_copy(self, c: int) -> tuple[Array, ...]:
+        """Return one copy's matrices."""
+        return tuple(getattr(self, name)[c] for name in self.__dataclass_fields__)
+
+
+def _side_by_side(*matrices: Array) -> Array:
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=1), 1, 2))
+
+
+def _flow(rate: Array, step: float) -> tuple[Array, Array, Array, Array]:
+    """exp(z), phi1(z), phi2(z), phi3(z) of z = L h, all (C, 2 nv, 2 nv), for L with lower half `rate` (C, nv, 2 nv)."""
+    n = rate.shape[1]
+    scale = rate_scale(rate)
+    balanced = np.zeros((len(rate), 2 * n, 2 * n))
+    balanced[:, :n, n:] = scale * np.eye(n)
+    balanced[:, n:, :n] = rate[:, :, :n] / scale
+    balanced[:, n:, n:] = rate[:, :, n:]
+    units = np.r_[np.ones(n), np.full(n, scale)]
+    flow, phi1, phi2, phi3 = (function * units[:, None] / units for function in phi_functions(step * balanced))
+    return flow, phi1, phi2, phi3
+
+
+class _LinearPropagator:
+    """ETDRK4's matrices at the copies' elbow angles, each computed once."""
+
+    def __init__(self, system: System, step: float) -> None:
+        self.system = system
+        self.step = step
+        self.elbows = system.active[system.active > 0]
+        self.known: dict[tuple[int, ...], tuple[Array, ...]] = {}
+        self.current: tuple[bytes, _Weights] | None = None
+
+    @property
+    def varies(self) -> bool:
+        """True if there are elbows, joints further out that bend the arm."""
+        return self.elbows.size > 0
+
+    def at(self, x: Array) -> _Weights:
+        """Return those at angles x (C, >= nv)."""
+        places = np.round(x[:, self.elbows] / _ELBOW_GRID).astype(np.intp)
+        key = places.tobytes()
+        if self.current is None or self.current[0] != key:
+            self.current = key, self._gathered(places) if self.varies else self._all(places)
+        return self.current[1]
+
+    def _gathered(self, places: Indices) -> _Weights:
+        keys = [(c, *place) for c, place in enumerate(places.tolist())]
+        new = [c for c, key in enumerate(keys) if key not in self.known]
+        if new:
+            computed = _Weights.of(self.system, self._inertia(places)[new], new, self.step)
+            self.known |= {keys[c]: computed.of_copy(k) for k, c in enumerate(new)}
+        return _Weights(*(np.stack(parts) for parts in zip(*(self.known[key] for key in keys), strict=True)))
+
+    def _all(self, places: Indices) -> _Weights:
+        system, inertia = self.system, self._inertia(places)
+        parts = (inertia, system.stiffness, system.damping)
+        equal = all((part == part[0]).all() for part in parts)
+        copies = [0] if equal else list(range(len(inertia)))
+        return _Weights.of(system, inertia[copies], copies, self.step)
+
+    def _inertia(self, places: Indices) -> Array:
+        """(C, nv, nv) the copies' mass matrices at zero angles, but for the elbows'."""
+        copies, n = self.system.stiffness.shape
+        q = np.zeros((copies, n))
+        q[:, self.elbows] = _ELBOW_GRID * places
+        full = dynamics.mass_matrix(self.system.mechanism, q.reshape(1, -1))[0]
+        return np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])
+
+
+class _Recorder:
+    """Record of a trajectory that notices divergence."""
 
     def __init__(self, drive: Drive, q: Array, z: Array) -> None:
         self.drive = drive
         self.q, self.v, self.a, self.z = (np.empty((len(drive.ends), *like.shape)) for like in (q, q, q, z))
 
     def put(self, k: int, q: Array, v: Array, a: Array, z: Array) -> None:
-        """Keep what the copies do at step k."""
+        """Store the copies' motion at step k."""
         self.q[k], self.v[k], self.a[k], self.z[k] = q, v, a, z
-        if not np.abs(q).max() < _LARGEST_ANGLE:
-            copy = int(np.argmin((np.abs(q) < _LARGEST_ANGLE).all(axis=1)))
+        if not np.abs(q).max() < _DIVERGED:
+            copy = int(np.argmin((np.abs(q) < _DIVERGED).all(axis=1)))
             time = float(self.drive.first[copy]) + self.drive.step * max(k - 1, 0)
             remedy = "take smaller steps, or check the model's masses, stiffness and torque"
             raise SimulationDivergedError(time, self.drive.step, remedy)
 
-    def finish(self, q: Array, v: Array, a: Array, z: Array) -> Steps:
-        """Keep the last instant; the whole trajectory, from time zero."""
+    def finish(self, q: Array, v: Array, a: Array, z: Array) -> Trajectory:
+        """Store the last instant and return the trajectory, from time zero."""
         self.put(len(self.q) - 1, q, v, a, z)
-        return Steps(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a, self.z)
-
-
-@dataclass(frozen=True)
-class Steps:
-    """A trajectory at the integrator's own instants.
-
-    Attributes:
-        time: (S + 1,) evenly spaced [s].
-        q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
-        z: (S + 1, C, nz) internal states of the effects.
-    """
-
-    time: Array
-    q: Array
-    v: Array
-    a: Array
-    z: Array
-
-    @property
-    def step(self) -> float:
-        """Distance between instants [s]."""
-        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
-
-
-def sample(steps: Steps, time: Array) -> tuple[Array, Array]:
-    """Angles and rates at any instants between the first and last step, by quintic Hermite interpolation.
-
-    Args:
-        steps: the trajectory.
-        time: (T,) [s].
-
-    Returns:
-        q, v (T, C, nv) [rad, rad/s].
-    """
-    h = steps.step
-    k = np.clip(((time - steps.time[0]) / h).astype(int), 0, len(steps.time) - 2)
-    s = ((time - steps.time[k]) / h)[:, None, None]
-    q0, v0, a0 = steps.q[k], steps.v[k] * h, steps.a[k] * h * h / 2
-    jump = steps.q[k + 1] - q0 - v0 - a0
-    slope = steps.v[k + 1] * h - v0 - 2 * a0
-    bend = (steps.a[k + 1] * h * h - 2 * a0) / 2
-    c3, c4, c5 = 10 * jump - 4 * slope + bend, -15 * jump + 7 * slope - 2 * bend, 6 * jump - 3 * slope + bend
-    q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
-    v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-    return q, v
-
-
-def still(time: Array, q: Array) -> Steps:
-    """An arm that stays at angles (nv,) [rad] from the first of the instants [s] to the last."""
-    ends = np.array([time[0], time[-1]])
-    each = (np.broadcast_to(x, (2, 1, x.size)) for x in (q, 0 * q, 0 * q, np.zeros(0)))
-    return Steps(ends, *each)
+        return Trajectory(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a, self.z)

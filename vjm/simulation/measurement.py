@@ -1,4 +1,4 @@
-"""What cameras and encoders measured of a motion, and what a chain would have shown them."""
+"""Measurements of a motion by cameras and encoders, and their prediction from a simulation."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from vjm.chain.curve import marker_headings, marker_positions
@@ -13,15 +14,15 @@ from vjm.chain.virtual_links import Chain
 from vjm.records import Array, Indices, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.encoder_feedback import EncoderFeedback
-from vjm.simulation.integrators import Steps, sample
 from vjm.simulation.least_squares import LINEAR, Loss
+from vjm.simulation.system import Trajectory
 
-_PERTURBATION = 1e-6  # of a direction's length
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class Arcs:
-    """Where the markers are.
+class MarkerArcs:
+    """Positions of the markers along the links.
 
     Attributes:
         lengths: for each link, (k_i,) arc lengths [m].
@@ -32,80 +33,70 @@ class Arcs:
     in_link_frame: tuple[bool, ...]
 
     @classmethod
-    def of(cls, rig: Rig) -> Arcs:
-        """Those of a rig."""
+    def of(cls, rig: Rig) -> MarkerArcs:
+        """Return the markers of a rig."""
         return cls(
             tuple(np.array(link.markers) for link in rig.links),
             tuple(link.markers_frame == "link" for link in rig.links),
         )
 
-    def markers(self, chain: Chain, q: Array) -> Array:
-        """(..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
+    def positions(self, chain: Chain, q: Array) -> Array:
+        """Return (..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
         return marker_positions(chain, q, self.lengths, self.in_link_frame)
 
-    def shown(self, arm: Arm, q: Array) -> Array:
-        """(F, k, 2) what the camera shows of the markers [m] at angles (F, nv), or (k, F, nv) of each marker's own."""
+    def measured_positions(self, arm: Arm, q: Array) -> Array:
+        """Return (F, k, 2) positions [m] as the camera gives them, at angles (F, nv), or (k, F, nv) for each marker."""
         if q.ndim == 3:
-            return np.stack([self.shown(arm, own)[:, marker] for marker, own in enumerate(q)], axis=1)
-        positions = self.markers(arm.chain, q)
+            return np.stack([self.measured_positions(arm, own)[:, marker] for marker, own in enumerate(q)], axis=1)
+        positions = self.positions(arm.chain, q)
         if arm.sensors:
             headings = marker_headings(arm.chain, q, self.lengths, self.in_link_frame)
             for effect in arm.sensors:
                 positions = effect.marker_positions(positions, headings)
         return positions
 
-    def slope(self, arm: Arm, q: Array, directions: Array) -> Array:
-        """(F, 2 k, m) derivatives of `shown` along directions (nv, m) of the angles."""
-        base = self.shown(arm, q)
-        moved = np.stack([self.shown(arm, q + _PERTURBATION * each) for each in directions.T], axis=-1)
-        slope: Array = (moved - base[..., None]) / _PERTURBATION
-        return slope.reshape(len(base), 2 * base.shape[1], directions.shape[1])
+    def slopes(self, arm: Arm, q: Array, directions: Array) -> Array:
+        """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
+        base, step = self.measured_positions(arm, q), 1e-6
+        moved = np.stack([self.measured_positions(arm, q + step * direction) for direction in directions.T], axis=-1)
+        slopes: Array = (moved - base[..., None]) / step
+        return slopes.reshape(len(base), 2 * base.shape[1], directions.shape[1])
 
+    def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
+        """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
+        seen = time
+        if arm.sensors:
+            stamps = time - trajectory.time[0]
+            positions = self.positions(arm.chain, trajectory.angles(time))
+            for effect in arm.sensors:
+                seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
+        return seen
 
-def instants(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
-    """When markers were where frames with time stamps (F,) show them, (F,) or, where markers differ, (k, F) [s]."""
-    found, start = time, steps.time[0]
-    if not arm.sensors:
-        return time
-    stamps, positions = time - start, arcs.markers(arm.chain, sampled(steps, time))
-    for effect in arm.sensors:
-        seen = effect.camera_instants(stamps, positions)
-        late = seen.T - stamps  # (F,) or (k, F)
-        found = found + late
-    return found
-
-
-def view(arm: Arm, arcs: Arcs, steps: Steps, time: Array) -> Array:
-    """(F, k, 2) what frames with time stamps (F,) [s] show of a trajectory's markers [m]."""
-    return arcs.shown(arm, sampled(steps, instants(arm, arcs, steps, time)))
-
-
-def sampled(steps: Steps, time: Array) -> Array:
-    """Angles (..., nv) [rad] of a trajectory of one copy at instants (...) [s]."""
-    flat = sample(steps, time.ravel())[0][:, 0]
-    return flat.reshape(*time.shape, flat.shape[-1])
+    def frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
+        """Return the (F, k, 2) marker positions [m] in frames stamped (F,) [s] of a trajectory."""
+        return self.measured_positions(arm, trajectory.angles(self.exposure_times(arm, trajectory, time)))
 
 
 @dataclass(frozen=True)
-class Observed:
-    """What was measured in one recording: marker coordinates first, then active joints' angles, each in order of time.
+class Observations:
+    """Values measured in one recording: marker coordinates first, then active joints' angles, each in order of time.
 
     Attributes:
         recording: its source.
-        arcs: where the markers are.
+        arcs: positions of the markers along the links.
         frames: (F,) rows of the recording at which the camera measured anything.
         markers: (N_m,) measured coordinates, as indices into (F, 2 k) flattened.
         angles: (N_t,) measured angles, as indices into (T, n_a) flattened.
-        values: (N_m + N_t,) what was measured [m, rad].
+        values: (N_m + N_t,) measured values [m, rad].
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
         whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
-        discretization_offset: (N_m + N_t,) what is known to be shown beyond any simulation [m, rad]; None: nothing.
-        feedback: that simulations are held on; None: they run open loop.
+        discretization_offset: (N_m + N_t,) added to predictions [m, rad]; None: nothing.
+        feedback: in simulations; None: they run open loop.
     """
 
     recording: Recording
-    arcs: Arcs
+    arcs: MarkerArcs
     frames: Indices
     markers: Indices
     angles: Indices
@@ -117,20 +108,20 @@ class Observed:
     feedback: EncoderFeedback | None = None
 
     @classmethod
-    def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observed:
-        """Everything measured in a recording, with the sensors' 1-sigma noise [m, rad]."""
-        return cls._of(Arcs.of(rig), recording, noise, loss)
+    def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observations:
+        """Return everything measured in a recording, with the sensors' 1-sigma noise [m, rad]."""
+        return cls._of(MarkerArcs.of(rig), recording, noise, loss)
 
     @classmethod
-    def _of(cls, arcs: Arcs, recording: Recording, noise: tuple[float, float], loss: Loss) -> Observed:
+    def _of(cls, arcs: MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss) -> Observations:
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
         values = np.concatenate([seen[markers], theta[angles]])
         return cls(recording, arcs, frames, markers, angles, values, noise, loss)
 
-    def again(self, recording: Recording, noise: tuple[float, float] | None = None) -> Observed:
-        """The same arm in another recording, or in this one with other values left out; its noise is not whitened.
+    def of_recording(self, recording: Recording, noise: tuple[float, float] | None = None) -> Observations:
+        """Return the values of another recording, or of this one with some removed; their noise is not whitened.
 
         Args:
             recording: of the same rig.
@@ -148,27 +139,23 @@ class Observed:
         """Number of measured values."""
         return int(self.values.size)
 
-    def predicted(self, arm: Arm, steps: Steps) -> Array:
-        """(N_m + N_t,) what a trajectory of one copy would have shown [m, rad]."""
-        markers = view(arm, self.arcs, steps, self.recording.time[self.frames])
-        return np.concatenate([markers.ravel()[self.markers], self.encoders(arm, steps)])
+    def predicted(self, arm: Arm, trajectory: Trajectory) -> Array:
+        """Return the (N_m + N_t,) values predicted by a trajectory of one copy [m, rad]."""
+        markers = self.arcs.frames(arm, trajectory, self.recording.time[self.frames])
+        return np.concatenate([markers.ravel()[self.markers], self.predicted_angles(arm, trajectory)])
 
-    def encoders(self, arm: Arm, steps: Steps) -> Array:
-        """(N_t,) what the encoders would have shown [rad]."""
-        theta = sampled(steps, self.recording.time)[:, arm.chain.active]
-        for effect in arm.sensors:
-            theta = effect.encoder_angles(theta)
-        return theta.ravel()[self.angles]
+    def predicted_angles(self, arm: Arm, trajectory: Trajectory) -> Array:
+        """Return the (N_t,) encoder angles predicted by a trajectory of one copy [rad]."""
+        theta = trajectory.angles(self.recording.time)[:, arm.chain.active]
+        return arm.encoder_angles(theta).ravel()[self.angles]
 
-    def residual(self, arm: Arm, steps: Steps) -> Array:
-        """(N_m + N_t,) measured less predicted, weighted and whitened."""
-        left = self.values - self.predicted(arm, steps)
-        return self.whitened(
-            self.weights * (left if self.discretization_offset is None else left - self.discretization_offset)
-        )
+    def residual(self, arm: Arm, trajectory: Trajectory) -> Array:
+        """Return (N_m + N_t,) measured less predicted values, weighted and whitened."""
+        offset = 0.0 if self.discretization_offset is None else self.discretization_offset
+        return self.whitened(self.weights * (self.values - self.predicted(arm, trajectory) - offset))
 
     def whitened(self, weighted: Array) -> Array:
-        """Weighted values (N_m + N_t, ...), so that their noise is white."""
+        """Return weighted values (N_m + N_t, ...) transformed so that their noise is white."""
         return weighted if self.whitening is None else np.asarray(self.whitening @ weighted)
 
     @property
@@ -177,63 +164,50 @@ class Observed:
         joints = max(self.recording.theta.shape[1], 1)
         return np.concatenate([self.frames[self.markers // self._width], self.angles // joints])
 
-    def spread(self, values: Array) -> tuple[Array, Array]:
-        """Values (N_m + N_t,) where they were measured, (F, 2 k) and (T, n_a); NaN where nothing was."""
+    def on_grid(self, values: Array) -> tuple[Array, Array]:
+        """Return values (N_m + N_t,) as (F, 2 k) and (T, n_a); NaN where nothing was measured."""
         markers = np.full((self.frames.size, self._width), np.nan)
         angles = np.full(self.recording.theta.shape, np.nan)
         markers.ravel()[self.markers] = values[: self.markers.size]
         angles.ravel()[self.angles] = values[self.markers.size :]
         return markers, angles
 
-    def until(self, end: float) -> Observed:
-        """The beginning of the recording: all that was measured up to an instant [s]."""
+    def truncated(self, end: float) -> Observations:
+        """Return the values measured up to an instant [s]."""
         recording = self.recording
         rows = int(np.searchsorted(recording.time, end, side="right"))
         if rows >= recording.time.size:
             return self
-        part = replace(
-            recording,
-            time=recording.time[:rows],
-            theta=recording.theta[:rows],
-            tau=recording.tau[:rows],
-            markers=recording.markers[:rows],
-        )
+        columns = {name: getattr(recording, name)[:rows] for name in ("time", "theta", "tau", "markers")}
         frames = self.frames[self.frames < rows]
-        kept_markers = self.markers < frames.size * self._width
-        kept_angles = self.angles < rows * recording.theta.shape[1]
-        kept = np.concatenate([kept_markers, kept_angles])
-        markers, angles = self.markers[kept_markers], self.angles[kept_angles]
-        whitening = None if self.whitening is None else self.whitening[kept][:, kept]
-        return replace(
-            self,
-            recording=part,
-            frames=frames,
-            markers=markers,
-            angles=angles,
-            values=self.values[kept],
-            whitening=whitening,
-            discretization_offset=None if self.discretization_offset is None else self.discretization_offset[kept],
-        )
+        markers = self.markers < frames.size * self._width
+        angles = self.angles < rows * recording.theta.shape[1]
+        return replace(self._only(markers, angles), recording=replace(recording, **columns), frames=frames)
 
-    def held(self, feedback: EncoderFeedback | None) -> Observed:
-        """The same on a guide, whose angles no longer count as measured: what draws a joint there is no evidence of it.
+    def with_feedback(self, feedback: EncoderFeedback | None) -> Observations:
+        """Return the values for simulations with feedback, without the angles that it uses: they are no evidence then.
 
-        Counted, the encoder's noise would be in what is simulated as in what is measured, and parameters off with it.
+        Counted, the encoder's noise would be in the simulation as in the measurement, and bias the parameters.
         """
         if feedback is None:
             return self
-        kept = np.arange(self.markers.size)
+        part = self._only(np.ones(self.markers.size, dtype=bool), np.zeros(self.angles.size, dtype=bool))
+        return replace(part, feedback=feedback)
+
+    def _only(self, markers: BoolArray, angles: BoolArray) -> Observations:
+        """Return part of the values."""
+        kept, offset = np.concatenate([markers, angles]), self.discretization_offset
         return replace(
             self,
-            angles=self.angles[:0],
+            markers=self.markers[markers],
+            angles=self.angles[angles],
             values=self.values[kept],
             whitening=None if self.whitening is None else self.whitening[kept][:, kept],
-            discretization_offset=None if self.discretization_offset is None else self.discretization_offset[kept],
-            feedback=feedback,
+            discretization_offset=None if offset is None else offset[kept],
         )
 
-    def between(self, first: int, last: int) -> tuple[Indices, slice, slice]:
-        """Of the rows from `first` up to `last`: their frames, their marker coordinates and their angles."""
+    def rows_between(self, first: int, last: int) -> tuple[Indices, slice, slice]:
+        """Return the frames, marker coordinates and angles of rows from `first` up to `last`."""
         begin, end = np.searchsorted(self.frames, (first, last))
         markers = np.searchsorted(self.markers, (begin * self._width, end * self._width))
         joints = self.recording.theta.shape[1]

@@ -1,4 +1,4 @@
-"""A simulation of one recording from an initial state, beside what was measured, and how it depends on that state."""
+"""Simulations of recordings from initial states, their residuals and their dependence on these states."""
 
 from __future__ import annotations
 
@@ -11,56 +11,51 @@ import numpy as np
 from vjm.chain.curve import curvature_spline
 from vjm.chain.virtual_links import Chain
 from vjm.errors import SimulationDivergedError
-from vjm.model.modes import equilibrium, linearise
+from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import half_interval, locked_frequencies, rollouts
-from vjm.simulation.integrators import Steps, sample
+from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observed
-from vjm.simulation.sensitivity import Basis, Moved, first_angles, jacobian
+from vjm.simulation.measurement import Observations
+from vjm.simulation.sensitivity import ModalBasis, PerturbedArm, jacobian
+from vjm.simulation.system import Trajectory
 
-_USUAL_BEND = 0.1  # lengths; bending of the arm's whole length by this much is nothing unusual to start from
-_USUAL_TURN = 1.0  # rad of an active joint
-_LONGEST_STEP = 0.25  # periods of the fastest mode that derivatives must resolve, two steps at a time
 _LARGEST = 1e100  # derivative, in units of the noise
-_KEPT = ("path", "residual", "chi2", "stride", "basis")  # what does not depend on the preference
+_INDEPENDENT_OF_PRIOR = ("motion", "residual", "chi2", "stride", "basis")  # cached properties
 
 
 @dataclass(frozen=True)
-class Start:
-    """What is known of a recording's initial state before it is looked at.
+class InitialStatePrior:
+    """Weak prior for rest of a recording's initial state.
 
-    A weak preference for rest, by the energy that bending the arm by a tenth of its length takes: it counts as much as
-    one or two of the recording's values do, and matters only for motion that these cannot show.
+    Its unit is the energy of bending the arm by a tenth of its length, and a turn of active joints by one radian: it
+    counts as much as one or two of the recording's values do, and matters only for motion that these cannot show.
 
     Attributes:
         rest: (2 nv,) angles of rest at the first measured active angles, and zero rates [rad, rad/s].
-        root: (2 nv, 2 nv) |root (state - rest)|^2 is added to chi^2.
-        spread: size of a weighted residual that counts as one standard deviation beside it.
+        sqrt_information: (2 nv, 2 nv) S, where |S (state - rest)|^2 is added to chi^2.
+        scale: size of a weighted residual that counts as one standard deviation beside it.
     """
 
     rest: Array
-    root: Array
-    spread: float = 1.0
+    sqrt_information: Array
+    scale: float = 1.0
 
     @classmethod
-    def of(cls, arm: Arm, recording: Recording) -> Start:
-        """Of an arm at a recording's beginning.
+    def of(cls, arm: Arm, recording: Recording) -> InitialStatePrior:
+        """Return the prior of an arm at a recording's beginning.
 
         Raises:
             SimulationDivergedError: joints that move nothing.
         """
         chain, recording = arm.chain, arm.inputs(recording)
-        theta = first_angles(recording)
-        q = equilibrium(chain, recording.payload, recording.gravity, theta)
-        M, _, _, _ = linearise(chain, recording.payload, recording.gravity, theta)
+        M, _, _, q = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         stiffness = min(link.bending_stiffness for link in chain.links)
-        energy = 1.5 * stiffness * _USUAL_BEND**2 / sum(link.length for link in chain.links)
+        energy = 1.5 * stiffness * 0.1**2 / sum(link.length for link in chain.links)
         n = chain.size
         root = np.zeros((2 * n, 2 * n))
         root[range(n), range(n)] = np.sqrt(chain.stiffness / (2 * energy))
-        root[chain.active, chain.active] = 1 / _USUAL_TURN
+        root[chain.active, chain.active] = 1.0
         try:
             root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
         except np.linalg.LinAlgError:
@@ -71,21 +66,21 @@ class Start:
 
 @dataclass(frozen=True)
 class Run:
-    """A simulation of one recording from an initial state, beside what was measured.
+    """A simulation of one recording from an initial state, and the measurements.
 
     Attributes:
         observed: the measurements.
-        start: what was known of the initial state.
-        arm: what was simulated.
+        prior: of the initial state.
+        arm: simulated.
         state: (2 nv,) initial angles and rates.
-        steps: the trajectory at the integrator's instants; one copy.
+        trajectory: at the integrator's instants; one copy.
     """
 
-    observed: Observed
-    start: Start
+    observed: Observations
+    prior: InitialStatePrior
     arm: Arm
     state: Array
-    steps: Steps
+    trajectory: Trajectory
 
     @property
     def chain(self) -> Chain:
@@ -93,15 +88,15 @@ class Run:
         return self.arm.chain
 
     @cached_property
-    def path(self) -> tuple[Array, Array]:
+    def motion(self) -> tuple[Array, Array]:
         """q, v (T, nv) at the recording's instants [rad, rad/s]."""
-        q, v = sample(self.steps, self.observed.recording.time)
+        q, v = self.trajectory.sample(self.observed.recording.time)
         return q[:, 0], v[:, 0]
 
     @cached_property
     def residual(self) -> Array:
         """(N,) measured less simulated, weighted and whitened."""
-        return self.observed.residual(self.arm, self.steps)
+        return self.observed.residual(self.arm, self.trajectory)
 
     @cached_property
     def chi2(self) -> float:
@@ -110,101 +105,104 @@ class Run:
 
     @cached_property
     def cost(self) -> float:
-        """The residuals' loss and what the initial state adds to it."""
-        away = self.start.spread * (self.start.root @ (self.state - self.start.rest))
+        """Sum of the residuals' loss and the prior's term."""
+        away = self.prior.scale * (self.prior.sqrt_information @ (self.state - self.prior.rest))
         return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away)
 
-    def weighed(self) -> Run:
-        """The same run with the preference for rest as strong as the residuals are large."""
-        spread = float(np.sqrt(max(self.chi2 / max(self.observed.count, 1), 1.0)))
-        run = replace(self, start=replace(self.start, spread=spread))
-        run.__dict__.update({name: self.__dict__[name] for name in _KEPT if name in self.__dict__})
+    def with_scaled_prior(self) -> Run:
+        """Return the run with a prior in units of the residuals' size."""
+        scale = float(np.sqrt(max(self.chi2 / max(self.observed.count, 1), 1.0)))
+        run = replace(self, prior=replace(self.prior, scale=scale))
+        run.__dict__.update({name: self.__dict__[name] for name in _INDEPENDENT_OF_PRIOR if name in self.__dict__})
         return run
 
     @cached_property
     def stride(self) -> int:
         """Steps in half an interval over which derivatives are advanced."""
-        return half_interval(self.chain, self.observed.recording, self.steps.step)
+        return steps_per_half_interval(self.chain, self.observed.recording, self.trajectory.step)
 
     @cached_property
-    def basis(self) -> Basis:
-        """The m modes that its derivatives are told in."""
+    def basis(self) -> ModalBasis:
+        """The m modes in which its derivatives are expressed."""
         driven = self.arm.inputs(self.observed.recording)
-        return Basis.of(self.chain, driven, 2 * self.stride * self.steps.step)
+        return ModalBasis.of(self.chain, driven, 2 * self.stride * self.trajectory.step)
 
-    def rows(self, moved: Sequence[Moved]) -> Iterator[tuple[Array, Array]]:
-        """Derivatives (r, 2 slow + p) of the weighted predictions, and the residuals (r,), as far as they count."""
+    def weighted_slopes(self, perturbed: Sequence[PerturbedArm]) -> Iterator[tuple[Array, Array]]:
+        """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the loss."""
         kept = np.sqrt(self.observed.loss.slope(self.residual**2))
-        for measured, part in self.slopes(moved):
+        for measured, part in self.slopes(perturbed):
             yield kept[measured, None] * part, kept[measured] * self.residual[measured]
 
-    def slopes(self, moved: Sequence[Moved]) -> Iterator[tuple[Indices, Array]]:
-        """Derivatives (r, 2 slow + p) of the weighted and whitened predictions that indices (r,) name."""
+    def slopes(self, perturbed: Sequence[PerturbedArm]) -> Iterator[tuple[Indices, Array]]:
+        """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         arm, kept = self.arm.smooth
-        steps = self.steps if kept.size == self.steps.z.shape[2] else replace(self.steps, z=self.steps.z[:, :, kept])
-        smooth = [Moved(each.arm.with_feedback(arm.feedback).smooth[0], each.by) for each in moved]
-        parts = jacobian(self.observed, arm, self.basis, smooth, steps, self.stride)
+        trajectory = self.trajectory
+        if kept.size < trajectory.z.shape[2]:
+            trajectory = replace(trajectory, z=trajectory.z[:, :, kept])
+        smooth = [PerturbedArm(other.with_feedback(arm.feedback).smooth[0], step) for other, step in perturbed]
+        parts = jacobian(self.observed, arm, self.basis, smooth, trajectory, self.stride)
         if self.observed.whitening is None:
             yield from parts
             return
-        gathered = [*parts]
-        measured = np.concatenate([each for each, _ in gathered])
-        whole = np.empty((measured.size, gathered[0][1].shape[1]))
-        whole[measured] = np.concatenate([part for _, part in gathered])
+        rows, slopes = zip(*parts, strict=True)
+        measured = np.concatenate(rows)
+        whole = np.empty((measured.size, slopes[0].shape[1]))
+        whole[measured] = np.concatenate(slopes)
         yield np.arange(measured.size), self.observed.whitened(whole)
 
-    def linearized(self, moved: Sequence[Moved] = ()) -> SquareRootInformation:
-        """The linearised least-squares problem: modes' initial coordinates and rates first, then p parameters.
+    def linearized(self, perturbed: Sequence[PerturbedArm] = ()) -> SquareRootInformation:
+        """Return the linearised least-squares problem: modes' initial coordinates and rates first, then p parameters.
 
         Raises:
             SimulationDivergedError: derivatives that are not finite.
         """
-        columns = 2 * self.basis.slow + len(moved)
-        found = SquareRootInformation.of(self.rows(moved), columns).with_rows(*self.preferred(columns))
-        if not np.abs(found.R).max(initial=0.0) < _LARGEST:
+        columns = 2 * self.basis.slow_count + len(perturbed)
+        problem = SquareRootInformation.of(self.weighted_slopes(perturbed), columns)
+        problem = problem.with_rows(*self.prior_rows(columns))
+        if not np.abs(problem.R).max(initial=0.0) < _LARGEST:
             remedy = "the motion depends on its start or parameters beyond all bounds: check them"
-            raise SimulationDivergedError(float(self.steps.time[-1]), self.steps.step, remedy)
-        return found
+            raise SimulationDivergedError(float(self.trajectory.time[-1]), self.trajectory.step, remedy)
+        return problem
 
-    def preferred(self, columns: int) -> tuple[Array, Array]:
-        """Rows (2 nv, columns) and what they want (2 nv,) that stand for what was known of the initial state."""
+    def prior_rows(self, columns: int) -> tuple[Array, Array]:
+        """Return the prior's rows (2 nv, columns) and right-hand side (2 nv,)."""
         states = self.basis.states
-        root = np.zeros((self.state.size, columns))
-        preference = self.start.spread * self.start.root
-        root[:, : states.shape[1]] = preference @ states
-        return root, preference @ (self.start.rest - self.state)
+        rows = np.zeros((self.state.size, columns))
+        weight = self.prior.scale * self.prior.sqrt_information
+        rows[:, : states.shape[1]] = weight @ states
+        return rows, weight @ (self.prior.rest - self.state)
 
-    def scores(self, moved: Sequence[Moved], linearized: SquareRootInformation) -> Array:
-        """(T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated.
+    def scores(self, perturbed: Sequence[PerturbedArm], linearized: SquareRootInformation) -> Array:
+        """Return (T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated.
 
         Args:
-            moved: as in `triangle`.
+            perturbed: one a parameter.
             linearized: this run's.
         """
-        states = linearized.columns - len(moved)
-        followed = linearized.followed(states)
+        states = linearized.columns - len(perturbed)
+        by_parameters = linearized.elimination_slopes(states)
         instants = self.observed.instants
-        found = np.zeros((self.observed.recording.time.size, len(moved)))
-        for measured, part in self.slopes(moved):
-            own = part[:, states:] - part[:, :states] @ followed
-            np.add.at(found, instants[measured], own * self.residual[measured, None])
-        return found
+        scores = np.zeros((self.observed.recording.time.size, len(perturbed)))
+        for measured, part in self.slopes(perturbed):
+            slopes = part[:, states:] - part[:, :states] @ by_parameters
+            np.add.at(scores, instants[measured], slopes * self.residual[measured, None])
+        return scores
 
-    def series(self) -> list[Array]:
-        """Weighted residuals over each kind of sensor's instants, (F, 2 k) and (T, n_a); NaN where nothing was seen."""
-        return [each for each in self.observed.spread(self.residual) if np.isfinite(each).any()]
+    def residual_series(self) -> list[Array]:
+        """Return weighted residuals of each kind of sensor, (F, 2 k) and (T, n_a); NaN where nothing was measured."""
+        return [series for series in self.observed.on_grid(self.residual) if np.isfinite(series).any()]
 
 
 def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
-    """Step [s] that resolves, in the derivatives, the fastest mode that the chain has or a camera shows."""
-    _, fastest = locked_frequencies(chain)
+    """Step [s] with which derivatives resolve the fastest mode that the chain has or a camera shows."""
+    _, fastest = locked_joint_frequencies(chain)
     frames = [recording.time[recording.frames] for recording in recordings]
-    shown = 0.5 / min((float(np.median(np.diff(time))) for time in frames if time.size > 1), default=np.inf)
-    return _LONGEST_STEP / max(min(fastest, shown), 1e-300)
+    nyquist = 0.5 / min((float(np.median(np.diff(time))) for time in frames if time.size > 1), default=np.inf)
+    return 0.25 / max(min(fastest, nyquist), 1e-300)  # a quarter of a period: two steps at a time
 
 
-def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
-    """An initial state (2 nv,) told in the joints of another chain of the same arm: with the same curvatures.
+def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:
+    """Return an initial state (2 nv,) with the same curvatures in the joints of another chain of the same arm.
 
     A root joint that the given chain lacks is turned by the moment that the link's curvature there exerts on it.
     """
@@ -224,10 +222,10 @@ def transferred(given: Chain, wanted: Chain, state: Array) -> Array:
     return np.concatenate([turn @ q, turn @ v])
 
 
-def run_all(
+def simulate_runs(
     arms: Sequence[Arm],
-    observed: Sequence[Observed],
-    starts: Sequence[Start],
+    observed: Sequence[Observations],
+    priors: Sequence[InitialStatePrior],
     states: Sequence[Array],
     step_multiple: float,
 ) -> list[Run]:
@@ -235,19 +233,16 @@ def run_all(
 
     Args:
         arms: one a recording.
-        observed, starts: the recordings.
+        observed, priors: of the recordings.
         states: (2 nv,) initial states.
         step_multiple: multiple of the default step.
 
     Raises:
         SimulationDivergedError: one of them diverged.
     """
-    recordings = [each.recording for each in observed]
+    recordings = [values.recording for values in observed]
     q, v = zip(*(np.split(state, 2) for state in states), strict=True)
-    arms = [arm.with_feedback(each.feedback) for arm, each in zip(arms, observed, strict=True)]
+    arms = [arm.with_feedback(values.feedback) for arm, values in zip(arms, observed, strict=True)]
     longest = _longest_step(arms[0].chain, recordings)
-    steps = rollouts(arms, recordings, q, v, step_multiple=step_multiple, longest=longest)
-    return [
-        Run(seen, start, arm, state, path)
-        for seen, start, arm, state, path in zip(observed, starts, arms, states, steps, strict=True)
-    ]
+    trajectories = simulate_trajectories(arms, recordings, q, v, step_multiple=step_multiple, longest=longest)
+    return [Run(*parts) for parts in zip(observed, priors, arms, states, trajectories, strict=True)]

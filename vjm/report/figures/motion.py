@@ -36,7 +36,7 @@ from vjm.report.figures.style import (
 )
 from vjm.report.figures.windows import Signal, liveliest_window, marker_name, period, tip_signal, windows
 from vjm.report.text import counted, listed, millimetres, number, short
-from vjm.simulation.measurement import Arcs
+from vjm.simulation.measurement import MarkerArcs
 from vjm.simulation.model import Model
 
 MOST_PANELS = 8
@@ -306,13 +306,13 @@ def drawn(
     replay: SimulatedRecording, model: Model, recording: Recording, signal: Signal, window: tuple[float, float]
 ) -> tuple[Array, Array]:
     """The simulated coordinate, as the camera would show it, at closely spaced instants of a window [s, m]."""
-    simulation, arm, arcs = replay.simulation, model.arm_in(recording), Arcs.of(model.rig)
+    simulation, arm, arcs = replay.simulation, model.arm_in(recording), MarkerArcs.of(model.rig)
     path = CubicHermiteSpline(simulation.time, simulation.q, simulation.v)
     time = np.linspace(*window, _DRAWN_POINTS)
-    seen, stamps, positions = time, time - simulation.time[0], arcs.markers(arm.chain, path(time))
+    seen, stamps, positions = time, time - simulation.time[0], arcs.positions(arm.chain, path(time))
     for effect in arm.sensors:
         seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
-    markers = arcs.shown(arm, path(np.clip(seen, simulation.time[0], simulation.time[-1])))
+    markers = arcs.measured_positions(arm, path(np.clip(seen, simulation.time[0], simulation.time[-1])))
     return time, markers[:, signal.marker, signal.axis]
 
 

@@ -13,11 +13,11 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects import EncoderOffset
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import EncoderFeedback, shown
-from vjm.simulation.integrate import rollouts
-from vjm.simulation.measurement import Observed
-from vjm.simulation.run import Run, Start, run_all
-from vjm.simulation.sensitivity import Moved
+from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.integrate import simulate_trajectories
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
+from vjm.simulation.sensitivity import PerturbedArm
 
 Array = NDArray[np.float64]
 NOISE = (3e-4, 1e-4)
@@ -43,7 +43,9 @@ def test_a_rigid_arm_swings_as_it_is_told(frequency: float, ratio: float, integr
     feedback = EncoderFeedback.of(recording, chain, 1e-4, frequency, ratio)
     rest = np.zeros(chain.size)
     step = 2e-4 if integrator == "rk4" else None
-    steps = rollouts([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest], integrator, step)[0]
+    steps = simulate_trajectories([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest], integrator, step)[
+        0
+    ]
     w, t = 2 * np.pi * frequency, steps.time
     swing = w * np.sqrt(1 - ratio**2)
     expected = angle * (1 - np.exp(-ratio * w * t) * (np.cos(swing * t) + ratio * w / swing * np.sin(swing * t)))
@@ -63,7 +65,7 @@ def driven(chain: Chain, seed: int = 3) -> tuple[Recording, Array]:
     """A recording in which the chain itself was seen, from rest, and its angles (T, n_a)."""
     recording = recording_of(chain, np.arange(401) / 200, jerky_torque(chain.active.size, seed, 0.1))
     rest = np.zeros(chain.size)
-    steps = rollouts([Arm(chain)], [recording], [rest], [rest])[0]
+    steps = simulate_trajectories([Arm(chain)], [recording], [rest], [rest])[0]
     theta = np.stack([np.interp(recording.time, steps.time, each) for each in steps.q[:, 0, chain.active].T], axis=-1)
     return replace(recording, theta=theta), theta
 
@@ -74,7 +76,7 @@ def test_a_right_model_moves_as_it_would_alone(arm: str) -> None:
     recording, theta = driven(chain)
     feedback = EncoderFeedback.of(recording, chain, 1e-5, 1.5, 0.7)
     rest = np.zeros(chain.size)
-    found = rollouts([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest])[0]
+    found = simulate_trajectories([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest])[0]
     away = np.stack([np.interp(recording.time, found.time, each) for each in found.q[:, 0, chain.active].T], axis=-1)
     assert np.abs(away - theta).max() < 2e-3 * np.abs(theta).max()
 
@@ -87,7 +89,7 @@ def test_a_wrong_model_stays_near() -> None:
     feedback = EncoderFeedback.of(recording, wrong, 1e-5, 1.5, 0.7)
     rest = np.zeros(chain.size)
     arms = [Arm(wrong), Arm(wrong).with_feedback(feedback)]
-    free, held = rollouts(arms, [recording] * 2, [rest] * 2, [rest] * 2)
+    free, held = simulate_trajectories(arms, [recording] * 2, [rest] * 2, [rest] * 2)
     off = [np.abs(np.interp(recording.time, each.time, each.q[:, 0, 0]) - theta[:, 0]).max() for each in (free, held)]
     assert off[1] < 0.2 * off[0]
 
@@ -103,9 +105,9 @@ def test_copies_are_held_each_by_its_own() -> None:
     ]
     arms = [Arm(chain).with_feedback(feedback) for feedback in feedbacks]
     rest = np.zeros(chain.size)
-    together = rollouts(arms, recordings, [rest] * 3, [rest] * 3)
+    together = simulate_trajectories(arms, recordings, [rest] * 3, [rest] * 3)
     for arm, recording, found in zip(arms, recordings, together, strict=True):
-        alone = rollouts([arm], [recording], [rest], [rest])[0]
+        alone = simulate_trajectories([arm], [recording], [rest], [rest])[0]
         rows = min(len(alone.q), len(found.q))
         assert np.abs(alone.q[:rows] - found.q[:rows]).max() < 1e-9
     assert np.abs(together[2].q).max() == 0.0
@@ -117,9 +119,9 @@ def test_it_draws_to_where_the_encoder_would_show_the_angle() -> None:
     feedback = EncoderFeedback.of(recording, chain, 1e-4, 1.0, 0.7)
     arm = Arm.of(chain, (EncoderOffset(link=0, offset=offset),)).with_feedback(feedback)
     rest = np.zeros(chain.size)
-    steps = rollouts([arm], [recording], [rest], [rest])[0]
+    steps = simulate_trajectories([arm], [recording], [rest], [rest])[0]
     assert steps.q[-1, 0, 0] == pytest.approx(0.3 - offset, abs=1e-4)
-    angle, rate = shown(arm.sensors, np.array([[0.1], [0.2]]), np.array([[1.0], [-2.0]]))
+    angle, rate = arm.read_encoders(np.array([[0.1], [0.2]]), np.array([[1.0], [-2.0]]))
     assert angle == pytest.approx(np.array([[0.15], [0.25]]))
     assert rate == pytest.approx(np.array([[1.0], [-2.0]]))
 
@@ -144,8 +146,10 @@ def test_nothing_is_held_without_angles() -> None:
     assert EncoderFeedback.of(unseen, hub, 1e-4, 1.0, 0.7) is None
 
 
-def run_of(chain: Chain, observed: Observed, state: Array) -> Run:
-    return run_all([Arm(chain)], [observed], [Start.of(Arm(chain), observed.recording)], [state], 1.0)[0]
+def run_of(chain: Chain, observed: Observations, state: Array) -> Run:
+    return simulate_runs(
+        [Arm(chain)], [observed], [InitialStatePrior.of(Arm(chain), observed.recording)], [state], 1.0
+    )[0]
 
 
 def test_derivatives_know_of_it() -> None:
@@ -153,7 +157,7 @@ def test_derivatives_know_of_it() -> None:
     chain = arm_of(steel_link(3, "revolute"))
     recording, _ = driven(arm_of(steel_link(3, "revolute", hub_inertia=0.03)))
     recording = replace(recording, markers=np.zeros(recording.markers.shape))
-    observed = Observed.of(rig_of(chain), recording, NOISE)
+    observed = Observations.of(rig_of(chain), recording, NOISE)
     observed = replace(observed, feedback=EncoderFeedback.of(recording, chain, 1e-5, 1.5, 0.7))
     state, by = np.zeros(2 * chain.size), 1e-5
 
@@ -162,7 +166,7 @@ def test_derivatives_know_of_it() -> None:
         return arm_of(replace(link, hub_inertia=link.hub_inertia * (1 + share)))
 
     run = run_of(chain, observed, state)
-    ((_, found),) = run.slopes([Moved(Arm(heavier(by)), by)])
+    ((_, found),) = run.slopes([PerturbedArm(Arm(heavier(by)), by)])
     directions = [*run.basis.states.T]
     moved = [
         (run_of(chain, observed, state + by * each), run_of(chain, observed, state - by * each)) for each in directions

@@ -1,0 +1,267 @@
+"""Equations of motion of several copies of an arm, what drives them, and their trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from vjm.effects.effect import Motion, RateIndependentUpdate
+from vjm.errors import InsufficientDataError
+from vjm.model import dynamics
+from vjm.records import Array, Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.encoder_feedback import EncoderFeedback
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Torques of active joints over evenly spaced steps.
+
+    Within a step the torque may have kinks at its samples. There it is replaced by the quadratic with the same mean,
+    first and second moment: motion slower than the step cannot tell them apart.
+
+    Attributes:
+        start, middle, end: (S, C, n_a) the quadratic's values at the steps' ends and middles [N m].
+        ends: (S + 1, C, n_a) the torque itself at the steps' ends [N m].
+        first: (C,) instants of the first step's start [s].
+        step: [s].
+    """
+
+    start: Array
+    middle: Array
+    end: Array
+    ends: Array
+    first: Array
+    step: float
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], step: float, count: int) -> Drive:
+        """Return the torques of C recordings, each from its first instant; none act after a recording's end.
+
+        Raises:
+            InsufficientDataError: an active joint without measured torque.
+        """
+        parts = [_fit_quadratics(*measured_torque(recording), recording.time, step, count) for recording in recordings]
+        start, middle, end, ends = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
+        return cls(start, middle, end, ends, np.array([recording.time[0] for recording in recordings]), step)
+
+
+def measured_torque(recording: Recording) -> tuple[Array, Array]:
+    """Return instants (T',) [s] and torques (T', n_a) [N m] where all active joints' torques were measured.
+
+    Raises:
+        InsufficientDataError: an active joint without measured torque: what drives it is unknown.
+    """
+    if recording.tau.shape[1] == 0:
+        return recording.time[:1], np.zeros((1, 0))
+    known = np.isfinite(recording.tau).all(axis=1)
+    if known.sum() < 2:
+        raise InsufficientDataError(
+            f"simulation of {recording.file}",
+            "no torque was measured at its active joints",
+            "record the column LINK.tau",
+        )
+    return recording.time[known], recording.tau[known]
+
+
+def _fit_quadratics(
+    knots: Array, torque: Array, time: Array, step: float, count: int
+) -> tuple[Array, Array, Array, Array]:
+    """Quadratics' values (S, n_a) at starts, middles and ends, and the torque at the steps' ends (S + 1, n_a)."""
+    edges = np.asarray(time[0] + step * np.arange(count + 1))
+    # Pieces on which the torque is a line: between neighbouring knots and steps' ends.
+    inner = knots[(knots > edges[0]) & (knots < edges[-1])]
+    bounds = np.union1d(edges, inner)
+    middles, halves = (bounds[1:] + bounds[:-1]) / 2, np.diff(bounds) / 2
+    owner = np.clip(((middles - edges[0]) / step).astype(int), 0, count - 1)
+    # Gauss-Legendre nodes: exact for the product of a line and a quadratic.
+    instants = middles[:, None] + halves[:, None] * np.array([-1.0, 1.0]) / np.sqrt(3.0)
+    x = (instants - edges[owner][:, None]) * 2 / step - 1
+    moments = (np.ones_like(x), x, (3 * x**2 - 1) / 2)
+    after = time[-1] + 1e-9 * step
+    quadratics, ends = [], []
+    for column in torque.T:
+        values = np.where(instants > after, 0.0, np.interp(instants, knots, column)) * halves[:, None]
+        c0, c1, c2 = (
+            (2 * k + 1) / step * np.bincount(owner, (values * moment).sum(axis=1), count)
+            for k, moment in enumerate(moments)
+        )
+        quadratics.append((c0 - c1 + c2, c0 - c2 / 2, c0 + c1 + c2))
+        ends.append(np.where(edges > after, 0.0, np.interp(edges, knots, column)))
+    if not quadratics:
+        empty = np.zeros((count, 0))
+        return empty, empty, empty, np.zeros((count + 1, 0))
+    start, middle, end = (np.stack(values, axis=-1) for values in zip(*quadratics, strict=True))
+    return start, middle, end, np.stack(ends, axis=-1)
+
+
+class _ActingEffects(NamedTuple):
+    """Effects on some of the copies; None for forces, rates or updates that they do not have."""
+
+    copies: NDArray[np.intp]
+    force: Motion | None
+    rates: Motion | None
+    rate_independent_update: RateIndependentUpdate | None
+
+
+@dataclass(frozen=True)
+class System:
+    """Equations of motion of several copies: their mechanism, springs, dampers and effects.
+
+    Attributes:
+        mechanism: the copies as branches of one model.
+        stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
+        active: coordinates that torques drive.
+        arms: one a copy.
+        effects: those that exert forces or have internal states, copies with the same ones together.
+        feedback: of encoders on the active joints; None: none.
+    """
+
+    mechanism: dynamics.Mechanism
+    stiffness: Array
+    damping: Array
+    active: NDArray[np.intp]
+    arms: tuple[Arm, ...]
+    effects: tuple[_ActingEffects, ...]
+    feedback: EncoderFeedback | None
+
+    @classmethod
+    def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
+        """Return the system of several arms with the same coordinates, each with its own payload on the tip.
+
+        Args:
+            arms: one a copy.
+            payloads: one a copy [kg].
+            gravity: in the plane, for all [m/s^2].
+        """
+        chains = [arm.chain for arm in arms]
+        return cls(
+            dynamics.build(chains, payloads, gravity),
+            np.stack([chain.stiffness for chain in chains]),
+            np.stack([chain.damping for chain in chains]),
+            chains[0].active,
+            tuple(arms),
+            _acting_effects(arms, payloads),
+            EncoderFeedback.stacked([arm.feedback for arm in arms]),
+        )
+
+    @property
+    def has_further_forces(self) -> bool:
+        """True if anything acts beyond springs, dampers and torques."""
+        return bool(self.effects) or self.feedback is not None
+
+    def further_forces(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
+        """Return forces of effects and feedback (C, nv) [N m] and rates of internal states (C, nz) at a time [s]."""
+        force, rates = np.zeros(q.shape), np.zeros(z.shape)
+        for effects in self.effects:
+            copies = slice(None) if len(effects.copies) == len(q) else effects.copies
+            instants = np.full(len(effects.copies), time)
+            if effects.force is not None:
+                force[copies] = effects.force(instants, q[copies], v[copies], z[copies])
+            if effects.rates is not None:
+                rates[copies] = effects.rates(instants, q[copies], v[copies], z[copies])
+        if self.feedback is not None:
+            angles, speeds = q[:, self.active], v[:, self.active]
+            if any(arm.sensors for arm in self.arms):
+                read = [arm.read_encoders(*row) for arm, *row in zip(self.arms, angles, speeds, strict=True)]
+                angles, speeds = (np.stack(column) for column in zip(*read, strict=True))
+            force[:, self.active] += self.feedback.torque(time, angles, speeds)
+        return force, rates
+
+    def update_states(self, q: Array, z: Array, to: Array) -> Array:
+        """Return internal states (C, nz) after a change of angles (C, nv); only rate-independent ones change."""
+        updated = z
+        for effects in self.effects:
+            if effects.rate_independent_update is not None:
+                updated = z.copy() if updated is z else updated
+                copies = effects.copies
+                updated[copies] = effects.rate_independent_update(q[copies], z[copies], to[copies])
+        return updated
+
+    def acceleration(self, q: Array, v: Array, torque: Array, force: Array) -> Array:
+        """Return (C, nv) accelerations at q, v (C, nv) under active torques (C, n_a) and forces (C, nv) [N m]."""
+        total = force - self.stiffness * q - self.damping * v
+        total[:, self.active] += torque
+        flat = dynamics.forward_dynamics(self.mechanism, q.ravel(), v.ravel(), total.ravel())
+        return flat.reshape(q.shape)
+
+    def free_acceleration(self, x: Array, torque: Array) -> Array:
+        """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
+        n = torque.shape[1]
+        flat = dynamics.forward_dynamics(self.mechanism, x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
+        return flat.reshape(torque.shape)
+
+
+def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_ActingEffects, ...]:
+    """Effects that act on the copies, those of copies with the same effects and payload together."""
+    groups: dict[tuple[int, int, float], list[int]] = {}
+    for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
+        groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)
+    acting = [
+        _ActingEffects(
+            np.array(copies),
+            arms[copies[0]].forces(payload),
+            arms[copies[0]].rates,
+            arms[copies[0]].rate_independent_update,
+        )
+        for (*_, payload), copies in groups.items()
+    ]
+    return tuple(effects for effects in acting if effects.force is not None or effects.rates is not None)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Motion of C copies at the integrator's own instants.
+
+    Attributes:
+        time: (S + 1,) evenly spaced [s].
+        q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
+        z: (S + 1, C, nz) internal states of the effects.
+    """
+
+    time: Array
+    q: Array
+    v: Array
+    a: Array
+    z: Array
+
+    @property
+    def step(self) -> float:
+        """Distance between instants [s]."""
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+    @classmethod
+    def at_rest(cls, time: Array, q: Array) -> Trajectory:
+        """Return the trajectory of an arm at constant angles (nv,) [rad] from the first instant [s] to the last."""
+        constant = np.broadcast_to(q, (2, 1, q.size))
+        return cls(np.array([time[0], time[-1]]), constant, 0 * constant, 0 * constant, np.zeros((2, 1, 0)))
+
+    def sample(self, time: Array) -> tuple[Array, Array]:
+        """Return angles and rates between the first and last step, by quintic Hermite interpolation.
+
+        Args:
+            time: (T,) [s].
+
+        Returns:
+            q, v (T, C, nv) [rad, rad/s].
+        """
+        h = self.step
+        k = np.clip(((time - self.time[0]) / h).astype(int), 0, len(self.time) - 2)
+        s = ((time - self.time[k]) / h)[:, None, None]
+        q0, v0, a0 = self.q[k], self.v[k] * h, self.a[k] * h * h / 2
+        jump = self.q[k + 1] - q0 - v0 - a0
+        slope = self.v[k + 1] * h - v0 - 2 * a0
+        bend = (self.a[k + 1] * h * h - 2 * a0) / 2
+        c3, c4, c5 = 10 * jump - 4 * slope + bend, -15 * jump + 7 * slope - 2 * bend, 6 * jump - 3 * slope + bend
+        q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
+        v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
+        return q, v
+
+    def angles(self, time: Array) -> Array:
+        """Return angles (..., nv) [rad] of a single copy at instants (...) [s]."""
+        flat = self.sample(time.ravel())[0][:, 0]
+        return flat.reshape(*time.shape, flat.shape[-1])
