@@ -1,4 +1,4 @@
-"""What a user should know about recordings before trusting results: plain sentences that name the recording."""
+"""Warnings about recordings: plain sentences that name the recording, to be read before trusting results."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from vjm.errors import ExperimentError, shown
 from vjm.experiment.checks import experiment_warnings
 from vjm.experiment.cleaning import cleaned
-from vjm.experiment.records import Recording, Rig, Role, as_rig, check_markers, check_recording, several
+from vjm.experiment.records import Recording, Rig, Role, as_rig, check_recording, several
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Experiment:
     def __post_init__(self) -> None:
         """Validate."""
         rig = as_rig(self.rig)
-        check_markers(rig)
+        rig.require_markers()
         recordings = []
         for number, recording in enumerate(several(self.recordings, Recording, "experiment", "recordings"), start=1):
             recording = recording.completed(rig, number)
@@ -67,7 +67,7 @@ class Experiment:
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """What a user should know before trusting results."""
+        """Sentences that a user should read before trusting results."""
         return tuple(experiment_warnings(self.rig, self.recordings))
 
     @cached_property

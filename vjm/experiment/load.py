@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 from vjm.errors import ExperimentError
 from vjm.experiment.csv import read_recording
 from vjm.experiment.experiment import Experiment
-from vjm.experiment.records import Link, Recording, Rig, check_markers
+from vjm.experiment.records import Link, Recording, Rig
 from vjm.experiment.schema import STRICT, explain, table_model
 
 _SECTIONS: dict[str, Any] = {
@@ -55,7 +55,7 @@ def load(path: str | os.PathLike[str]) -> Experiment:
             links.append(Link(**table))
     with _faults_of(file):
         rig = Rig(document["name"], tuple(links), **document["base"], **document.get("sensors", {}))
-        check_markers(rig)
+        rig.require_markers()
     files = _recording_files(file, document)
     tables = zip(files, document["recording"], strict=True)
     recordings = [read_recording(source, table, rig) for source, table in tables]

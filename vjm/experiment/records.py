@@ -163,6 +163,12 @@ class Rig:
                 problem = f"'{name}' is already the name of link[{names.index(name) + 1}]"
                 raise ExperimentError(None, f"link[{index + 1}] {name}", "name", problem, "a name of its own")
 
+    def require_markers(self) -> None:
+        """Raise an `ExperimentError` if there is no marker on any link."""
+        if not any(link.markers for link in self.links):
+            table = f"link[1] {self.links[0].name}"
+            raise ExperimentError(None, table, "markers", "no link has a marker", "at least one")
+
     def __repr__(self) -> str:
         links = [f"{link.name} ({link.joint}, {link.length:g} m, {len(link.markers)} markers)" for link in self.links]
         return f"Rig({self.name!r}, links: {', '.join(links)}; gravity {self.gravity} m/s^2)"
@@ -229,21 +235,15 @@ class Recording:
         repeat: str | None = None,
         condition: str | None = None,
     ) -> None:
-        scalars = {
-            "kind": kind,
-            "role": role,
-            "file": file,
-            "gravity": _RIGS_GRAVITY if gravity is None or isinstance(gravity, _RigsGravity) else gravity,
-            "payload": payload,
-            "repeat": repeat,
-            "condition": condition,
-        }
-        for key, value in scalars.items():
+        if gravity is None or isinstance(gravity, _RigsGravity):
+            gravity = _RIGS_GRAVITY
+        labels = {"kind": kind, "role": role, "file": file, "repeat": repeat, "condition": condition}
+        for key, value in {**labels, "gravity": gravity, "payload": payload}.items():
             object.__setattr__(self, key, value)
         _check_fields(self, file)
         name = self.file or "recording"
         instants = _array(name, "time", time, "(T,) instants [s]", (None,))
-        check_time(name, "time", instants)
+        _check_time(name, "time", instants)
         positions = _array(name, "markers", markers, "(T, k, 2) positions [m]", (instants.size, None, 2))
         arrays = {
             key: _array(name, key, values, f"(T, number of active joints) {unit}", (instants.size, None))
@@ -280,11 +280,11 @@ class Recording:
         columns = tuple(str(column) for column in frame.columns)
         check_columns(name, columns, rig, kind)
         values = {column: _numbers(name, column, frame[column]) for column in columns}
-        check_time(name, "t", values["t"])
+        _check_time(name, "t", values["t"])
         unknown = np.full(values["t"].size, np.nan)
 
         def gathered(names: Iterable[str]) -> Array:
-            return np.array([values.get(column, unknown) for column in names]).reshape(-1, unknown.size).T
+            return np.array([values.get(column, unknown) for column in names]).reshape(-1, unknown.size).T.copy()
 
         active = [rig.links[i].name for i in rig.active_links]
         recording = cls(
@@ -343,17 +343,6 @@ def as_rig(rig: Rig | Link) -> Rig:
     if not isinstance(rig, Rig):
         raise ExperimentError(None, "experiment", "rig", f"got {shown(rig)}", "a vjm.Rig, or a single vjm.Link")
     return rig
-
-
-def check_markers(rig: Rig) -> None:
-    """Check that there is a marker on some link.
-
-    Raises:
-        ExperimentError: there is none.
-    """
-    if not any(link.markers for link in rig.links):
-        table = f"link[1] {rig.links[0].name}"
-        raise ExperimentError(None, table, "markers", "no link has a marker", "at least one")
 
 
 def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, row: int | None = None) -> None:
@@ -463,7 +452,7 @@ def _check_finite(name: str, column: str, values: Array) -> None:
 def _numbers(name: str, column: str, values: pd.Series) -> Array:
     """Return a column of a table as numbers, NaN where it is empty."""
     try:
-        array = values.to_numpy(dtype=np.float64, na_value=np.nan)
+        array = values.to_numpy(dtype=np.float64, na_value=np.nan, copy=True)
     except (TypeError, ValueError) as error:
         for row, cell in enumerate(values):
             try:
@@ -478,12 +467,7 @@ def _numbers(name: str, column: str, values: pd.Series) -> Array:
     return array
 
 
-def check_time(name: str, column: str, time: Array) -> None:
-    """Check that there is a time in every row and that it increases.
-
-    Raises:
-        RecordingError: naming the row.
-    """
+def _check_time(name: str, column: str, time: Array) -> None:
     bad = np.flatnonzero(np.isnan(time))
     if bad.size:
         raise RecordingError(name, int(bad[0]), column, "the time is missing", "a time in every row [s]")

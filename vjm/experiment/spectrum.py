@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,12 @@ from vjm.experiment.records import Array
 
 
 class Oscillators:
-    """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants."""
+    """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants.
+
+    Args:
+        time: (T,) [s].
+        torque: instants (U,) [s] and torques (U, n_a) [N m]; None for free motion.
+    """
 
     def __init__(self, time: Array, torque: tuple[ArrayLike, ArrayLike] | None) -> None:
         self.time = time - time[0] if time.size else time
@@ -69,10 +75,7 @@ class Oscillators:
 
 
 _FALSE_ALARM = 1e-6  # probability that noise alone shows a mode
-_SEPARATION = 0.2  # relative; a peak closer to a known mode is its own skirt
-_FIRST_RATIOS = (0.002, 0.01, 0.05)
-_FIRST_SHIFTS = (-0.25, 0.0, 0.25)  # bins of the spectrum
-_LARGEST_RATIO = 0.7
+_SEPARATION = 0.2  # relative; a peak closer to a known mode is part of that mode's
 _MOST_FRAMES = 20_000  # of a longer recording, the part used
 _LARGEST_STD = 0.1  # relative; a frequency less sure than this is no measurement
 
@@ -149,7 +152,7 @@ class CombinedMode:
 def match(
     expected: float, measured: Sequence[MeasuredModes], tolerance: float, floor: float = 5e-4
 ) -> CombinedMode | None:
-    """The measured mode nearest to an expected frequency [Hz], averaged over the recordings that show it.
+    """Return the measured mode nearest to an expected frequency [Hz], averaged over the recordings that show it.
 
     Args:
         expected: [Hz].
@@ -161,16 +164,10 @@ def match(
     for modes in measured:
         if modes.frequencies.size == 0:
             continue
+        table = (modes.frequencies, modes.frequency_std, modes.damping_ratios, modes.damping_std)
         nearest = int(np.argmin(np.abs(modes.frequencies - expected)))
         if abs(modes.frequencies[nearest] / expected - 1) < tolerance:
-            rows.append(
-                (
-                    modes.frequencies[nearest],
-                    modes.frequency_std[nearest],
-                    modes.damping_ratios[nearest],
-                    modes.damping_std[nearest],
-                )
-            )
+            rows.append([column[nearest] for column in table])
     if not rows:
         return None
     f, f_std, d, d_std = np.array(rows).T
@@ -186,7 +183,7 @@ def match(
 def mode_shapes(
     time: ArrayLike, signals: ArrayLike, modes: MeasuredModes, torque: tuple[ArrayLike, ArrayLike] | None = None
 ) -> NDArray[np.complex128]:
-    """What each mode of a recording moves, and how much.
+    """Return the deflection shapes of the modes of a recording.
 
     Args:
         time: (T,) [s].
@@ -208,21 +205,19 @@ def mode_shapes(
 
 
 def _complete(t: Array, y: Array) -> tuple[Array, Array]:
-    kept = np.isfinite(y).all(axis=1)
-    t, y = t[kept], y[kept]
-    if len(t) > _MOST_FRAMES:
-        t, y = t[:_MOST_FRAMES], y[:_MOST_FRAMES]
-    return t, y
+    """Return the frames without a gap, of a very long recording its beginning."""
+    kept = np.flatnonzero(np.isfinite(y).all(axis=1))[:_MOST_FRAMES]
+    return t[kept], y[kept]
 
 
 def _project(columns: Array, y: Array) -> tuple[Array, Array]:
-    """What the columns leave of y (T, c), and the amplitudes."""
+    """Return the residual of y (T, c) after a least-squares fit by the columns, and the amplitudes."""
     amplitudes, *_ = np.linalg.lstsq(columns, y, rcond=1e-10)
     return y - columns @ amplitudes, np.asarray(amplitudes)
 
 
 def _peak(time: Array, residual: Array, known: Array) -> float | None:
-    """Frequency [Hz] of the largest peak of the residual's spectrum that is no noise and no known mode's skirt."""
+    """Return the frequency [Hz] of a residual's largest peak that is neither noise nor part of a known mode's."""
     step = float(np.median(np.diff(time)))
     count = round((time[-1] - time[0]) / step) + 1
     even = np.zeros((count, residual.shape[1]))
@@ -248,26 +243,21 @@ def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: 
     def residual(x: Array) -> Array:
         return _project(oscillators.columns(x.reshape(-1, 2)), y)[0].ravel() / noise
 
-    guesses = [
-        np.vstack([known, [start + shift * bin_width, ratio]]) for ratio in _FIRST_RATIOS for shift in _FIRST_SHIFTS
-    ]
-    first = min(guesses, key=lambda each: float(np.sum(residual(each) ** 2)))
+    # Damping of metals, of plastics and of joints; a padded peak is within a quarter of a bin of the frequency.
+    pairs = product((0.002, 0.01, 0.05), (-0.25, 0.0, 0.25))
+    guesses = [np.vstack([known, [start + shift * bin_width, ratio]]) for ratio, shift in pairs]
+    first = min(guesses, key=lambda guess: float(np.sum(residual(guess) ** 2)))
     lower = np.column_stack([0.5 * first[:, 0], np.zeros(len(first))]).ravel()
-    upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), _LARGEST_RATIO)]).ravel()
+    upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), 0.7)]).ravel()
     scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
-    found = least_squares(
-        residual,
-        np.clip(first.ravel(), lower + 1e-9, upper - 1e-9),
-        bounds=(lower, upper),
-        x_scale=1e-2 * scale,
-        max_nfev=30,
-    )
-    refined: Array = np.asarray(found.x).reshape(-1, 2)
+    inside = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
+    result = least_squares(residual, inside, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
+    refined: Array = np.asarray(result.x).reshape(-1, 2)
     return refined
 
 
 def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> Array:
-    """Without the modes that later ones have made superfluous: what they explain is no more than noise would be."""
+    """Drop the modes that later ones have made superfluous: they explain no more than noise would."""
     kept = values
     for row in values:
         without = kept[~(kept == row).all(axis=1)]
@@ -283,7 +273,7 @@ def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> 
 
 
 def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array:
-    """(m, 2) standard errors of frequencies [Hz] and damping ratios, with the residual's own size as noise."""
+    """Return the (m, 2) standard errors of frequencies [Hz] and damping ratios, the residual itself taken as noise."""
     if len(values) == 0:
         return np.empty((0, 2))
     base = values.ravel()
