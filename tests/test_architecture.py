@@ -28,7 +28,6 @@ ORDER = (
     ("effects",),
     ("simulation",),
     ("identification",),
-    ("symptoms",),
     ("diagnosis",),
     ("report",),
     ("cli",),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tests.report.fits import DEMO, _chain
 from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining
+from vjm.diagnosis.symptoms import symptoms
 from vjm.effects import (
     BUILTIN,
     ClampCompliance,
@@ -27,8 +28,6 @@ from vjm.report.figures.style import Picture
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate
 from vjm.simulation.model import Model
-from vjm.symptoms.find import symptoms
-from vjm.symptoms.records import Followed
 
 Array = NDArray[np.float64]
 
@@ -146,11 +145,8 @@ def make_diagnosis(
     model = replace(base, effects=effects)
     next_best = replace(base, effects=other) if other else None
     followed = followed_by(experiment, base, model, next_best)
-    shown = [
-        Followed(base.rig, each.recording, each.reference.simulation.markers, each.reference.simulation.theta, NOISE)
-        for each in followed
-        if each.reference is not None
-    ]
+    shown = [each.reference for each in followed if each.reference is not None]
+    payloads = {0.0} | {each.recording.payload for each in shown}
     held_out = [each for each in followed if each.recording.role == "holdout"]
     rms = [_rms(held_out, name) for name in ("reference", "simulated", "alternative")]
     gain = None
@@ -167,7 +163,7 @@ def make_diagnosis(
         recordings=followed,
         gain=gain,
         remaining=Remaining(0.4),
-        symptoms=symptoms(shown, base.modes().frequencies[:2].tolist()),
+        symptoms=symptoms(base.rig, shown, {each: base.modes(each).frequencies[:2].tolist() for each in payloads}),
         next_experiment=None,
         noise="from the experiment file, and what the quiet recording shows agrees",
         next_best=other,

@@ -10,8 +10,8 @@ from vjm.effects.effect import Effect
 from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording
 
 if TYPE_CHECKING:
+    from vjm.diagnosis.symptoms import Symptoms
     from vjm.simulation.model import Model
-    from vjm.symptoms.find import Symptoms
 
 Verdict = Literal["none", "named", "set", "unknown", "insufficient"]
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.encoder_feedback import simulate_open_loop, without_feedback
 from vjm.diagnosis.records import Findings
+from vjm.diagnosis.symptoms import Symptoms, symptoms
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.records import Array, Experiment, RecordingComparison
@@ -15,8 +16,6 @@ from vjm.simulation.initial_state import simulated_recording
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
-from vjm.symptoms.find import Symptoms, symptoms
-from vjm.symptoms.records import Followed
 
 _Runs = dict[str, tuple[Run, bool]]  # by file: the simulation, and whether its initial state was found
 
@@ -98,11 +97,8 @@ def simulate_without_each_cause(findings: Findings) -> Findings:
 
 def find_symptoms(model: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:
     """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
-    count, noise = 4, (model.marker_noise, model.encoder_noise)  # more modes are hardly ever seen by a camera
-    shown = []
-    for each in recordings:
-        if each.reference is not None:
-            payload, simulation = each.recording.payload, each.reference.simulation
-            own = tuple(model.modes(payload).frequencies[:count].tolist()) if payload else None
-            shown.append(Followed(model.rig, each.recording, simulation.markers, simulation.theta, noise, own))
-    return symptoms(shown, model.modes().frequencies[:count].tolist()) if shown else None
+    count = 4  # more modes are hardly ever seen by a camera
+    shown = [each.reference for each in recordings if each.reference is not None]
+    payloads = sorted({0.0} | {each.recording.payload for each in shown})
+    frequencies = {payload: model.modes(payload).frequencies[:count].tolist() for payload in payloads}
+    return symptoms(model.rig, shown, frequencies) if shown else None

@@ -47,13 +47,14 @@ class Oscillators:
         parts = [np.ones_like(self.time)]
         for frequency, ratio in values:
             pole = 2 * np.pi * frequency * (-ratio + 1j * np.sqrt(max(1 - ratio**2, 1e-12)))
-            free = np.exp(pole * self.time)
-            parts += [free.real, free.imag]
-            for signal in self.inputs:
-                forced = self._forced(pole, signal)
-                size = max(float(np.abs(forced).max()), 1e-300)
-                parts += [forced.real / size, forced.imag / size]
+            for response in self.responses(pole).T:
+                size = max(float(np.abs(response).max()), 1e-300)
+                parts += [response.real / size, response.imag / size]
         return np.stack(parts, axis=1)
+
+    def responses(self, pole: complex) -> NDArray[np.complex128]:
+        """Return the free motion exp(pole t) of a pole [1/s] and its responses to the inputs, (T, 1 + inputs)."""
+        return np.stack([np.exp(pole * self.time), *(self._forced(pole, signal) for signal in self.inputs)], axis=1)
 
     def _forced(self, pole: complex, signal: Array) -> NDArray[np.complex128]:
         """Response of z' = pole z + u at the camera's instants, u linear between its samples (exact)."""

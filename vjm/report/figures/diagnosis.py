@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from vjm.diagnosis.symptoms.joints import JointProfile, missing_torque
 from vjm.effects.effect import Abscissa, Effect
 from vjm.errors import InsufficientDataError
 from vjm.records import REFERENCE, Array, Recording, SimulatedRecording
@@ -43,10 +44,6 @@ from vjm.report.figures.windows import (
 )
 from vjm.report.text import capital, clause, millimetres, named, place, short
 from vjm.simulation.model import Model
-from vjm.symptoms.joints import profiles
-from vjm.symptoms.profiles import Profile, joined
-from vjm.symptoms.records import Followed
-from vjm.symptoms.signals import observe
 
 if TYPE_CHECKING:
     from vjm.records import RecordingComparison
@@ -176,7 +173,9 @@ def _draw_left(
 ) -> None:
     kind, first = effect.abscissa, followed[0]
     if kind in ("joint_angle", "joint_rate"):
-        found = [_missing_torque(effect, model, [(f.recording, getattr(f, name)) for f in followed]) for name in _BOTH]
+        joint = f"{place(effect, model)}.theta"
+        simulated = [[one for f in followed if (one := getattr(f, name)) is not None] for name in _BOTH]
+        found = [missing_torque(model.rig, own, joint) for own in simulated]
         if found[0] is not None and found[1] is not None:
             _draw_joint(axes, effect, (found[0], found[1]))
             return
@@ -262,29 +261,15 @@ def _draw_added(
     panel_title(axes, f"Explained: {max(100 * share, 0.0):.1f} % of what was missing, in mean square")
 
 
-def _missing_torque(
-    effect: Effect, model: Model, replayed: Sequence[tuple[Recording, SimulatedRecording | None]]
-) -> Profile | None:
-    """Torque at the joint that replays lack; None where the recordings do not show it."""
-    noise, name, found = (model.marker_noise, model.encoder_noise), f"{place(effect, model)}.theta", []
-    for k, (recording, replay) in enumerate(replayed):
-        if replay is None or recording.kind != "driven":
-            continue
-        shown = Followed(model.rig, recording, replay.simulation.markers, replay.simulation.theta, noise)
-        own = profiles(k, shown, observe(shown))
-        found += [each for each in own if each.quantity == "torque" and each.motion == name]
-    return joined(found) or next(iter(found), None)
-
-
-def _draw_joint(axes: Axes, effect: Effect, found: Sequence[Profile]) -> None:
+def _draw_joint(axes: Axes, effect: Effect, found: Sequence[JointProfile]) -> None:
     by_angle = effect.abscissa == "joint_angle"
     axes.axhline(0.0, color="#444444", linewidth=0.6)
     largest = 0.0
     for profile, color, marker, pale in zip(
         found, (NOMINAL, IDENTIFIED), ("s", "o"), (_PALE_BEFORE, _PALE_AFTER), strict=True
     ):
-        x = np.degrees(profile.points.position if by_angle else profile.points.velocity)
-        values = 1e3 * profile.values
+        x = np.degrees(profile.position if by_angle else profile.velocity)
+        values = 1e3 * profile.fit.own
         axes.plot(x, values, ".", color=pale, markersize=3, zorder=1)
         centres, means = _binned(x, values, np.unique(np.quantile(x, np.linspace(0, 1, 11))), False)
         face = "white" if marker == "s" else color

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.diagnosis.symptoms import Symptom, Symptoms, symptoms
 from vjm.experiment import Link, Recording, Rig
-from vjm.symptoms.find import Symptoms, symptoms
-from vjm.symptoms.records import Followed, Kind, Symptom
+from vjm.records import SimulatedRecording, Simulation
 
 Array = NDArray[np.float64]
 Change = Callable[[Array, Array, Array], tuple[Array, Array]]
@@ -80,7 +80,7 @@ MOTION = Motion()
 STILL = Motion(amplitudes=(0.0, 0.0), slew=(0.0, 0.45))
 
 
-def followed(
+def simulated(
     seed: int,
     truth: Motion = MOTION,
     model: Motion = MOTION,
@@ -95,8 +95,8 @@ def followed(
     clock: float = 1.0,
     change: Change | None = None,
     noise: Callable[[np.random.Generator, Array], Array] | None = None,
-) -> Followed:
-    """A recording of `truth`, followed by `model`.
+) -> SimulatedRecording:
+    """A recording of `truth`, simulated by `model`.
 
     Args:
         seed: of the noise.
@@ -127,31 +127,34 @@ def followed(
     theta = np.empty((t.size, 0)) if clamped else theta + NOISE[1] * draw(rng, theta)
     torque = 0.1 * np.sin(2 * t[:, None]) * (kind == "driven") * np.ones_like(theta)
     recording = Recording(t, markers, theta, torque, kind=kind, role="train", file=file)
-    simulated = np.empty((t.size, 0)) if clamped else model.theta(t)
-    return Followed(CLAMPED if clamped else RIG, recording, model.markers(t, clamped), simulated, NOISE)
+    angle = np.empty((t.size, 0)) if clamped else model.theta(t)
+    state = np.empty((t.size, 0))
+    simulation = Simulation(t, state, state, angle, model.markers(t, clamped))
+    return SimulatedRecording(recording, simulation, NOISE, 0.0, t.size, "converged")
 
 
-def found(*recordings: Followed) -> Symptoms:
+def found(*recordings: SimulatedRecording) -> Symptoms:
     """The symptoms of recordings, at the two modes' frequencies."""
-    return symptoms(recordings, FREQUENCIES)
+    clamped = any(one.simulation.theta.shape[1] == 0 for one in recordings)
+    return symptoms(CLAMPED if clamped else RIG, recordings, {0.0: FREQUENCIES})
 
 
-def the(found_: Symptoms, kind: Kind, sensor: str | None = None, band: float | None = None) -> Symptom:
-    """The largest symptom of a kind, of a sensor or a band where these are given."""
+def the(result: Symptoms, kind: str, sensor: str | None = None, mode: int | None = None) -> Symptom:
+    """The largest symptom of a kind, of a sensor or a mode where these are given."""
     return next(
-        each
-        for each in found_.found
-        if each.kind == kind and sensor in (None, each.sensor) and (band is None or each.band == band)
+        symptom
+        for symptom in result.found
+        if symptom.kind == kind and sensor in (None, symptom.sensor) and mode in (None, symptom.mode)
     )
 
 
-def assert_found(symptom: Symptom, truth: float, relative: float = 0.1) -> None:
-    """It is put into words, its value is right within its error, and that is no larger than it should be."""
-    assert symptom.significant, symptom
+def assert_found(result: Symptoms, symptom: Symptom, truth: float, relative: float = 0.1) -> None:
+    """Check that it is put into words, and that its value is right within its error, which is not too large."""
+    assert symptom in result.significant, symptom
     assert abs(symptom.value - truth) < 4 * symptom.std, symptom
     assert symptom.std < relative * abs(truth), symptom
 
 
-def kinds(symptoms_: Symptoms) -> set[str]:
+def kinds(result: Symptoms) -> set[str]:
     """Of those that are put into words."""
-    return {each.kind for each in symptoms_.significant}
+    return {symptom.kind for symptom in result.significant}

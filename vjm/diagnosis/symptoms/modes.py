@@ -1,0 +1,415 @@
+"""Modes of a recording, measured against simulated: frequency, damping, amplitude and phase.
+
+The simulated motion is fitted by the damped oscillators of `vjm.experiment.spectrum`, free and driven by the torques,
+besides motion slower than the modes. The measured motion is the same with a gain, a phase and another pole in each
+mode, a gain and a delay of the motion outside the modes, and a clock of the camera's own, all fitted together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import signal
+from scipy.optimize import least_squares
+
+from vjm.diagnosis.symptoms.channels import UNKNOWN, Channels, Coefficient, regress
+from vjm.experiment.spectrum import Oscillators
+from vjm.records import Array, Complex, Recording
+
+SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
+_TERMS = 4  # of a mode: gain, phase, decay, speed
+_MOST_ROWS = 1500  # instants to which the simulated, noise-free motion is fitted
+_LEAST_SIGNAL = 30.0  # root of the sum of squares over the noise: an amplitude known to 5 %
+_BLUR = 0.04  # relative error of a mode's parameters: oscillators describe no large motion exactly
+
+
+class ModeDifference(NamedTuple):
+    """One mode of one recording, measured against simulated."""
+
+    mode: int  # index among the natural frequencies
+    pole: complex  # of the simulated motion [1/s]
+    gain: Coefficient  # natural logarithm of measured over simulated amplitude
+    phase: Coefficient  # by which the measured motion is ahead [rad]
+    decay: Coefficient  # difference of the decay rates [1/s]
+    speed: Coefficient  # difference of the angular frequencies [rad/s]
+    described: tuple[float, ...]  # squared misfit that each of these four describes, in units of the noise
+    shapes: tuple[tuple[str, Coefficient, float], ...]  # gain of each marker against all, and the misfit described
+
+    @property
+    def simulated(self) -> float:
+        """Natural frequency of the simulated motion [Hz]."""
+        return abs(self.pole) / (2 * np.pi)
+
+    @property
+    def frequency(self) -> Coefficient:
+        """Relative difference of the frequencies [1]."""
+        return self.speed.times(1 / abs(self.pole.imag))
+
+    @property
+    def damping(self) -> Coefficient:
+        """Difference of the damping ratios [1]."""
+        return self.decay.times(1 / abs(self.pole))
+
+
+class FreeMotion(NamedTuple):
+    """One freely oscillating mode in successive windows, P times."""
+
+    mode: int  # index
+    time: Array  # (P,) [s]
+    amplitude: Array  # (P,) of the coordinate that moves most [m or rad]
+    unit: str  # of the amplitude
+    frequencies: Array  # (P, 2) measured and simulated [Hz]
+    ratios: Array  # (P, 2) measured and simulated fractions of critical damping
+    std: Array  # (P, 2) standard errors of the measured frequencies [Hz] and ratios
+    wave: Complex  # (F, C) measured motion in this mode [m or rad]
+
+
+class ModeComparison(NamedTuple):
+    """All modes of one recording, and the motion outside them."""
+
+    modes: tuple[ModeDifference, ...] = ()  # those that move
+    # Gain and delay [s] of the motion outside the modes, lag of the camera behind the encoders [s] and by how much more
+    # time it counts; with each the squared misfit that it describes, in units of the noise.
+    rest: tuple[tuple[Coefficient, float], ...] = ((UNKNOWN, 0.0),) * 4
+    free: tuple[FreeMotion, ...] = ()
+    remaining: tuple[Array, ...] = ()  # of each sensor, (F, C) the residual without all of these, in units of the noise
+
+
+def compare_modes(recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> ModeComparison:
+    """Compare the modes of one recording.
+
+    Args:
+        recording: as measured.
+        sensors: of the recording, at least one.
+        natural: natural frequencies of the model [Hz].
+    """
+    fit = _Fit.of(recording, sensors, natural)
+    x, jacobian = fit.solve()
+    residual = fit.stacked([s.centred(s.residual) for s in sensors])
+    left = residual - fit.change(x)
+    groups = np.concatenate([s.stacked(s.groups) for s in sensors])
+    found, _ = regress(jacobian, left + jacobian @ x, groups, sum(len(s.names) for s in sensors))
+    parts = np.split(left, np.cumsum([int(s.known.sum()) for s in sensors])[:-1])
+    remaining = []
+    for sensor, part in zip(sensors, parts, strict=True):
+        values = np.zeros(sensor.known.T.shape)
+        values[sensor.known.T] = part
+        remaining.append(values.T)
+
+    def described(*kept: int) -> float:
+        own = np.zeros_like(x)
+        own[list(kept)] = x[list(kept)]
+        change = fit.change(own)
+        return float(change @ (2 * residual - change))
+
+    modes = []
+    for k, (index, pole) in enumerate(zip(fit.modes, fit.poles, strict=True)):
+        gain, phase, decay, speed = range(_TERMS * k, _TERMS * (k + 1))
+        if abs(x[gain]) > np.log(10):  # ten times as large or as small: another motion, not this one changed
+            continue
+        start = described(gain, phase)
+        shares = (described(gain), described(phase), described(gain, phase, decay) - start,
+                  described(gain, phase, speed) - start)  # fmt: skip
+        terms = (_blurred(found[gain]), _blurred(found[phase]), _blurred(found[decay]), _blurred(found[speed]))
+        modes.append(ModeDifference(index, pole, *terms, shares, fit.shapes(k, x, remaining[0])))
+    first = _TERMS * len(fit.modes)
+    rest = [(found[j], described(j)) for j in range(first, x.size)]
+    rest += [(UNKNOWN, 0.0)] * (4 - len(rest))
+    free = [fit.free_motion(k, x, free_interval(recording)) for k in range(len(fit.modes))]
+    return ModeComparison(tuple(modes), tuple(rest), tuple(f for f in free if f is not None), tuple(remaining))
+
+
+def _blurred(found: Coefficient) -> Coefficient:
+    return found._replace(std=float(np.hypot(found.std, _BLUR * found.value)))
+
+
+def free_interval(recording: Recording) -> tuple[float, float] | None:
+    """Return the longest interval in which no torque drives the arm [s]; None where there is none."""
+    time = recording.time
+    if recording.kind == "decay" or recording.tau.shape[1] == 0:
+        return float(time[0]), float(time[-1])
+    known = np.isfinite(recording.tau).all(axis=1)
+    if not known.any():
+        return None
+    torque = np.interp(time, time[known], np.abs(recording.tau[known]).max(axis=1))
+    idle = torque <= 0.02 * torque.max()  # drives nothing that stands out of the motion before
+    edges = np.flatnonzero(np.diff(np.r_[False, idle, False].astype(int)))
+    if not edges.size:
+        return None
+    starts, stops = edges[::2], edges[1::2] - 1
+    longest = int(np.argmax(time[stops] - time[starts]))
+    return float(time[starts[longest]]), float(time[stops[longest]])
+
+
+def slow_columns(time: Array, start: float, duration: float, highest: float) -> Array:
+    """Return cosines below a frequency [Hz] over a recording, (T, K + 1), the constant first."""
+    count = min(int(2 * duration * highest), 40)
+    return np.cos(np.pi * ((time - start) / duration)[:, None] * np.arange(count + 1))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The simulated motion as oscillators, and its change by the parameters."""
+
+    sensors: tuple[Channels, ...]
+    oscillators: tuple[Oscillators, ...]  # of each sensor, at its instants
+    modes: tuple[int, ...]  # (m) indices of those that move
+    poles: tuple[complex, ...]  # (m) of the simulated motion [1/s]
+    weights: tuple[tuple[Complex, ...], ...]  # (m, sensors) (1 + inputs, C) free and driven amplitudes [m or rad]
+    middle: float  # mean time of the motion [s], where lag and clock are nearly independent
+
+    @staticmethod
+    def of(recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> _Fit:
+        camera = sensors[0]
+        power = np.sum((camera.rate * camera.known) ** 2, axis=1)
+        middle = float(np.average(camera.time, weights=power)) if power.any() else float(camera.time.mean())
+        # Three periods of a mode, and more than two frames a period, or its pole cannot be told.
+        modes = [k for k, f in enumerate(natural) if f * camera.duration >= 3 and 2.2 * f * camera.step <= 1]
+        still = tuple(Oscillators(sensor.time, None) for sensor in sensors)
+        if not modes:
+            return _Fit(tuple(sensors), still, (), (), (), middle)
+        lowest = SLOW * min(natural)
+        thin = max(1, camera.time.size // _MOST_ROWS)
+        while thin > 1 and 4 * thin * camera.step * max(natural[k] for k in modes) > 1:
+            thin -= 1
+        motion = (camera.simulated[::thin] - camera.simulated.mean(axis=0)) / camera.noise
+        known = recording.tau[:, np.isfinite(recording.tau).all(axis=0)]
+        torque, own, expected = None, {}, {k: natural[k] for k in modes}
+        before = np.inf
+        for trial in (None, (recording.time, known)) if known.size else (None,):
+            part = Oscillators(camera.time[::thin], trial)
+            found, misfit = _poles(part, _slow(part, camera.time[::thin], camera, lowest), motion, expected)
+            # Torques that leave half of what free oscillation leaves, or more, drive no mode.
+            if misfit < 0.5 * before:
+                torque, own, before = trial, found, misfit
+        modes, poles = list(own), list(own.values())
+        if not modes:
+            return _Fit(tuple(sensors), still, (), (), (), middle)
+        oscillators = still if torque is None else tuple(Oscillators(sensor.time, torque) for sensor in sensors)
+        weights = []
+        for sensor, each in zip(sensors, oscillators, strict=True):
+            weights.append(_weights(each, _slow(each, sensor.time, sensor, lowest), sensor.simulated, poles))
+        kept = []
+        for k in range(len(modes)):
+            waves = [(o.responses(poles[k]) @ w[k]).real * s.known / s.noise
+                     for o, w, s in zip(oscillators, weights, sensors, strict=True)]  # fmt: skip
+            if max(float(np.linalg.norm(wave)) for wave in waves) > _LEAST_SIGNAL:
+                kept.append(k)
+        return _Fit(
+            tuple(sensors), oscillators, tuple(modes[k] for k in kept), tuple(poles[k] for k in kept),
+            tuple(tuple(w[k] for w in weights) for k in kept), middle,
+        )  # fmt: skip
+
+    def waves(self, k: int, change: Array | None = None) -> list[Complex]:
+        """Of a mode, (F, C) complex motion in each sensor, changed by its four parameters [m or rad]."""
+        gain, phase, decay, speed = np.zeros(_TERMS) if change is None else change
+        factor = np.exp(np.clip(gain, -3, 3) + 1j * phase)
+        pole = complex(min(self.poles[k].real - decay, 3 / self.sensors[0].duration), self.poles[k].imag + speed)
+        return [factor * (o.responses(pole) @ w) for o, w in zip(self.oscillators, self.weights[k], strict=True)]
+
+    @cached_property
+    def _unchanged(self) -> list[list[Complex]]:
+        return [self.waves(k) for k in range(len(self.modes))]
+
+    @cached_property
+    def _rest(self) -> list[tuple[Array, Array]]:
+        """Of each sensor, what gain and delay of the motion outside the modes do (F, C) [m or rad]."""
+        pairs = []
+        for s, sensor in enumerate(self.sensors):
+            rest = sensor.simulated - sum((own[s].real for own in self._unchanged), np.zeros(1))
+            rate = np.gradient(rest, sensor.time, axis=0)
+            pairs.append((sensor.centred(rest) * sensor.moving, -rate * sensor.moving))
+        return pairs
+
+    def change(self, x: Array) -> Array:
+        """(N,) change of the simulation by the parameters, each coordinate minus its mean, in units of the noise."""
+        gain, delay, lag, clock = (*x[_TERMS * len(self.modes) :], 0.0, 0.0)[:4]
+        changes = [gain * shape + delay * rate for shape, rate in self._rest]
+        for k, own in enumerate(self._unchanged):
+            mode = x[_TERMS * k : _TERMS * (k + 1)]
+            if mode.any():
+                for s, wave in enumerate(self.waves(k, mode)):
+                    changes[s] = changes[s] + (wave - own[s]).real
+        if lag or clock:
+            camera = self.sensors[0]
+            shifted = camera.time - lag - clock * (camera.time - self.middle)
+            changes[0] = changes[0] + camera.path(shifted) - camera.simulated
+        return self.stacked([s.centred(c) / s.noise for s, c in zip(self.sensors, changes, strict=True)])
+
+    def stacked(self, values: Sequence[Array]) -> Array:
+        """(N,) of values (F, C), one array a sensor."""
+        return np.concatenate([s.stacked(v) for s, v in zip(self.sensors, values, strict=True)])
+
+    def solve(self) -> tuple[Array, Array]:
+        """The best parameters, and the Jacobian (N, p) of the change."""
+        residual = self.stacked([s.centred(s.residual) for s in self.sensors])
+        size = _TERMS * len(self.modes) + (4 if len(self.sensors) > 1 else 2)
+        starts = [np.zeros(size)]
+        best = self._least_squares(residual, starts[0])
+        # Where that leaves a residual, a frequency may be off by more than half a period over the recording.
+        if self.modes and np.mean((residual - self.change(best)) ** 2) > 2:
+            start = np.zeros(size)
+            for k, peak in enumerate(self._peaks()):
+                start[_TERMS * k + 3] = peak
+            other = self._least_squares(residual, start)
+            best = min((best, other), key=lambda x: float(np.sum((residual - self.change(x)) ** 2)))
+        steps = 1e-6 * np.eye(size)
+        return best, np.stack([(self.change(best + h) - self.change(best - h)) / 2e-6 for h in steps], axis=1)
+
+    def _least_squares(self, residual: Array, start: Array) -> Array:
+        def misfit(x: Array) -> Array:
+            return residual - self.change(x)
+
+        found = np.array(least_squares(misfit, start, x_scale="jac", max_nfev=30).x)
+        phases = slice(1, _TERMS * len(self.modes), _TERMS)
+        found[phases] = np.angle(np.exp(1j * found[phases]))
+        return found
+
+    def _peaks(self) -> list[float]:
+        """Of each mode, the strongest measured frequency within 50 % of the simulated one, minus it [rad/s]."""
+        camera = self.sensors[0]
+        measured = camera.centred(camera.simulated + camera.noise * camera.residual)
+        peaks = []
+        for pole in self.poles:
+            speeds = np.linspace(0.5, 1.5, 400) * pole.imag
+            power = sum(signal.lombscargle(camera.time, column, speeds) for column in measured.T)
+            peaks.append(float(speeds[int(np.argmax(power))] - pole.imag))
+        return peaks
+
+    def shapes(self, k: int, x: Array, remaining: Array) -> tuple[tuple[str, Coefficient, float], ...]:
+        """Of each camera coordinate, its gain in a mode against that of all."""
+        camera = self.sensors[0]
+        if camera.sensor != "camera":
+            return ()
+        wave = camera.centred(self.waves(k, x[_TERMS * k : _TERMS * (k + 1)])[0].real) / camera.noise
+        size = np.linalg.norm(wave, axis=0)
+        found = []
+        for c in np.flatnonzero(size > max(_LEAST_SIGNAL, 0.1 * size.max())):
+            rows = camera.known[:, c]
+            (own,), _ = regress(wave[rows, c][:, None], remaining[rows, c], camera.groups[rows], 1)
+            change = own.value * wave[rows, c]
+            described = float(change @ (2 * remaining[rows, c] - change))
+            found.append((camera.names[c], _blurred(own), described))
+        return tuple(found)
+
+    def free_motion(self, k: int, x: Array, interval: tuple[float, float] | None) -> FreeMotion | None:
+        """Frequency and damping of a mode in overlapping windows of two periods and more, at most 24 in a recording."""
+        camera, frequency = self.sensors[0], self.poles[k].imag / (2 * np.pi)
+        if interval is None:
+            return None
+        half = 0.5 * max(2 / frequency, 3 * (3 + 2 * len(self.modes)) * camera.step, (interval[1] - interval[0]) / 12)
+        count = int((interval[1] - interval[0]) / half) - 1
+        if count < 4:
+            return None
+        shape = self.weights[k][0][0] if interval[0] == camera.time[0] else self._unchanged[k][0][
+            np.searchsorted(camera.time, interval[0])
+        ]  # fmt: skip
+        unit = np.conj(shape) / max(float(np.linalg.norm(shape)), 1e-300)
+        changes = x[: _TERMS * len(self.modes)].reshape(-1, _TERMS)
+        poles = np.array([self.poles, [p + complex(-c[2], c[3]) for p, c in zip(self.poles, changes, strict=True)]])
+        centres = np.linspace(interval[0] + half, interval[1] - half, count)
+        amplitudes, std = np.zeros((count, 2), complex), np.full(count, np.inf)
+        for j, centre in enumerate(centres):
+            place = (camera.time - centre) / half
+            rows = (np.abs(place) <= 1) & camera.known.all(axis=1)
+            place = place[rows]
+            if rows.sum() < 2 * (3 + 2 * len(self.modes)):
+                continue
+            simulated = camera.simulated[rows]
+            pairs = (simulated, simulated + camera.noise * camera.residual[rows])
+            for n, (values, own) in enumerate(zip(pairs, poles, strict=True)):
+                waves = np.exp(own * (place * half)[:, None])
+                basis = np.hstack([np.stack([place**0, place, place**2], axis=1), waves.real, -waves.imag])
+                inverse = np.linalg.pinv(basis)
+                sizes = inverse @ values
+                amplitudes[j, n] = (sizes[3 + k] + 1j * sizes[3 + len(self.modes) + k]) @ unit
+                std[j] = camera.noise * float(np.linalg.norm(inverse[3 + k]))
+        clear = np.abs(amplitudes).min(axis=1) > 8 * std  # a phase known to a fiftieth of a period
+        first = np.flatnonzero(clear[2:] & clear[:-2])  # two windows that do not overlap
+        if first.size < 2:
+            return None
+        second, step = first + 2, 2 * float(centres[1] - centres[0])
+        own = poles[:, k]
+        turned = np.log(amplitudes[second] / (amplitudes[first] * np.exp(own * step))) / step
+        total = own + turned
+        relative = np.hypot(std[first] / np.abs(amplitudes[first, 1]), std[second] / np.abs(amplitudes[second, 1]))
+        rate = relative / step
+        largest = float(np.abs(shape).max() / np.linalg.norm(shape))
+        return FreeMotion(
+            self.modes[k],
+            0.5 * (centres[first] + centres[second]),
+            largest * np.sqrt(np.abs(amplitudes[first, 1] * amplitudes[second, 1])),
+            camera.unit,
+            total.imag[:, ::-1] / (2 * np.pi),
+            (-total.real / np.abs(total))[:, ::-1],
+            np.stack([rate / (2 * np.pi), rate / abs(own[0])], axis=1),
+            self.waves(k, changes[k])[0],
+        )
+
+
+def _slow(oscillators: Oscillators, time: Array, sensor: Channels, highest: float) -> Array:
+    """(T, k) motion slower than a frequency [Hz], and the double integrals of the torques (rigid motion).
+
+    Cosines have no slope at the ends; a polynomial makes up for that.
+    """
+    double = [signal for signal in oscillators.responses(1e-3 * highest).T[1:].real]
+    rigid = [np.cumsum(column * np.gradient(time)) for column in double]
+    slow = slow_columns(time, sensor.time[0], sensor.duration, highest)
+    polynomial = np.polynomial.legendre.legvander(2 * (time - sensor.time[0]) / sensor.duration - 1, 4)[:, 1:]
+    columns = [*slow.T, *polynomial.T, *rigid]
+    return np.stack([c / max(float(np.abs(c).max()), 1e-300) for c in columns], axis=1)
+
+
+_Poles = tuple[dict[int, complex], float]
+
+
+def _poles(oscillators: Oscillators, slow: Array, motion: Array, natural: dict[int, float]) -> _Poles:
+    """Poles [1/s] of those modes that show theirs in a motion (T, C) in units of the noise, and what is not explained.
+
+    All that is linear is projected out. Modes are left out until the noise would leave each frequency certain to a
+    twentieth of its half-power bandwidth, or to 0.2 %: what is driven far from its resonance shows no pole.
+    """
+    basis, _ = np.linalg.qr(slow)
+    motion = motion - basis @ (basis.T @ motion)
+    kept = list(natural)
+    while kept:
+
+        def residual(values: Array) -> Array:
+            columns = oscillators.columns(values.reshape(-1, 2))[:, 1:]
+            columns = columns - basis @ (basis.T @ columns)
+            sizes, *_ = np.linalg.lstsq(columns, motion, rcond=1e-10)
+            return np.asarray(motion - columns @ sizes).ravel()
+
+        own = np.array([natural[k] for k in kept])
+        starts = [np.column_stack([own, np.full(own.size, ratio)]).ravel() for ratio in (0.003, 0.01, 0.05)]
+        bounds: Any = tuple(
+            np.column_stack([f * own, np.full(own.size, z)]).ravel() for f, z in ((0.75, 0.0), (1.25, 0.5))
+        )
+        scale = np.column_stack([0.01 * own, np.full(own.size, 0.01)]).ravel()
+        first = np.maximum(min(starts, key=lambda x: float(np.sum(residual(x) ** 2))), 1e-6)
+        found: Any = least_squares(residual, first, bounds=bounds, x_scale=scale, max_nfev=20)
+        values = found.x.reshape(-1, 2)
+        covariance = np.linalg.pinv(found.jac.T @ found.jac)
+        std = np.sqrt(np.diag(covariance)).reshape(-1, 2)[:, 0] / values[:, 0]
+        unsure = std / np.maximum(0.1 * values[:, 1], 2e-3) * np.where(values[:, 1] > 0.3, np.inf, 1.0)
+        if unsure.max() <= 1:
+            pairs = zip(kept, values, strict=True)
+            poles = {k: 2 * np.pi * f * complex(-z, np.sqrt(1 - z**2)) for k, (f, z) in pairs}
+            return poles, float(np.sqrt(2 * found.cost / motion.size))
+        kept = [k for k, ratio in zip(kept, unsure, strict=True) if ratio < min(float(unsure.max()), 5.0)]
+    return {}, float(np.sqrt(np.mean(motion**2)))
+
+
+def _weights(oscillators: Oscillators, slow: Array, motion: Array, poles: Sequence[complex]) -> list[Complex]:
+    """For each pole, (1 + inputs, C) complex amplitudes of its free and driven motion in a motion (T, C)."""
+    waves = np.hstack([oscillators.responses(pole) for pole in poles])
+    scale = np.maximum(np.abs(waves).max(axis=0), 1e-300)
+    columns = np.hstack([waves.real / scale, -waves.imag / scale, slow])
+    sizes, *_ = np.linalg.lstsq(columns, motion - motion.mean(axis=0), rcond=1e-10)
+    real, imaginary = np.split(sizes[: 2 * scale.size], 2)
+    both = (real + 1j * imaginary) / scale[:, None]
+    return list(both.reshape(len(poles), -1, motion.shape[1]))
