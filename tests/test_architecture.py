@@ -35,6 +35,19 @@ ORDER = (
 )
 LEVEL = {stage: level for level, line in enumerate(ORDER) for stage in line}
 
+# The only classes whose methods may import the report: results present themselves, and import it when asked to.
+PRESENTED = {("records", "Result"), ("records", "SimulatedResult")}
+
+# What the report may use of the stages that simulate and fit: records, and functions that only read them.
+REPORT_READS = {
+    "vjm.simulation.model.Model",
+    "vjm.simulation.model.extended_urdf",
+    "vjm.simulation.measurement.Arcs",
+    "vjm.identification.check.Check",
+    "vjm.identification.comparison.Comparison",
+    "vjm.identification.uncertainty.Whiteness",
+}
+
 # Where each heavy library may be imported; a folder stands for all that is in it.
 HOMES = {
     "pinocchio": ("model/dynamics.py",),
@@ -53,11 +66,12 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 class Import(NamedTuple):
-    """One imported name, dotted, and whether it is imported for type checking only."""
+    """One imported name, dotted, whether it is imported for type checking only, and in which class's method if any."""
 
     name: str
     line: int
     for_types: bool
+    method_of: str = ""
 
 
 def tree_of(path: Path) -> ast.Module:
@@ -84,14 +98,23 @@ def imports(path: Path) -> Iterator[Import]:
         if isinstance(block, ast.If) and ast.unparse(block.test).endswith("TYPE_CHECKING")
         for node in ast.walk(block)
     }
+    owners = {
+        id(node): owner.name
+        for owner in ast.walk(tree)
+        if isinstance(owner, ast.ClassDef)
+        for method in owner.body
+        if isinstance(method, Function)
+        for node in ast.walk(method)
+    }
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             for alias in node.names:
-                yield Import(alias.name, node.lineno, id(node) in for_types)
+                yield Import(alias.name, node.lineno, id(node) in for_types, owners.get(id(node), ""))
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}:{node.lineno}: relative import"
             for alias in node.names:
-                yield Import(f"{node.module}.{alias.name}", node.lineno, id(node) in for_types)
+                name = f"{node.module}.{alias.name}"
+                yield Import(name, node.lineno, id(node) in for_types, owners.get(id(node), ""))
 
 
 def turning_back(path: Path, package: Path = PACKAGE) -> list[str]:
@@ -100,6 +123,8 @@ def turning_back(path: Path, package: Path = PACKAGE) -> list[str]:
     found = []
     for each in imports(path):
         parts = each.name.split(".")
+        if parts[1:2] == ["report"] and (here, each.method_of) in PRESENTED:
+            continue
         if parts[0] == "vjm" and parts[1] != here and LEVEL[parts[1]] >= LEVEL[here]:
             found.append(f"{path.relative_to(package)}:{each.line} imports {each.name}")
     return found
@@ -119,6 +144,42 @@ def test_an_import_that_turns_back_is_found(tmp_path: Path) -> None:
     module.parent.mkdir()
     module.write_text("def f():\n    from vjm import model\n    from vjm.errors import ShapeError\n")
     assert turning_back(module, tmp_path) == ["chain/layout.py:2 imports vjm.model"]
+
+
+def test_only_methods_of_results_import_the_report(tmp_path: Path) -> None:
+    module = tmp_path / "records.py"
+    line = "from vjm.report.page import notebook_html\n"
+    module.write_text(f"class Result:\n    def f(self):\n        {line}")
+    assert turning_back(module, tmp_path) == []
+    for text in (line, f"def f():\n    {line}", f"class Other:\n    def f(self):\n        {line}"):
+        module.write_text(text)
+        assert len(turning_back(module, tmp_path)) == 1
+
+
+def simulating(path: Path, package: Path = PACKAGE) -> list[str]:
+    """Imports and calls of a module of the report that simulate or fit."""
+    stages = ("vjm.simulation.", "vjm.identification.", "vjm.diagnosis.")
+    records = ("vjm.identification.records.", "vjm.diagnosis.records.", "vjm.diagnosis.symptoms.")
+    faults = [
+        f"{path.relative_to(package)}:{each.line} imports {each.name}"
+        for each in imports(path)
+        if each.name.startswith(stages) and not each.name.startswith(records) and each.name not in REPORT_READS
+    ]
+    calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
+    methods = [call.func for call in calls if isinstance(call.func, ast.Attribute)]
+    forbidden = ("replay", "replays", "simulate", "least_squares", "minimize", "curve_fit")
+    called = [method for method in methods if method.attr in forbidden]
+    return faults + [f"{path.relative_to(package)}:{method.lineno} calls {method.attr}" for method in called]
+
+
+def test_the_report_neither_simulates_nor_fits() -> None:
+    assert [fault for path in sorted((PACKAGE / "report").rglob("*.py")) for fault in simulating(path)] == []
+
+
+def test_a_simulation_in_the_report_is_found(tmp_path: Path) -> None:
+    module = tmp_path / "page.py"
+    module.write_text("from vjm.simulation.run import run_all\ndef f(model, recording):\n    model.replay(recording)\n")
+    assert simulating(module, tmp_path) == ["page.py:1 imports vjm.simulation.run.run_all", "page.py:3 calls replay"]
 
 
 def named_effects(path: Path, package: Path = PACKAGE) -> list[str]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -37,8 +37,10 @@ __all__ = [
     "MarkersFrame",
     "Mask",
     "Progress",
+    "Record",
     "Recording",
     "RecordingComparison",
+    "Result",
     "Rig",
     "Role",
     "SimulatedRecording",
@@ -48,6 +50,54 @@ __all__ = [
 Progress = Callable[[str, int, int], None]  # called with (text, done, total) now and then
 
 REFERENCE = "reference"  # the condition in which the effect being sought is known to be absent
+
+
+class Record:
+    """Base of records that hold arrays or many other records: a repr of one line, without what is in those."""
+
+    def __repr__(self) -> str:
+        shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in fields(self))  # type: ignore[arg-type]
+        return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"array {value.shape}"
+    if isinstance(value, tuple | list) and value and (len(value) > 3 or is_dataclass(value[0])):
+        return f"({len(value)} {type(value[0]).__name__})"
+    if is_dataclass(value):
+        return f"<{type(value).__name__}>"
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+class Result:
+    """Base of the results of an identification, a comparison, a check and a diagnosis: how they present themselves.
+
+    The report is imported only when one of these methods is called.
+    """
+
+    def summary(self) -> str:
+        """Return as plain text what the command prints: the verdict, its reasons, tables and warnings."""
+        from vjm.report.terminal import summary_text
+
+        return summary_text(self)  # type: ignore[arg-type]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result object, the content of result.json: plain numbers, text, lists and dictionaries, SI."""
+        from vjm.report.result_json import result_object
+
+        return result_object(self)  # type: ignore[arg-type]
+
+    def __repr__(self) -> str:
+        from vjm.report.terminal import brief_text
+
+        return brief_text(self)  # type: ignore[arg-type]
+
+    def _repr_html_(self) -> str:
+        from vjm.report.page import notebook_html
+
+        return notebook_html(self)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -73,8 +123,8 @@ class Estimate:
     remedy: str = ""
 
 
-@dataclass(frozen=True)
-class Simulation:
+@dataclass(frozen=True, repr=False)
+class Simulation(Record):
     """An open-loop trajectory at a recording's instants.
 
     Attributes:
@@ -91,8 +141,8 @@ class Simulation:
     markers: Array
 
 
-@dataclass(frozen=True)
-class SimulatedRecording:
+@dataclass(frozen=True, repr=False)
+class SimulatedRecording(Record):
     """A recording beside its open-loop simulation from the most likely initial state.
 
     Attributes:
@@ -132,8 +182,8 @@ class SimulatedRecording:
         return _rms(self.theta_residual) if np.isfinite(self.theta_residual).any() else None
 
 
-@dataclass(frozen=True)
-class RecordingComparison:
+@dataclass(frozen=True, repr=False)
+class RecordingComparison(Record):
     """One recording beside simulations of it by up to three models.
 
     Attributes:

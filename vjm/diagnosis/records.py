@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
 from vjm.effects.effect import Effect
-from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording
+from vjm.records import Estimate, Experiment, RecordingComparison, Result, SimulatedRecording
 
 if TYPE_CHECKING:
     from vjm.diagnosis.symptoms import Symptoms
@@ -266,8 +266,8 @@ def _improvement(comparison: RecordingComparison) -> float:
     return weight * (before**2 - after**2) / comparison.noise[0] ** 2
 
 
-@dataclass(frozen=True, kw_only=True)
-class Diagnosis(Findings):
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnosis(Result, Findings):
     """Findings of a diagnosis and its conclusions: what a model gets wrong, why, and what adding the cause gains.
 
     Attributes:

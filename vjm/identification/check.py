@@ -12,13 +12,13 @@ from vjm.identification.torque_method import evaluate, fit_uniform, refined
 from vjm.identification.uncertainty import covariance, estimates, of_torque, to_physical
 from vjm.identification.warn import data_warnings, marker_warnings
 from vjm.model.modes import modes
-from vjm.records import Array, Estimate, Experiment
+from vjm.records import Array, Estimate, Experiment, Result
 
 _NOMINAL_JOINTS = 6
 
 
-@dataclass(frozen=True)
-class Check:
+@dataclass(frozen=True, repr=False)
+class Check(Result):
     """What an experiment can tell.
 
     Attributes:

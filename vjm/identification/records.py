@@ -9,7 +9,7 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import Angles
 from vjm.markers.smoothing import Derivatives
-from vjm.records import Array, Estimate, Experiment, Recording, RecordingComparison
+from vjm.records import Array, Estimate, Experiment, Record, Recording, RecordingComparison, Result
 from vjm.simulation.model import Model
 
 Method = Literal["torque", "torque+frequency", "trajectory"]
@@ -37,8 +37,8 @@ class ModeComparison:
     mac: float | None = None
 
 
-@dataclass(frozen=True)
-class TorqueData:
+@dataclass(frozen=True, repr=False)
+class TorqueData(Record):
     """One training recording as the torque method sees it.
 
     Attributes:
@@ -58,8 +58,8 @@ class TorqueData:
     errors_after: Array
 
 
-@dataclass(frozen=True)
-class TrajectorySummary:
+@dataclass(frozen=True, repr=False)
+class TrajectorySummary(Record):
     """How well whole trajectories fit.
 
     Attributes:
@@ -76,8 +76,8 @@ class TrajectorySummary:
         return self.fit.point.misfit**2
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(Result):
     """An identified model and what is known about it.
 
     Attributes:

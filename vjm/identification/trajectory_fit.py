@@ -21,7 +21,7 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
-from vjm.records import Array, Progress, Recording
+from vjm.records import Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
 from vjm.simulation.least_squares import Damping, SquareRootInformation
@@ -65,8 +65,8 @@ class FixedParameter:
     width: float
 
 
-@dataclass(frozen=True)
-class TrajectoryProblem:
+@dataclass(frozen=True, repr=False)
+class TrajectoryProblem(Record):
     """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
 
     Attributes:
@@ -141,8 +141,8 @@ class TrajectoryProblem:
         return float((self.fixed.value - self.parametrisation.physical(x)[self.fixed.index]) / self.fixed.width)
 
 
-@dataclass(frozen=True)
-class Point:
+@dataclass(frozen=True, repr=False)
+class Point(Record):
     """Coordinates and initial states, with every recording simulated from there.
 
     Attributes:
@@ -210,8 +210,8 @@ _LONGER = 3.0  # from one horizon to the next
 _MISSED = 0.5  # of what a step predicts for a recording
 
 
-@dataclass(frozen=True)
-class TrajectoryFit:
+@dataclass(frozen=True, repr=False)
+class TrajectoryFit(Record):
     """A minimum.
 
     Attributes:

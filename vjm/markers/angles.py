@@ -14,7 +14,7 @@ from vjm.chain.curve import CurveMap, curve_map, rotate
 from vjm.chain.layout import Layout
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.markers.shape import ShapeFit, basis, fit_shape
-from vjm.records import Array, Link, Recording, Rig
+from vjm.records import Array, Link, Record, Recording, Rig
 
 _TOLERANCE = 1e-13  # rad or of a length: rounding errors of a Newton step
 _LARGEST_TURN = 0.5  # rad a step
@@ -43,8 +43,8 @@ class ShapeSettings:
     robust: bool = False
 
 
-@dataclass(frozen=True)
-class Angles:
+@dataclass(frozen=True, repr=False)
+class Angles(Record):
     """Joint angles at the camera's frames.
 
     Attributes:

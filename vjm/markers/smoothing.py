@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from scipy.sparse import csr_array, dia_array
 
 from vjm.errors import InsufficientDataError, ShapeError
-from vjm.records import Array
+from vjm.records import Array, Record
 
 # Degree 7 keeps the second derivative right to 0.1 % at four samples a period, where a cubic spline is 20 % off.
 _DEGREE = 7
@@ -21,8 +21,8 @@ _DIFFERENCE = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # penalised: the fourth
 _ROUGHEST, _SMOOTHEST = -4.0, 10.0  # log10 of the penalty searched
 
 
-@dataclass(frozen=True)
-class Derivatives:
+@dataclass(frozen=True, repr=False)
+class Derivatives(Record):
     """Signals with their rates and accelerations.
 
     Attributes:

@@ -15,7 +15,7 @@ from vjm.files import write_text
 from vjm.model import dynamics
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import chain_to_urdf
-from vjm.records import REFERENCE, Array, Estimate, Recording, Rig, SimulatedRecording, Simulation
+from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import replays
 
@@ -37,8 +37,8 @@ class PinocchioModel(NamedTuple):
     damping: Array
 
 
-@dataclass(frozen=True)
-class Model:
+@dataclass(frozen=True, repr=False)
+class Model(Record):
     """A virtual-joint model of a rig.
 
     Attributes:

@@ -1,0 +1,85 @@
+"""Results present themselves in Python as they do on the terminal, briefly and safely."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from tests.report.diagnoses import DIAGNOSES, undecided
+from tests.report.fits import demo_fit, elbow_fit
+from tests.report.test_page import HOSTILE, Elements, assert_self_contained
+from vjm.diagnosis.records import Diagnosis
+from vjm.identification.comparison import Comparison
+from vjm.records import Result
+from vjm.report.result_json import result_object
+
+
+def comparison() -> Comparison:
+    fit = demo_fit()
+    return Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, fit.recordings, ("careful",))
+
+
+RESULTS: dict[str, Any] = {"demo": demo_fit, "elbow": elbow_fit, "comparison": comparison, **DIAGNOSES}
+
+
+@pytest.fixture(params=list(RESULTS))
+def result(request: pytest.FixtureRequest) -> Result:
+    found: Result = RESULTS[request.param]()
+    return found
+
+
+def test_summary_is_what_the_command_prints(result: Result, capsys: pytest.CaptureFixture[str]) -> None:
+    from vjm.report.terminal import print_summary
+
+    print_summary(result)  # type: ignore[arg-type]
+    assert result.summary() == capsys.readouterr().out
+    assert "\x1b" not in result.summary()
+
+
+def test_to_dict_is_the_result_object(result: Result) -> None:
+    assert result.to_dict() == result_object(result)  # type: ignore[arg-type]
+
+
+def test_repr_is_brief(result: Result) -> None:
+    assert len(repr(result).splitlines()) <= 20
+    assert max(map(len, repr(result).splitlines())) <= 120
+    assert repr(result).startswith(f"<{type(result).__name__} of '")
+
+
+def test_repr_of_many_points_is_cut() -> None:
+    found = undecided()
+    many = replace(found, causes=found.causes * 30)
+    assert len(repr(many).splitlines()) == 20
+    assert repr(many).endswith("…")
+
+
+def test_records_with_arrays_are_told_in_a_line() -> None:
+    fit = demo_fit()
+    first = fit.recordings[0]
+    assert first.simulated is not None
+    assert fit.trajectory is not None
+    records = (fit.model, first, first.simulated, first.simulated.simulation, fit.trajectory, fit.trajectory.fit)
+    for record in (*records, fit.torque_data[0], fit.torque_data[0].angles, fit.torque_data[0].derivatives):
+        assert "\n" not in repr(record)
+        assert len(repr(record)) < 400
+
+
+def test_notebooks_show_verdict_and_tables(result: Result) -> None:
+    html = result._repr_html_()
+    assert_self_contained(html)
+    assert "<html" not in html
+    assert html.index("headline") < html.index("<table>")
+    if not isinstance(result, Diagnosis):
+        assert "Fit per recording" in html
+
+
+def test_notebooks_keep_hostile_names_as_text() -> None:
+    fit = demo_fit()
+    rig = replace(fit.experiment.rig, name=HOSTILE)
+    hostile = replace(fit, experiment=replace(fit.experiment, rig=rig), warnings=(HOSTILE,), notes=(HOSTILE,))
+    html = hostile._repr_html_()
+    assert_self_contained(html)
+    assert not [tag for tag, _ in Elements(html).found if tag in ("script", "img")]
+    assert "&lt;script&gt;alert(" in html
