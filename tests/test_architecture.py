@@ -42,7 +42,7 @@ PRESENTED = {("records", "Result"), ("records", "SimulatedResult")}
 REPORT_READS = {
     "vjm.simulation.model.Model",
     "vjm.simulation.model.extended_urdf",
-    "vjm.simulation.measurement.Arcs",
+    "vjm.simulation.measurement.MarkerArcs",
     "vjm.identification.check.Check",
     "vjm.identification.comparison.Comparison",
     "vjm.identification.uncertainty.Whiteness",
