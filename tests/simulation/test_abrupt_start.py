@@ -13,7 +13,7 @@ from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
 from vjm.records import Kind, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.encoder_feedback import EncoderFeedback
-from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest, state_at_rest
+from vjm.simulation.initial_state import _state_at_rest, backtrack, fit_initial_states, simulate_or_rest
 from vjm.simulation.measurement import MarkerArcs, Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
@@ -53,7 +53,7 @@ def runs_of(arm: Arm, observed: Observations, state: Array, known: Array) -> Run
 @pytest.mark.parametrize("twist", [-0.002, 0.0, 0.0013])
 def test_a_loose_hub_stands_where_it_is_seen(seed: int, twist: float) -> None:
     observed = seen_at(PLAY, stands(PLAY, twist), seed)
-    found = state_at_rest(PLAY, observed, InitialStatePrior.of(PLAY, observed.recording))
+    found = _state_at_rest(PLAY, observed, InitialStatePrior.of(PLAY, observed.recording))
     q, v = np.split(found, 2)
     assert not v.any()
     assert q[PLAY.chain.roots] == pytest.approx(twist, abs=4e-5)  # 0.3 mm over 400 frames of five markers
@@ -64,7 +64,7 @@ def test_a_loose_hub_stands_where_it_is_seen(seed: int, twist: float) -> None:
 
 def test_it_stands_on_a_flank_where_it_is_seen_beyond() -> None:
     observed = seen_at(PLAY, stands(PLAY, 1.2 * GAP / 2), 1)
-    found = state_at_rest(PLAY, observed, InitialStatePrior.of(PLAY, observed.recording))
+    found = _state_at_rest(PLAY, observed, InitialStatePrior.of(PLAY, observed.recording))
     assert found[PLAY.chain.roots] == pytest.approx(GAP / 2, abs=1e-12)
 
 

@@ -32,7 +32,8 @@ from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import INTEGRATORS, default_step, simulate, simulate_trajectories
+from vjm.simulation.integrate import default_step, simulate, simulate_trajectories
+from vjm.simulation.integrators import INTEGRATORS
 from vjm.simulation.system import Trajectory
 
 Array = NDArray[np.float64]

@@ -22,7 +22,8 @@ from vjm.chain.curve import marker_positions
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InputError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.records import Recording
-from vjm.simulation.integrate import INTEGRATORS, simulate
+from vjm.simulation.integrate import simulate
+from vjm.simulation.integrators import INTEGRATORS
 
 Array = NDArray[np.float64]
 HUB = arm_of(steel_link(3, "revolute"))

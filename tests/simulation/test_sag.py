@@ -18,7 +18,7 @@ from tests.fine_beam.mechanics import Mechanics
 from tests.simulation.setups import DOWN, arm_of, recording_of, rig_of, steel_link
 from vjm.chain.curve import marker_positions
 from vjm.chain.virtual_links import Chain
-from vjm.model.modes import equilibrium, modes
+from vjm.model.modes import modes
 from vjm.simulation.integrate import simulate
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def elastica(bending_stiffness: float, payload: float, gravity: tuple[float, flo
 
 def sagged(n: int, payload: float, gravity: tuple[float, float], stiffness: float = 1.97) -> tuple[Chain, Array]:
     chain = arm_of(steel_link(n, bending_stiffness=stiffness))
-    q = equilibrium(chain, payload, gravity)
+    q = modes(chain, payload, gravity).equilibrium
     return chain, marker_positions(chain, q, (MARKERS,), (False,))
 
 
@@ -81,7 +81,7 @@ def test_sag_converges_at_second_order() -> None:
 def test_a_sagged_beam_stays_where_it_rests() -> None:
     chain, markers = sagged(6, 0.05, DOWN)
     recording = recording_of(chain, np.arange(101) / 50.0, payload=0.05, gravity=DOWN)
-    q = equilibrium(chain, 0.05, DOWN)
+    q = modes(chain, 0.05, DOWN).equilibrium
     found = simulate(chain, rig_of(chain), recording, q, 0 * q)
     np.testing.assert_allclose(found.markers, np.broadcast_to(markers, (101, 5, 2)), atol=1e-9)
 

@@ -46,13 +46,13 @@ def linearise(
         theta: active joint angles held while the passive joints come to rest [rad].
     """
     mechanism = dynamics.build(chain, payload, gravity)
-    q = equilibrium(chain, payload, gravity, theta)
+    q = _rest_position(chain, payload, gravity, theta)
     M = dynamics.mass_matrix(mechanism, q[None])[0]
     K = np.diag(chain.stiffness) + dynamics.gravity_stiffness(mechanism, q)
     return M, np.diag(chain.damping), (K + K.T) / 2, q
 
 
-def equilibrium(
+def _rest_position(
     chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> Array:
     """Return the joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`.

@@ -23,7 +23,7 @@ _IN_VAIN = 4  # steps that gain no more than that, after which none will with fe
 _NEGLIGIBLE = 1e-2  # decrease of chi^2: a tenth of a standard deviation of the state
 
 
-def state_at_rest(arm: Arm, observed: Observations, prior: InitialStatePrior) -> Array:
+def _state_at_rest(arm: Arm, observed: Observations, prior: InitialStatePrior) -> Array:
     """Return the (2 nv,) state at rest that explains a recording best if nothing moves in it.
 
     Links and springs are as they are at rest; active joints and links' roots stand where the least-squares fit of the
@@ -62,7 +62,7 @@ def simulate_or_rest(
         known: (2 nv,) further initial states of quiet recordings.
     """
     quiet = [k for k, arm in enumerate(arms) if is_nonsmooth(arm.effects) and observed[k].recording.kind == "quiet"]
-    further = [(k, state_at_rest(arms[k], observed[k], priors[k])) for k in quiet]
+    further = [(k, _state_at_rest(arms[k], observed[k], priors[k])) for k in quiet]
     further += [(k, known[k]) for k in quiet if known[k] is not states[k]]
     indices = [*range(len(arms)), *(k for k, _ in further)]
     runs = simulate_runs(

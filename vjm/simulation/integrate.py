@@ -12,11 +12,10 @@ from vjm.errors import ChoiceError, ShapeError
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrators import exponential, runge_kutta
+from vjm.simulation.integrators import INTEGRATORS
 from vjm.simulation.measurement import MarkerArcs
 from vjm.simulation.system import Drive, System, Trajectory
 
-INTEGRATORS = {"exponential": exponential, "rk4": runge_kutta}
 _REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20  # of a short recording
 # Half an interval over which derivatives of the motion are advanced, in periods of the slowest mode; shorter where an

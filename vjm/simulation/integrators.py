@@ -18,7 +18,7 @@ _DIVERGED = 1e3  # rad; no joint turns so far
 _ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 
 
-def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+def _runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
     """Integrate by classical fourth-order Runge-Kutta steps: the reference (section 6.4 takes 100 us).
 
     Args:
@@ -58,13 +58,13 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     return record.finish(q, v, slopes(count * step, q, v, z, drive.ends[-1])[0], z)
 
 
-def exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+def _exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
     """Integrate by fourth-order exponential time differencing (Cox and Matthews 2002, ETDRK4): the fast default.
 
     The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
     resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
     at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
-    that this becomes where the linear part is zero. Arguments, result and errors are those of `runge_kutta`.
+    that this becomes where the linear part is zero. Arguments, result and errors are those of `_runge_kutta`.
     """
     n, count = q.shape[1], len(drive.start)
     linear = _LinearPropagator(system, drive.step)
@@ -297,3 +297,6 @@ class _Recorder:
         """Store the last instant and return the trajectory, from time zero."""
         self.put(len(self.q) - 1, q, v, a, z)
         return Trajectory(self.drive.step * np.arange(float(len(self.q))), self.q, self.v, self.a, self.z)
+
+
+INTEGRATORS = {"exponential": _exponential, "rk4": _runge_kutta}

@@ -79,7 +79,7 @@ def _fit_quadratics(
     middles, halves = (bounds[1:] + bounds[:-1]) / 2, np.diff(bounds) / 2
     owner = np.clip(((middles - edges[0]) / step).astype(int), 0, count - 1)
     # Gauss-Legendre nodes: exact for the product of a line and a quadratic.
-    instants = middles[:, None] + halves[:, None] * np.array([-1.0, 1.0]) / np.sqrt(3.0)
+    instants = middles[:, None] + halves[:, None] * (np.array([-1.0, 1.0]) / np.sqrt(3.0))
     x = (instants - edges[owner][:, None]) * 2 / step - 1
     moments = (np.ones_like(x), x, (3 * x**2 - 1) / 2)
     after = time[-1] + 1e-9 * step
