@@ -14,7 +14,7 @@ from vjm.effects.effect import Key
 from vjm.records import Array
 
 _MOST = 6  # alternatives refitted for each cause
-_ALIKE = 0.5  # cosine from which what is slow to try is tried
+_ALIKE = 0.5  # cosine from which a nonsmooth effect, slow to fit, is tried
 _NEAR = 5.0  # times the tolerance that a linear guess may be off
 
 
@@ -30,7 +30,7 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
         return {}
     tolerance = ALIKE * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
     variants = [v for v in search.candidate_set.variants if v.key not in best.names]
-    # What sticks or rattles is slow to try: only where it may look like the cause.
+    # Stick-slip and play are slow to try: only where they may look like the cause.
     wanted = {
         cause.key: [
             k

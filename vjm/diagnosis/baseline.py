@@ -74,8 +74,8 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE).near(joints, fit)
     model = CandidateFit(fit)
     bias = DiscretizationBias.of(fit.point, experiment.rig) if model.misfit < CLOSE else None
-    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [each])), each) for each in changed]
-    others = tuple(_prepared(each, size, noise) for each in outlier_free)
+    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
+    others = tuple(_prepared(one, size, noise) for one in outlier_free)
     return Baseline(bias.corrected(model) if bias else model, noise, others, (*problems, *unused))
 
 
@@ -84,8 +84,8 @@ def _further_recordings(
 ) -> tuple[list[Observations], list[Observations], tuple[str, ...]]:
     """Training recordings not yet fitted: those at rest, those that may have changed; and why others are not usable."""
     train = [recording for recording in experiment.cleaned_recordings if recording.role == "train"]
-    fitted = {each.recording.file for each in search.observed}
-    referenced = any(each.condition == REFERENCE for each in train)
+    fitted = {observed.recording.file for observed in search.observed}
+    referenced = any(recording.condition == REFERENCE for recording in train)
     resting: list[Observations] = []
     changed: list[Observations] = []
     problems: list[str] = []
@@ -106,10 +106,10 @@ def _further_recordings(
 def _simulated(point: Point, observed: Sequence[Observations]) -> list[Run]:
     """Simulations of further recordings by the model of a fit; those that diverge are left out."""
     runs: list[Run] = []
-    for each in observed:
-        arm = point.problem.varied.arms(point.x, [each.recording])[0]
+    for one in observed:
+        arm = point.problem.varied.arms(point.x, [one.recording])[0]
         try:
-            runs += [run for run, _ in fit_initial_states([arm], [each], step_multiple=point.problem.step_multiple)]
+            runs += [run for run, _ in fit_initial_states([arm], [one], step_multiple=point.problem.step_multiple)]
         except SimulationDivergedError:
             continue
     return runs
@@ -156,7 +156,7 @@ class SearchStart:
         misfit = point.misfit if point.misfit > INCOMPLETE else 1.0
         known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
         others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
-        arms = problem.varied.arms(point.x, [each.recording for each in others])
+        arms = problem.varied.arms(point.x, [observed.recording for observed in others])
         new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
         runs = [*(known if misfit > 1 else point.runs), *new]
         problem = replace(problem, observed=tuple(run.observed for run in runs))

@@ -155,7 +155,7 @@ class CandidateFit:
 
     @cached_property
     def information(self) -> Information:
-        """What the recordings say of the coordinates."""
+        """Fisher information of the coordinates, and the covariance of their scores."""
         return of_trajectory(self.fit, True)[0]
 
     def model(self, rig: Rig, noise: tuple[float, float]) -> Model:
@@ -225,7 +225,7 @@ def refit(
 
 
 def _followed_for(start: CandidateFit, effects: Sequence[Effect]) -> float:
-    """How long a model with other effects is known to follow the recordings from a start [s]."""
+    """Time for which a model with other effects is known to follow the recordings from a start [s]."""
     new = [effect for effect in effects if effect.key not in start.names]
     gone = [effect for effect in start.effects if effect.key not in named(effects)]
     # A joint more or less changes frequencies: over many periods a wrong one fits any phase.

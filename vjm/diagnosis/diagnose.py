@@ -78,7 +78,8 @@ def diagnose(
             experiment.rig, start, chosen, Rules(matters=matters, most=max_effects, seed=seed), tell, workers
         )
         screened = search.screen(start.start)
-        table = screened.table(search.rules.alpha, search.least_decrease(start.start))
+        tested = screened.table(search.rules.alpha, search.least_decrease(start.start))
+        candidates = (*tested, *search.candidate_set.untestable)
         if insufficient:
             start = SearchStart(baseline.fit, baseline.fit)
             result = SearchResult.nothing(baseline.fit, screened)
@@ -86,7 +87,7 @@ def diagnose(
             search, result = select_effects(search, SearchResult.nothing(start.start, screened))
         findings = replace(
             _findings(experiment, baseline, start, search, result),
-            candidates=(*table, *search.candidate_set.untestable),
+            candidates=candidates,
             insufficient=insufficient,
             warnings=(*experiment.warnings, *baseline.problems, warning),
         )

@@ -94,7 +94,7 @@ def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
 
 
 def _finer(point: Point, rig: Rig) -> Coordinates:
-    """The same coordinates of a chain with more joints."""
+    """Coordinates of a chain with more joints."""
     own = point.problem.parametrisation
     joints = [_REFINEMENT * link.virtual_joints for link in own.template.links]
     template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_DAMPING)
@@ -104,10 +104,10 @@ def _finer(point: Point, rig: Rig) -> Coordinates:
 
 
 def _predictions(finer: Coordinates, point: Point) -> list[Array]:
-    """What the finer chain predicts for each recording [m, rad]."""
+    """Predictions of the finer chain for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
-    arms = finer.arms(point.x, [each.recording for each in observed])
-    starts = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
+    arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
+    starts = [InitialStatePrior.of(arm, one.recording) for arm, one in zip(arms, observed, strict=True)]
     states = [_transferred_with_momentum(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
     return [_predicted(run) for run in simulate_runs(arms, observed, starts, states, point.problem.step_multiple)]
 

@@ -23,8 +23,8 @@ from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
-# Times the slowest vibration, and the damping ratio. Measured on dry friction: held more softly (0.6), fits still lose
-# their way; more tightly (1.5), the torque is known half as well.
+# Times the slowest vibration, and the damping ratio. Measured on dry friction: with softer feedback (0.6), fits still
+# lose their way; with stiffer (1.5), the torque is known half as well.
 _FREQUENCY = 1.0
 _RATIO = 0.2
 _FEW = 6  # simulations to improve an initial state by, open loop
@@ -76,8 +76,8 @@ def without_feedback(candidate_fit: CandidateFit, free: CandidateFit) -> Candida
     """Simulate the same parameters open loop, from initial states that are as likely as can be found.
 
     Args:
-        candidate_fit: held, or not.
-        free: of the same recordings, not held.
+        candidate_fit: with feedback, or without.
+        free: of the same recordings, open loop.
     """
     if not candidate_fit.uses_feedback:
         return candidate_fit
@@ -94,10 +94,10 @@ def simulate_open_loop(
 ) -> list[tuple[Run, bool]]:
     """Simulate recordings that were not fitted open loop; also return whether their initial states were found.
 
-    Where fits were held, initial states are looked for with simulations held, and improved open loop.
+    Initial states of fits with feedback are looked for with feedback, and improved open loop.
 
     Args:
-        candidate_fit: held, or not.
+        candidate_fit: with feedback, or without.
         observed: the recordings.
         states: (2 nv,) found before for the same recordings; None: not yet.
 

@@ -39,24 +39,23 @@ from vjm.simulation.initial_state import fit_initial_states
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
 _NONSMOOTH_START = 0.5  # less friction or play does nothing that derivatives show
 _LEAST_JOINT_START = 0.1  # a joint that is nearly rigid has next to no derivative
-ALIKE = 10.0  # chi^2 by which an explanation must be worse to be told from another
+ALIKE = 10.0  # chi^2 below which models are not distinguished: a likelihood ratio of e^5, decisive by Jeffreys
 LOST_MISFIT = 3.0  # misfit from which a model does not follow the recordings
 _PERIODS = 3.0  # times the first horizon: long enough to compare models where nothing is a guide
-_NEAR = 1.5  # times the best misfit of the recordings' beginnings, up to which an explanation may be best in the end
-_EXPLAINED = 1.1  # misfit of what explains them
-_LITTLE = 2.0  # the same of whole recordings, before a fit has ended
-_REST = 1e-3  # of the chi^2 beyond noise, if more was explained at a stroke
-_KEPT = 4  # explanations that are followed where none does
-FIRST_STEPS = 2  # of each explanation, before the most promising are followed to the end
-_MOST_FIRST_STEPS = 6  # the same as long as the next one promises much
-_MUCH = 0.1  # of chi^2
-_MOST_SHORT_STEPS = 20  # beside the recordings' beginnings
-_FAR = 2.0  # times the best misfit there
-_HOPELESS = 30.0  # times the best misfit of all, after some steps
+_NEAR = 1.5  # times the best misfit of the first periods, up to which a model may be the best in the end
+_EXPLAINED = 1.1  # misfit of a model that explains the first periods
+_REST = 1e-3  # share of the chi^2 beyond noise that a model may leave for further effects
+_KEPT = 4  # fits that are finished where none explains anything
+FIRST_STEPS = 2  # of each fit, before the most promising are finished
+_MOST_FIRST_STEPS = 6  # the same as long as the next step promises much
+_MUCH = 0.1  # decrease of chi^2, as a share of it, that is worth another first step
+_MOST_SHORT_STEPS = 20  # beside the first periods, where a step takes little time
+_FAR = 2.0  # times the best misfit of the first periods, from which a fit is given up
+_HOPELESS = 30.0  # times the best misfit after the first steps, from which a fit is given up
 _STUCK, _GAINED = 5, 0.97  # steps, and the share of chi^2 below which they have gained enough
-_ABRUPT_GAINED = 0.998  # the same where something sticks or rattles: such a fit creeps to its end
+_NONSMOOTH_GAINED = 0.998  # the same for stick-slip and play, whose fits creep to their ends
 _MARGIN = 3.0  # a refit is given up once its next step promises less than a third of what it lacks
-# Of an explanation that leaves so large a misfit, the best parameters do not matter once a step lowers chi^2 by less.
+# Misfits beyond which the best parameters do not matter once a step lowers chi^2 by less than a share.
 _DONE = ((1.5, 1e-2), (1.01, 1e-3))
 _ROUGHLY = 1e-3  # of chi^2: well below what an effect must explain to matter
 
@@ -66,7 +65,7 @@ class FitJob:
     """Refit to try.
 
     Attributes:
-        start: the explanation to begin with.
+        start: the fit to begin with.
         effects: those wanted, with the parameters from which their search starts.
     """
 
@@ -109,12 +108,12 @@ def _start_fit(job: FitJob, whole: float, record: float = np.inf) -> CandidateFi
     Args:
         job: the refit.
         whole: duration of the longest recording [s].
-        record: chi^2 of the best beside the beginnings so far.
+        record: chi^2 of the best beside the first periods so far.
     """
     nonsmooth = is_nonsmooth(job.effects)
     if _is_short(job.start, whole):
         return refit(job.start, job.effects, StoppingRule(_MOST_SHORT_STEPS, _FAR**2 * record, nonsmooth))
-    # Held, a fit goes where its steps point; open loop, what a step promises may be far from what it does.
+    # With encoder feedback a step does what it promises; open loop that may be far off.
     most = _MOST_FIRST_STEPS if job.start.uses_feedback else FIRST_STEPS
     return refit(job.start, job.effects, StoppingRule(FIRST_STEPS, nonsmooth=nonsmooth, most=most))
 
@@ -124,23 +123,23 @@ def _is_short(candidate_fit: CandidateFit, whole: float) -> bool:
     return candidate_fit.point.problem.longest < whole
 
 
-def _near_noise(partial_fits: CandidateFit, whole: float, fewer: CandidateFit) -> bool:
+def _near_noise(partial_fit: CandidateFit, whole: float, fewer: CandidateFit) -> bool:
     """True if so little remains that the fit is worth finishing before others are tried.
 
     Args:
-        partial_fits: the fit.
+        partial_fit: the fit.
         whole: duration of the longest recording [s].
         fewer: the best with fewer effects.
     """
-    short = _is_short(partial_fits, whole)
-    little = partial_fits.misfit < (_EXPLAINED if short or partial_fits.uses_feedback else _LITTLE)
-    return little or (not short and _explains_nearly_all(partial_fits, fewer))
+    short = _is_short(partial_fit, whole)
+    little = partial_fit.misfit < (_EXPLAINED if short or partial_fit.uses_feedback else CLOSE)
+    return little or (not short and _explains_nearly_all(partial_fit, fewer))
 
 
 def _explains_nearly_all(candidate_fit: CandidateFit, fewer: CandidateFit) -> bool:
     """True if it leaves next to nothing of what another with fewer effects lacked: the rest is for further ones."""
     lacked, lacks = (max(each.misfit**2 - 1.0, 0.0) for each in (fewer, candidate_fit))
-    return candidate_fit.misfit < _LITTLE and lacks < _REST * lacked
+    return candidate_fit.misfit < CLOSE and lacks < _REST * lacked
 
 
 def _promising(partial_fits: Sequence[CandidateFit], whole: float) -> list[CandidateFit]:
@@ -157,45 +156,45 @@ def _promising(partial_fits: Sequence[CandidateFit], whole: float) -> list[Candi
     return sorted(kept, key=lambda each: each.misfit)
 
 
-def _finish_fit(partial_fits: CandidateFit, record: float, whole: TrajectoryProblem) -> CandidateFit | None:
+def _finish_fit(partial_fit: CandidateFit, record: float, whole: TrajectoryProblem) -> CandidateFit | None:
     """Finish a refit; give it up once it will not come near the record.
 
     Args:
-        partial_fits: where it has come to.
+        partial_fit: where it has come to.
         record: chi^2 of the best so far.
         whole: all of the recordings.
     """
-    short, nonsmooth = _is_short(partial_fits, whole.longest), is_nonsmooth(partial_fits.effects)
-    if partial_fits.fit.converged and not short:
-        return partial_fits
-    if not short and _is_hopeless(partial_fits, record):
-        return partial_fits
-    enough = _ABRUPT_GAINED if nonsmooth else _GAINED
-    patience = StoppingRule(np.inf, record, nonsmooth, enough, rough=partial_fits.uses_feedback and not nonsmooth)
-    return refit(partial_fits, partial_fits.effects, patience, whole=whole if short else None)
+    short, nonsmooth = _is_short(partial_fit, whole.longest), is_nonsmooth(partial_fit.effects)
+    if partial_fit.fit.converged and not short:
+        return partial_fit
+    if not short and _is_hopeless(partial_fit, record):
+        return partial_fit
+    enough = _NONSMOOTH_GAINED if nonsmooth else _GAINED
+    rule = StoppingRule(np.inf, record, nonsmooth, enough, rough=partial_fit.uses_feedback and not nonsmooth)
+    return refit(partial_fit, partial_fit.effects, rule, whole=whole if short else None)
 
 
-def _is_hopeless(partial_fits: CandidateFit, record: float) -> bool:
+def _is_hopeless(partial_fit: CandidateFit, record: float) -> bool:
     """True if what another step promises, if that is known, is far from a record (chi^2).
 
-    A fit that does not follow the recordings begins again with their beginnings, where more may be promised.
+    A fit that does not follow the recordings begins again with their first periods, where more may be promised.
     """
-    return partial_fits.follows and StoppingRule(np.inf, record)(partial_fits.point, partial_fits.fit.promised)
+    return partial_fit.follows and StoppingRule(np.inf, record)(partial_fit.point, partial_fit.fit.promised)
 
 
 class StoppingRule:
     """Stopping rule of a fit: after some steps, far from a record, or when it is wrong and as good as done.
 
-    Where something sticks and slips, or little is followed, slopes are only roughly a guide: once many steps have
-    gained little, none will.
+    With stick-slip, or far from the recordings, derivatives are only roughly a guide: once many steps have gained
+    little, none will.
 
     Args:
         steps: after which it ends.
         record: chi^2 that it must come near.
-        nonsmooth: whether something sticks and slips.
+        nonsmooth: whether there is stick-slip or play.
         enough: share of chi^2 below which some steps have gained enough.
         most: steps, as long as the next one promises much.
-        rough: whether it need not be fitted to its very end, as what is held and will be fitted open loop.
+        rough: whether it need not be fitted to its very end, since it will be fitted open loop.
     """
 
     def __init__(
@@ -228,7 +227,7 @@ class StoppingRule:
 
 
 NOISE = 1.02  # misfit that leaves nothing to explain
-COARSE = 1.15  # the same as long as the chain's coarseness is not known; what leaves more is not the end of a search
+COARSE = 1.15  # the same as long as the discretization error is not known; more is not the end of a search
 Tell = Callable[[str], None]
 Enough = Callable[[Sequence[CandidateFit]], bool]
 
@@ -237,20 +236,20 @@ class FitCache:
     """Fits of a search, by the names of their effects.
 
     Attributes:
-        start: the explanation from which effects are looked for.
+        start: the model to which effects are added.
         diverges_from_data: whether it does not follow what has changed.
-        tried: explanations; hopeless ones not to their end.
+        tried: fits; hopeless ones not to their end.
         uncorrected: those fitted without `discretization_offset`.
         discretization_offset: what more virtual joints would show, for each recording; None: not known yet.
     """
 
-    def __init__(self, rig: Rig, partial_fits: SearchStart, tell: Tell, workers: Workers) -> None:
+    def __init__(self, rig: Rig, search_start: SearchStart, tell: Tell, workers: Workers) -> None:
         self.rig = rig
-        self.start = partial_fits.start
-        self.diverges_from_data = partial_fits.diverges_from_data
+        self.start = search_start.start
+        self.diverges_from_data = search_start.diverges_from_data
         self.tell = tell
         self.workers = workers
-        self.tried: dict[Names, CandidateFit] = {partial_fits.start.names: partial_fits.start}
+        self.tried: dict[Names, CandidateFit] = {search_start.start.names: search_start.start}
         self.uncorrected: set[Names] = set()
         self.discretization_offset: tuple[Array, ...] | None = None
         self._partial_fits: dict[Names, CandidateFit] = {}
@@ -269,8 +268,8 @@ class FitCache:
         """Return the start of fits with further effects: of the first periods, where its own parameters are no guide.
 
         Args:
-            candidate_fit: the effects that are there.
-            nonsmooth: whether a further one sticks or rattles, which is found from wherever slopes lead.
+            candidate_fit: the model.
+            nonsmooth: whether a further effect is stick-slip or play, found from wherever derivatives lead.
         """
         far = self.screen_unreliable(candidate_fit)
         if not far and (nonsmooth or not _parameters_unreliable(candidate_fit)):
@@ -346,7 +345,7 @@ class FitCache:
     def _finish(
         self, partial_fits: Sequence[CandidateFit], whole: TrajectoryProblem, enough: Enough
     ) -> list[CandidateFit]:
-        """Fits to their end, as long as they may be the best of so many effects."""
+        """Finish fits as long as they may be the best of so many effects."""
         known = [
             each.chi2
             for each in self.tried.values()
@@ -385,7 +384,7 @@ class FitCache:
         """Fit a model again without one of its effects; None where that cannot be simulated.
 
         Args:
-            candidate_fit: the explanation.
+            candidate_fit: the model.
             effect: one of its effects.
             record: chi^2 of no interest beyond; the fit is given up once it will not come near.
         """
@@ -396,13 +395,13 @@ class FitCache:
             each.names < names and each.chi2 < known.chi2 for each in self.tried.values()
         )
         far = known is not None and not astray and (known.misfit > CLOSE or known.chi2 > 2 * record)
-        # Also what was fitted before may be fitted better from here.
+        # A model that was fitted before may be fitted better from here.
         kept = tuple(each for each in candidate_fit.effects if each is not effect)
         steps = FIRST_STEPS if far else np.inf
         found = refit(candidate_fit, kept, StoppingRule(steps, record, is_nonsmooth(kept)))
         if far and known is not None and found is not None and found.chi2 < known.chi2:
-            patience = StoppingRule(np.inf, record, is_nonsmooth(kept))
-            found = found if _is_hopeless(found, record) else refit(found, kept, patience)
+            rule = StoppingRule(np.inf, record, is_nonsmooth(kept))
+            found = found if _is_hopeless(found, record) else refit(found, kept, rule)
         if found is None or (known is not None and names not in self.uncorrected and known.chi2 < found.chi2):
             return known
         self.tried[names] = found
@@ -493,7 +492,7 @@ def _truncated_fit(fit: CandidateFit) -> CandidateFit:
 
 
 def _parameters_unreliable(fit: CandidateFit) -> bool:
-    """With encoder feedback no joint drifts, but a chain of wrong frequencies is soon in any phase too."""
+    """Return True where feedback keeps joints from drifting, but wrong frequencies may be in any phase."""
     return fit.uses_feedback and fit.misfit > INCOMPLETE and not is_nonsmooth(fit.effects)
 
 
@@ -524,7 +523,7 @@ def _at_first_periods(
 
 
 def _rivals(one: CandidateFit, best: CandidateFit) -> bool:
-    """As many effects as the best, and others; stick-slip is slow to fit, and left out."""
+    """True if it has as many effects as the best, and others; stick-slip is slow to fit, and left out."""
     slow = is_nonsmooth(one.effects) and not is_nonsmooth(best.effects)
     return len(one.effects) == len(best.effects) > best.reference_effects and one.names != best.names and not slow
 

@@ -68,7 +68,7 @@ def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Record
 
 
 def _largest_motions(best: CandidateFit) -> list[Run]:
-    """Of each kind of moving recording that may have changed, the one that moves most."""
+    """Recordings with the largest motion, one for each kind that moves and may have changed."""
     largest: dict[str, tuple[float, Run]] = {}
     for run in best.point.runs:
         recording = run.observed.recording

@@ -254,9 +254,9 @@ class Findings:
     @property
     def most_improved(self) -> RecordingComparison | None:
         """Recording in which the causes gain most; held-out ones count twice. None where none can be simulated."""
-        usable = [each for each in self.recordings if each.reference is not None and each.simulated is not None]
+        usable = [one for one in self.recordings if one.reference is not None and one.simulated is not None]
         # Fewer frames than 40 show little of a motion.
-        moving = [each for each in usable if each.recording.kind != "quiet" and each.recording.frames.size >= 40]
+        moving = [one for one in usable if one.recording.kind != "quiet" and one.recording.frames.size >= 40]
         return max(moving or usable, key=_improvement, default=None)
 
 

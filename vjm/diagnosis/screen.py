@@ -233,7 +233,7 @@ def _linearized(
     """
     point, secants = job
     (run,), (coordinates,) = point.runs, point.problem.moved(point.x)
-    moved = [each for variant in variants for each in _moved(run, point, present, variant)]
+    moved = [arm for variant in variants for arm in _moved(run, point, present, variant)]
     parts, squares = _parts([variant.magnitude_count for variant in variants]), np.zeros(len(moved))
     weights = np.sqrt(run.observed.loss.slope(run.residual**2))
 

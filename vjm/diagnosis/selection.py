@@ -38,10 +38,10 @@ from vjm.records import REFERENCE, Array, Rig
 
 Step = tuple[CandidateFit, Sequence[int]]
 
-# Of what something that sticks or rattles explains, the share that a good fit may leave: impacts are not exact.
-_ABRUPT_LEAVES = 0.001
+# Share of the decrease of chi^2 by stick-slip or play that a good fit may leave: impacts are not exact.
+_NONSMOOTH_REST = 0.001
 _BEST = 8  # candidates refitted a round
-FEW = 3  # of them, among which what sticks and slips must be beside other effects
+FEW = 3  # candidates refitted a round among which stick-slip must be beside other effects
 _PAIRS = 4  # pairs refitted that no single step leads to
 
 
@@ -71,10 +71,10 @@ class SearchResult:
     """Result of a search.
 
     Attributes:
-        best: the explanation.
+        best: the best model.
         first: the screen beside the model without effects, and its p-values.
-        last: the same beside the best explanation.
-        p_values: of each effect of the best explanation, when it was added.
+        last: the same beside the best model.
+        p_values: of each effect of the best model, when it was added.
         next_best: the next best of as many effects, where another search found both; None: this one knows.
     """
 
@@ -150,7 +150,7 @@ class Search:
         """Best model with one effect more."""
         steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.screen_unreliable(best) else _BEST]]
         if best.uses_feedback and not is_nonsmooth(best.effects):
-            # Slopes show little of what sticks or rattles; held, it can be tried.
+            # Derivatives show little of stick-slip and play; with encoder feedback they can be tried.
             chosen = {k for _, (k,) in steps}
             variants = family.screen.one_each(k for k, each in enumerate(family.screen.effects) if each.nonsmooth)
             steps += [(best, [k]) for k in variants if k not in chosen]
@@ -163,7 +163,7 @@ class Search:
             steps += self._pairs(first, best)
         smooth, nonsmooth = self._apart(family, first, best, steps)
         if self.trials.linearization_point(best) is not best or best.uses_feedback:
-            smooth, nonsmooth = steps, []  # over first periods only, or held, nothing takes long
+            smooth, nonsmooth = steps, []  # over first periods only, or with feedback, nothing takes long
         self.successive_halving(best, family, first, smooth)
         if not self.trials.explained(len(best.effects) + 1):
             self.successive_halving(best, family, first, nonsmooth)
@@ -174,7 +174,7 @@ class Search:
         self.tell("looking for what is missing")
         names = candidate_fit.names
         candidate_set = self.candidate_set if candidate_fit is self.start else self._candidates(candidate_fit)
-        # What sticks and slips is slow to try, and not what could be left where all but noise is explained.
+        # Stick-slip is slow to try, and cannot be what remains where all but noise is explained.
         quick = candidate_fit is not self.start and candidate_fit.misfit < NOISE
         kept = [
             k
@@ -201,7 +201,7 @@ class Search:
             if effect.nonsmooth:
                 without = self.trials.tried.get(candidate_fit.names - {effect.key}, self.start)
                 least = max(
-                    least, _ABRUPT_LEAVES * (self.trials.linearization_point(without).chi2 - linearization_point.chi2)
+                    least, _NONSMOOTH_REST * (self.trials.linearization_point(without).chi2 - linearization_point.chi2)
                 )
         return least
 
@@ -222,10 +222,10 @@ class Search:
         """Fit models in which a cause is replaced, from the best without it.
 
         Args:
-            best: the explanation.
+            best: the best model.
             others: its effects but the cause.
             added: what may stand in its place, one at a time.
-            guesses: (s,) how large each must be to do what the cause does, in everyday sizes.
+            guesses: (s,) how large each must be to do what the cause does, in typical magnitudes.
         """
         names, trials = named(others), self.trials
         trials.refresh([names | {effect.key} for effect in added])
@@ -265,7 +265,7 @@ class Search:
         )
         if best is self.start:
             return needed
-        # What sticks and slips takes as long to try as all else together: only where it is among the most needed.
+        # Stick-slip takes as long to try as all else together: only where it is among the most needed.
         return [k for place, k in enumerate(needed) if place < FEW or not screened.effects[k].nonsmooth]
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
@@ -314,15 +314,15 @@ def _p_value(family: FamilyTest, key: Key) -> float:
 def select_effects(search: Search, search_start: SearchResult) -> tuple[Search, SearchResult]:
     """Add effects while they are needed, fitted open loop as far as that is a guide.
 
-    A joint that sticks a moment too early is off for good, so that fits open loop are lost among accidents. What may
-    stick and slip is looked for with simulations held; what does not is fitted open loop, which shows more.
+    A joint that sticks a moment too early is off for good, so that open-loop fits of stick-slip are lost among local
+    minima: it is looked for with encoder feedback. All else is fitted open loop, which shows more.
 
     Args:
         search: open loop.
         search_start: what it has found so far.
 
     Returns:
-        The search that found the explanation, and where it ended.
+        The search that found the best model, and its result.
     """
     if not feedback_possible(search.start):
         return search, search.run(search_start)
@@ -332,11 +332,11 @@ def select_effects(search: Search, search_start: SearchResult) -> tuple[Search, 
         if found.best.names in asked or not _may_stick(search, found):
             return search, found
         asked.add(found.best.names)
-        search.tell("holding the arm near the angles that were measured")
-        held_search = _held(search, found)
-        if held_search is None:
+        search.tell("fitting with encoder feedback")
+        with_feedback = _held(search, found)
+        if with_feedback is None:
             continue
-        other, beside = held_search
+        other, beside = with_feedback
         if _is_needed(other, beside) or _is_adrift(search, found):
             beside = other.run(beside)
             if is_nonsmooth(beside.best.effects):
@@ -367,7 +367,7 @@ def _held(search: Search, found: SearchResult) -> tuple[Search, SearchResult] | 
     if start is None or best is None:
         return None
     if best is start and start.misfit > DIVERGED_MISFIT:
-        # Parameters that follow nothing, even held, lead away from what is missing.
+        # Parameters that follow nothing, even with feedback, lead away from what is missing.
         best = start = nominal_with_feedback(search.start) or start
     other = search.restarted(start)
     first = other.screen(start)

@@ -37,14 +37,14 @@ def compare_recordings(
         next_best: the next best model; None where there is none.
     """
     recordings = {run.observed.recording.file: run.observed.recording for run in before.point.runs}
-    further = [each for each in experiment.cleaned_recordings if each.file not in recordings]
+    further = [recording for recording in experiment.cleaned_recordings if recording.file not in recordings]
     observed = [Observations.of(experiment.rig, recording, noise) for recording in further]
     by_best = _simulate(best, observed)
     trimmed_runs = {file: trimmed(run) for file, (run, _) in by_best.items()}
-    changed = [each for file, each in trimmed_runs.items() if each is not by_best[file][0].observed]
-    by_best |= _simulate(best, changed, [by_best[each.recording.file][0].state for each in changed])
-    observed = [trimmed_runs.get(each.recording.file, each) for each in observed]
-    recordings |= {each.recording.file: each.recording for each in observed}
+    changed = [clean for file, clean in trimmed_runs.items() if clean is not by_best[file][0].observed]
+    by_best |= _simulate(best, changed, [by_best[clean.recording.file][0].state for clean in changed])
+    observed = [trimmed_runs.get(one.recording.file, one) for one in observed]
+    recordings |= {one.recording.file: one.recording for one in observed}
     by_before = by_best if before is best else _simulate(before, observed)
     by_next = _simulate(next_best, observed) if next_best else {}
     after, reference, alternative = (
@@ -53,7 +53,7 @@ def compare_recordings(
     )
     return tuple(
         RecordingComparison(recordings[file], noise, after.get(file), reference.get(file), alternative.get(file))
-        for file in (each.file for each in experiment.recordings)
+        for file in (recording.file for recording in experiment.recordings)
     )
 
 
@@ -72,9 +72,9 @@ def _simulate(model: CandidateFit, observed: Sequence[Observations], states: Seq
     except (InsufficientDataError, SimulationDivergedError):
         if len(observed) == 1:
             return {}
-        single = [_simulate(model, [each], states and [states[k]]) for k, each in enumerate(observed)]
+        single = [_simulate(model, [one], states and [states[k]]) for k, one in enumerate(observed)]
         return {file: run for part in single for file, run in part.items()}
-    return {each.recording.file: run for each, run in zip(observed, runs, strict=True)}
+    return {one.recording.file: run for one, run in zip(observed, runs, strict=True)}
 
 
 def simulate_without_each_cause(findings: Findings) -> Findings:
@@ -98,7 +98,7 @@ def simulate_without_each_cause(findings: Findings) -> Findings:
 def find_symptoms(model: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:
     """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
     count = 4  # more modes are hardly ever seen by a camera
-    shown = [each.reference for each in recordings if each.reference is not None]
-    payloads = sorted({0.0} | {each.recording.payload for each in shown})
+    shown = [comparison.reference for comparison in recordings if comparison.reference is not None]
+    payloads = sorted({0.0} | {simulated.recording.payload for simulated in shown})
     frequencies = {payload: model.modes(payload).frequencies[:count].tolist() for payload in payloads}
     return symptoms(model.rig, shown, frequencies) if shown else None

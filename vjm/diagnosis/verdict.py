@@ -61,11 +61,11 @@ def estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain 
         recordings: simulated before and after; those in the reference condition count only if there is no other.
         seed: of the bootstrap.
     """
-    held_out = [each for each in recordings if each.recording.role == "holdout" and each.reference and each.simulated]
-    held_out = [each for each in held_out if each.recording.condition != REFERENCE] or held_out
+    held_out = [one for one in recordings if one.recording.role == "holdout" and one.reference and one.simulated]
+    held_out = [one for one in held_out if one.recording.condition != REFERENCE] or held_out
     if not held_out:
         return None
-    frames = [_squares(each) for each in held_out]
+    frames = [_squares(comparison) for comparison in held_out]
     before, after, next_best, count = np.sum([part.sum(axis=0) for part in frames], axis=0)
     blocks = []
     for part in frames:
@@ -154,13 +154,13 @@ def conclude(findings: Findings) -> Diagnosis:
 
 
 def _diagnosis(findings: Findings, verdict: Verdict, gain: Gain | None, remaining: Remaining) -> Diagnosis:
-    told = replace(
+    complete = replace(
         findings,
         noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
         warnings=tuple(dict.fromkeys(text for text in (*findings.insufficient, *findings.warnings) if text)),
     )
     next_experiment = _next_experiment(findings, verdict)
-    return Diagnosis(**vars(told), verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
+    return Diagnosis(**vars(complete), verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
 
 
 def _without_causes(findings: Findings) -> Findings:
@@ -171,13 +171,13 @@ def _without_causes(findings: Findings) -> Findings:
         causes=(),
         model=findings.base,
         next_best=(),
-        recordings=tuple(replace(each, simulated=each.reference, alternative=None) for each in findings.recordings),
+        recordings=tuple(replace(one, simulated=one.reference, alternative=None) for one in findings.recordings),
         warnings=(*findings.warnings, warning),
     )
 
 
 def _description(findings: Findings) -> str:
-    """Where something remains and what it looks like; empty where nothing does."""
+    """Description of what remains; empty where nothing does."""
     residuals = findings.residuals
     if not is_unexplained(findings):
         if findings.reference_misfit <= 1:
@@ -198,7 +198,7 @@ def _description(findings: Findings) -> str:
 
 
 def _recurrence(repeats: RepeatComparison | None) -> str:
-    """Whether the residuals recur; empty where no recordings show that."""
+    """Statement on whether the residuals recur; empty where no recordings show that."""
     if repeats is None or not np.isfinite(repeats.recurring_share):
         return ""
     percent = 100 * repeats.recurring_share
