@@ -44,6 +44,9 @@ def linearise(
         payload: extra point mass on the tip [kg].
         gravity: in the plane [m/s^2]; the chain's when None.
         theta: active joint angles held while the passive joints come to rest [rad].
+
+    Raises:
+        InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
     """
     mechanism = dynamics.build(chain, payload, gravity)
     q = _rest_position(chain, payload, gravity, theta)
@@ -55,11 +58,7 @@ def linearise(
 def _rest_position(
     chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> Array:
-    """Return the joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`.
-
-    Raises:
-        InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
-    """
+    """Joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`."""
     q = np.zeros(chain.size)
     q[chain.active] = theta
     if not any(chain.gravity if gravity is None else gravity):
@@ -75,10 +74,11 @@ def _rest_position(
         q[p] = phi
         return np.asarray((K + dynamics.gravity_stiffness(mechanism, q))[np.ix_(p, p)])
 
-    found = optimize.root(residual, q[p], jac=tangent, method="hybr", options={"xtol": 1e-13})
-    step = np.linalg.lstsq(tangent(found.x), residual(found.x), rcond=None)[0]
+    solution = optimize.root(residual, q[p], jac=tangent, method="hybr", options={"xtol": 1e-13})
+    slope = tangent(solution.x)
+    step = np.linalg.lstsq(slope, residual(solution.x), rcond=None)[0]
     # A position in which the arm is balanced, and about to fall over, is none.
-    if not np.abs(step).max(initial=0.0) < _TOLERANCE or np.linalg.eigvalsh(tangent(found.x)).min(initial=np.inf) <= 0:
+    if not np.abs(step).max() < _TOLERANCE or np.linalg.eigvalsh(slope)[0] <= 0:
         raise InsufficientDataError("position of rest", "none was found", "check gravity, masses and bending stiffness")
     return q
 

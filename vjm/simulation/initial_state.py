@@ -216,7 +216,7 @@ def _attempts(pending: Sequence[tuple[_Search, Array]], step_multiple: float) ->
 
 
 def simulated_recording(run: Run, converged: bool) -> SimulatedRecording:
-    """Return a run as its user sees it; `converged` says whether its initial state was found."""
+    """Return the record of a run; `converged` says whether its initial state was found."""
     observed = run.observed
     return SimulatedRecording(
         recording=observed.recording,

@@ -1,4 +1,4 @@
-"""An identified arm: its chain, with everything one does with it."""
+"""An identified arm: its chain and effects, to simulate, analyse and export."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Model(Record):
         marker_noise: 1-sigma noise of a marker coordinate [m].
         encoder_noise: 1-sigma noise of an encoder [rad].
         estimates: the parameters it was identified with; empty for a nominal model.
-        effects: what acts on the chain and its sensors beyond it.
+        effects: on the chain and its sensors.
         reference_effects: number of them, the first ones, that act in recordings of condition `reference` too.
 
     Raises:
@@ -78,7 +78,7 @@ class Model(Record):
         return Arm.of(self.chain, self.effects[: self.reference_effects])
 
     def arm_in(self, recording: Recording) -> Arm:
-        """What moves in a recording: where its condition is `reference`, with what acts everywhere only."""
+        """Return the arm of a recording; in a `reference` recording it has the reference effects only."""
         return self._reference if recording.condition == REFERENCE else self.arm
 
     def simulate(self, recording: Recording) -> Simulation:
@@ -91,13 +91,13 @@ class Model(Record):
         return self.replay(recording).simulation
 
     def replay(self, recording: Recording) -> SimulatedRecording:
-        """The same as `simulate`, with the residuals' statistics."""
+        """Simulate a recording as `simulate` does, and keep it with its residuals."""
         return self.replays([recording])[0]
 
     def replays(
         self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, step_multiple: float = 1.0
     ) -> list[SimulatedRecording]:
-        """Replays of several recordings, advanced together; each is of the arm that moved in it.
+        """Simulate several recordings together, each with the arm that moved in it.
 
         Args:
             recordings: T instants each.
@@ -108,30 +108,30 @@ class Model(Record):
         return replays(arms, self.rig, recordings, self.marker_noise, self.encoder_noise, states, step_multiple)
 
     def modes(self, payload: float = 0.0) -> Modes:
-        """Natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
+        """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
         return modes(self.arm.chain, payload)
 
     def pinocchio(self) -> PinocchioModel:
-        """The chain as a `pin.Model`, with its stiffness and damping beside it."""
+        """Return the chain as a `pin.Model`, with its stiffness and damping beside it."""
         chain = self.arm.chain
         return PinocchioModel(dynamics.build(chain).model, chain.stiffness, chain.damping)
 
     def to_urdf(self, path: Path | str) -> Path:
-        """Write the chain with its effects, as far as URDF can carry them, whole or not at all; returns the path."""
+        """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path."""
         file = Path(path)
         write_text(file, extended_urdf(self.chain, self.effects))
         return file
 
 
 def extended_urdf(chain: Chain, effects: Sequence[Effect]) -> str:
-    """URDF of a chain with effects: all that they change of the chain, and dry friction at its active joints.
+    """Return the URDF of a chain with effects: their changes of the chain, and dry friction at its active joints.
 
     Args:
         chain: without the effects.
         effects: of which `in_urdf` says whether the URDF carries them.
 
     Raises:
-        ShapeError: as of `vjm.urdf.chain_to_urdf`.
+        ShapeError: as of `chain_to_urdf`.
     """
     arm = Arm.of(chain, effects)
     friction: dict[str, float] = {}
