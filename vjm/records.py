@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from vjm.experiment.experiment import Experiment
 from vjm.experiment.records import (
@@ -23,6 +24,9 @@ from vjm.experiment.records import (
     Rig,
     Role,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = [
     "REFERENCE",
@@ -44,6 +48,7 @@ __all__ = [
     "Rig",
     "Role",
     "SimulatedRecording",
+    "SimulatedResult",
     "Simulation",
 ]
 
@@ -98,6 +103,39 @@ class Result:
         from vjm.report.page import notebook_html
 
         return notebook_html(self)  # type: ignore[arg-type]
+
+
+class SimulatedResult(Result):
+    """Base of the results that hold simulations of all recordings."""
+
+    recordings: tuple[RecordingComparison, ...]
+
+    def plot_fit(self, recording: Recording | str | None = None, ax: Axes | None = None) -> NDArray[Any]:
+        """Plot for each recording its liveliest marker coordinate, measured and simulated [mm], against time [s].
+
+        Args:
+            recording: the only one to plot, or the name of its file; None: all.
+            ax: axes to draw into, of one recording; None: a new figure.
+
+        Returns:
+            (k,) matplotlib axes, one for each recording that could be simulated.
+
+        Raises:
+            ChoiceError: a recording that is not among the result's.
+            InsufficientDataError: nothing that could be simulated.
+        """
+        from vjm.report.figures.plots import plot_fit
+
+        return plot_fit(self.recordings, recording, ax)
+
+    def plot_residuals(self, recording: Recording | str | None = None, ax: Axes | None = None) -> NDArray[Any]:
+        """Plot for each recording measured minus simulated marker coordinates [mm] and the noise against time [s].
+
+        Arguments, axes and errors are those of `plot_fit`.
+        """
+        from vjm.report.figures.plots import plot_residuals
+
+        return plot_residuals(self.recordings, recording, ax)
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
+from matplotlib import pyplot
 
 from tests.report.diagnoses import DIAGNOSES, undecided
 from tests.report.fits import demo_fit, elbow_fit
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
 from vjm.diagnosis.records import Diagnosis
+from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.identification.comparison import Comparison
 from vjm.records import Result
 from vjm.report.result_json import result_object
@@ -83,3 +86,37 @@ def test_notebooks_keep_hostile_names_as_text() -> None:
     assert_self_contained(html)
     assert not [tag for tag, _ in Elements(html).found if tag in ("script", "img")]
     assert "&lt;script&gt;alert(" in html
+
+
+@pytest.mark.parametrize("method", ["plot_fit", "plot_residuals"])
+def test_plots_draw_measurement_and_simulation(method: str) -> None:
+    fit = elbow_fit()
+    axes = getattr(fit, method)()
+    simulated = [each for each in fit.recordings if each.simulated is not None]
+    assert len(axes) == len(simulated) < len(fit.recordings)
+    assert all("[mm]" in one.get_ylabel() for one in axes)
+    assert [one.get_title() for one in axes] == [each.recording.file for each in simulated]
+    pyplot.close("all")
+    own = pyplot.figure().subplots()
+    assert getattr(fit, method)("drive_1.csv", ax=own).tolist() == [own]
+    assert own.get_title() == "drive_1.csv"
+    assert getattr(fit, method)(fit.experiment.recordings[2])[0].get_title() == "drive_2.csv"
+    pyplot.close("all")
+
+
+def test_the_plotted_fit_is_the_simulation() -> None:
+    fit = demo_fit()
+    first = fit.recordings[0].simulated
+    assert first is not None
+    measured, simulated = fit.plot_fit(first.recording)[0].get_lines()
+    marker, coordinate = np.unravel_index(np.nanstd(first.recording.markers, axis=0).argmax(), (5, 2))
+    assert np.array_equal(1e3 * first.recording.markers[:, marker, coordinate], measured.get_ydata(), equal_nan=True)
+    assert np.array_equal(1e3 * first.simulation.markers[:, marker, coordinate], simulated.get_ydata())
+    pyplot.close("all")
+
+
+def test_what_cannot_be_plotted_is_told() -> None:
+    with pytest.raises(ChoiceError, match=r"nobody\.csv"):
+        elbow_fit().plot_fit("nobody.csv")
+    with pytest.raises(InsufficientDataError, match="no torque was measured"):
+        elbow_fit().plot_residuals("no_torque.csv")

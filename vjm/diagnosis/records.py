@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
 from vjm.effects.effect import Effect
-from vjm.records import Estimate, Experiment, RecordingComparison, Result, SimulatedRecording
+from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording, SimulatedResult
 
 if TYPE_CHECKING:
     from vjm.diagnosis.symptoms import Symptoms
@@ -267,7 +267,7 @@ def _improvement(comparison: RecordingComparison) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class Diagnosis(Result, Findings):
+class Diagnosis(SimulatedResult, Findings):
     """Findings of a diagnosis and its conclusions: what a model gets wrong, why, and what adding the cause gains.
 
     Attributes:

@@ -10,14 +10,14 @@ from vjm.chain.layout import chain_layouts, nominal_chain
 from vjm.errors import ShapeError
 from vjm.identification.assess import fit_recordings
 from vjm.identification.warn import result_warnings
-from vjm.records import Array, Experiment, Progress, RecordingComparison, Result
+from vjm.records import Array, Experiment, Progress, RecordingComparison, SimulatedResult
 from vjm.simulation.model import Model
 
 _SAME_LENGTH = 1e-3  # relative
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison(Result):
+class Comparison(SimulatedResult):
     """How well a model follows recordings that it may never have seen.
 
     Attributes:

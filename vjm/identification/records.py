@@ -9,7 +9,7 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import Angles
 from vjm.markers.smoothing import Derivatives
-from vjm.records import Array, Estimate, Experiment, Record, Recording, RecordingComparison, Result
+from vjm.records import Array, Estimate, Experiment, Record, Recording, RecordingComparison, SimulatedResult
 from vjm.simulation.model import Model
 
 Method = Literal["torque", "torque+frequency", "trajectory"]
@@ -77,7 +77,7 @@ class TrajectorySummary(Record):
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Result):
+class Identification(SimulatedResult):
     """An identified model and what is known about it.
 
     Attributes:
