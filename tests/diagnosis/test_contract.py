@@ -28,7 +28,7 @@ BROKEN = [
     (broken.OneInstantOnly(), "hooks", "at many instants is not what it is at each alone"),
     (broken.NotANumber(), "hooks", "not finite"),
     (broken.OnlySmall(), "hooks", "ValueError: too much friction"),
-    (broken.StateWithoutRates(), "hooks", "1 states, rates None and way None"),
+    (broken.StateWithoutRates(), "hooks", "1 states, rates None and update None"),
     (
         broken.WayWithoutSlope(),
         "hooks",
@@ -38,7 +38,7 @@ BROKEN = [
     (broken.SmoothedAway(), "hooks", "expected the same parameters and the same chain"),
     (broken.SmoothWithStates(), "hooks", "an effect with 1 states; expected 0, or none"),
     (broken.WritesIntoArrays(), "inputs", "`marker_positions` of WritesIntoArrays.* writes into an array"),
-    (broken.WritesIntoRecords(), "inputs", "changes what its hooks are given"),
+    (broken.WritesIntoRecords(), "inputs", "changes what `true_inputs` is given"),
     (broken.Idle(), "action", "no marker and no encoder shows anything"),
     (broken.Modest(), "action", "nobody will ever see it"),
     (broken.Explosive(), "action", "diverges"),
