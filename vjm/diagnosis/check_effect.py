@@ -18,6 +18,7 @@ from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import CandidateFit, Extension, adds_joint, refit
 from vjm.diagnosis.candidates import CandidateSet
+from vjm.diagnosis.fit_cache import NOISE, StoppingRule
 from vjm.diagnosis.screen import Screen
 from vjm.effects.effect import Effect
 from vjm.errors import EffectError, SimulationDivergedError
@@ -147,37 +148,26 @@ def _benches() -> tuple[_Bench, ...]:
     beam = Link("beam", "revolute", 1.0, 0.44, 1.9, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)
     clamped = replace(beam, joint="clamped", hub_inertia=0.0)
     post = replace(clamped, name="post", length=0.6, markers=(0.3, 0.6))
-    # Sines of the torque (N m, Hz); bends of the tip, as by a force there and about as in the second mode [m]; gravity.
+    # For each recording sines of the torque (N m, Hz), gravity [m/s^2], and bends of the tip [m].
     large, small = ((0.4, 0.7), (0.2, 1.9), (0.1, 5.3)), ((0.06, 0.9), (0.04, 2.3), (0.03, 6.1))
-    driven: tuple[_Plan, ...] = (
-        (large, (0.0, 0.0), 9.81),
-        (small, (0.0, 0.0), 0.0),
-        ((), (0.1, 0.03), 0.0),
-        ((), (0.0, 0.0), 0.0),
-    )
-    decays: tuple[_Plan, ...] = ((), (0.12, 0.03), 0.0), ((), (0.03, 0.02), 9.81), ((), (0.0, 0.0), 0.0)
-    return _bench((beam,), driven), _bench((clamped,), decays), _bench((post, beam), driven[1:2])
+    drives = ((large, 9.81, 0.0, 0.0), (small, 0.0, 0.0, 0.0), ((), 0.0, 0.1, 0.03), ((), 0.0, 0.0, 0.0))
+    decays = (((), 0.0, 0.12, 0.03), ((), 9.81, 0.03, 0.02), ((), 0.0, 0.0, 0.0))
+    driven, fixed = _bench("driven", (beam,), drives), _bench("clamped", (clamped,), decays)
+    return driven, fixed, _bench("arm", (post, beam), drives[:1])
 
 
-_Plan = tuple[tuple[tuple[float, float], ...], tuple[float, float], float]
-
-
-def _bench(links: tuple[Link, ...], plans: Sequence[_Plan]) -> _Bench:
+def _bench(name: str, links: tuple[Link, ...], plans: Sequence[tuple[Any, float, float, float]]) -> _Bench:
     cuts = [layout(link.length, 3, distal="free" if link is links[-1] else "joined") for link in links]
     parts = [uniform_chain(link, cut, kelvin_voigt=5e-4) for link, cut in zip(links, cuts, strict=True)]
-    rig, last, recordings, states = (
-        Rig("driven" if links[0].joint == "revolute" else "clamped", links),
-        parts[-1],
-        [],
-        [],
-    )
-    chain, time, arcs = Chain(rig.name, tuple(parts)), np.arange(101) / 50, last.joint_arcs / last.length
-    for sines, (first, second), gravity in plans:
+    rig, chain, last, recordings, states = Rig(name, links), Chain(name, tuple(parts)), parts[-1], [], []
+    time, arcs = np.arange(101) / 50, last.joint_arcs / last.length
+    for sines, gravity, first, second in plans:
         wave = sum((size * np.sin(2 * np.pi * rate * time + rate) for size, rate in sines), np.zeros(time.size))
         tau = np.repeat((wave * np.minimum(4 * time, 1.0))[:, None], len(rig.active_links), axis=1)
         markers, theta = np.zeros((time.size, rig.marker_slices[-1].stop, 2)), np.zeros_like(tau)
         kind: Kind = "driven" if sines else "decay" if first else "quiet"
         recordings.append(Recording(time, markers, theta, tau, kind=kind, role="train", gravity=(gravity, 0.0)))
+        # Bent as by a force on the tip and, on top, about as in the second mode.
         curvature = 3 * first * (1 - arcs) + 22 * second * np.cos(np.pi * arcs * 1.2)
         states.append(np.zeros(2 * chain.size))
         states[-1][chain.passive_slices[-1]] = curvature * last.cells / last.length**2
@@ -222,11 +212,7 @@ def _form(effect: Effect) -> _Law:
     own, sensing = _overridden(effect, _HOOKS), _overridden(effect, _SENSING)
     yield sized or not own, f"it defines {own} but no size, so that it is always absent", "a magnitude(...)"
     yield own or not sized, "a size but no hook that uses it", f"one of {', '.join(_HOOKS)}"
-    yield (
-        effect.sensor or not sensing,
-        f"it defines {sensing} but `sensor` is False",
-        "sensor = True: it is never asked",
-    )
+    yield effect.sensor or not sensing, f"it defines {sensing} but `sensor` is False", "sensor = True, to be asked"
 
 
 def _variants(effect: Effect) -> list[tuple[_Bench, Effect]]:
@@ -322,6 +308,9 @@ def _hooks(effect: Effect, seed: int) -> _Law:
                 first, *others = (argument.shape for argument in calls[name])
                 shapes = (first, others[0][:2]) if name == "camera_instants" else (first,)
                 yield from _array(f"`{name}`", getattr(present, name)(*calls[name]), *shapes)
+            smooth = present.smoothed()
+            alike = smooth.values == present.values and _same(smooth.chain(chain), own)
+            yield alike, f"`smoothed` gives {smooth!r}", "the same parameters and the same chain"
             yield from _motions(present, own, seed)
             yield present.max_step > 0, f"a longest step of {present.max_step} s", "a positive one"
 
@@ -329,14 +318,12 @@ def _hooks(effect: Effect, seed: int) -> _Law:
 def _motions(present: Effect, chain: Chain, seed: int) -> _Law:
     """Force, rates or rate-independent update, and rest, for states with several leading axes."""
     count, update = present.state_count(chain), present.rate_independent_update(chain)
-    rates, smooth = present.state_rates(chain), present.smoothed()
+    rates = present.state_rates(chain)
     yield isinstance(count, int) and count >= 0, f"{count!r} states", "a number of them"
     expected = "one of `state_rates` and `rate_independent_update` where there are states"
     moved = (rates is not None) + (update is not None)
     yield moved == (count > 0), f"{count} states, rates {rates} and update {update}", expected
-    alike = smooth.values == present.values and smooth.chain(chain).size == present.chain(chain).size
-    yield alike, f"`smoothed` gives {smooth!r}", "the same parameters and the same chain"
-    kept, most = smooth.state_count(chain), count if update is None else 0
+    kept, most = present.smoothed().state_count(chain), count if update is None else 0
     expected = f"{count}, or none" if update is None else "none, where `rate_independent_update` carries them"
     yield kept in (0, most), f"`smoothed` gives an effect with {kept} states", expected
     random = np.random.default_rng(seed)
@@ -369,6 +356,7 @@ def _each_alone(
 
 
 def _array(what: str, values: Any, *shapes: tuple[int, ...]) -> _Law:
+    """A finite array of one of some shapes."""
     shape = values.shape if isinstance(values, np.ndarray) else type(values).__name__
     yield shape in shapes, f"{what} is {shape}", f"shape {' or '.join(map(str, shapes))}"
     yield np.isfinite(values).all(), f"{what} is not finite", "finite values"
@@ -397,25 +385,25 @@ def _same(one: object, other: object) -> bool:
     return one == other
 
 
-def _shows(effect: Effect, bench: _Bench) -> bool:
-    """True if markers or encoders of a rig show something else at a typical magnitude than without it."""
-    arm, plain = Arm.of(bench.chain, (bench.typical(effect),)), Arm(bench.chain)
-    step = min(default_step(plain.chain), default_step(arm.chain), arm.longest_step)
-    for part in (bench.beginning(0.5), bench):  # a short one is often enough
-        pairs = zip(part.simulate(arm, step), part.simulate(plain, step), strict=True)
-        changes = [change for one, two in pairs for change in (one.markers - two.markers, one.theta - two.theta)]
-        if max(float(np.abs(change).max(initial=0.0)) for change in changes) > _ROUNDING:
-            return True
-    return False
-
-
 def _action(effect: Effect) -> _Law:
     """A typical magnitude that markers or encoders of some rig show."""
     refusals = [f"on the {bench.rig.name} link: {bench.refusal(effect)}" for bench in _benches()[:2]]
-    tried = [bench for bench in _benches()[:2] if not bench.refusal(effect)]
-    yield tried, f"it says that nothing can show it ({'; '.join(refusals)})", "a rig on which it is testable"
+    found = f"it says that nothing can show it ({'; '.join(refusals)})"
+    yield not all(bench.refusal(effect) for bench in _benches()[:2]), found, "a rig on which it is testable"
     found = "at its typical magnitude no marker and no encoder shows anything of it"
-    yield any(_shows(effect, bench) for bench in tried), found, "something beyond rounding"
+    yield _shown_by(effect), found, "something beyond rounding"
+
+
+def _shown_by(effect: Effect) -> _Bench | None:
+    """The first rig whose markers or encoders show something else at a typical magnitude than without it."""
+    for bench in (bench for bench in _benches()[:2] if not bench.refusal(effect)):
+        arm, plain = Arm.of(bench.chain, (bench.typical(effect),)), Arm(bench.chain)
+        step = min(default_step(plain.chain), default_step(arm.chain), arm.longest_step)
+        pairs = zip(bench.simulate(arm, step), bench.simulate(plain, step), strict=True)
+        changes = [change for one, two in pairs for change in (one.markers - two.markers, one.theta - two.theta)]
+        if max(float(np.abs(change).max(initial=0.0)) for change in changes) > _ROUNDING:
+            return bench
+    return None
 
 
 def _energy(effect: Effect, seed: int) -> _Law:
@@ -470,20 +458,20 @@ def _growth(bench: _Bench, effect: Effect) -> float:
 
 def _recovery(effect: Effect, seed: int) -> _Law:
     """Magnitudes that a fit finds which starts without the effect, the chain's parameters being free."""
-    bench = next(bench for bench in _benches()[:2] if not bench.refusal(effect) and _shows(effect, bench))
+    bench = _shown_by(effect) or _benches()[0]
     bench = bench.beginning(1.5) if effect.nonsmooth else bench  # enough for what takes short steps
     true = bench.typical(effect)
     problem = _problem(bench, true, seed)
-    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, hopeless=_patience(4))
+    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, hopeless=StoppingRule(4))
     # Standard errors of the magnitudes at their true values, everything else being free.
     base = problem.parametrisation
     extended, x = replace(problem, extension=Extension(base, (true,))), np.r_[base.start, true.coordinates]
     states = [transfer_state(bench.chain, extended.arms(x)[0].chain, state) for state in bench.states]
-    point = fit_trajectory(extended, x, None, states, hopeless=_patience(0)).point
+    point = fit_trajectory(extended, x, None, states, hopeless=StoppingRule(0)).point
     R, free = point.gathered()[0].R[:, :-1], base.start.size
     lengths, own = np.maximum(np.linalg.norm(R, axis=0), 1e-300), slice(free, free + true.magnitude_count)
-    varied = [f"`{one.name}`" for one in true.parameters() if not one.integer] + [""]
-    silent = [varied[min(k, len(varied) - 1)] for k in np.flatnonzero(lengths[free:] <= 1e-12 * lengths.max()).tolist()]
+    names = [f"`{name}`" for name in true.values]
+    silent = [names[k % len(names)] for k in np.flatnonzero(lengths[free:] <= 1e-12 * lengths.max()).tolist()]
     yield not silent, f"nothing that is measured depends on {', '.join(silent)}", "something that does"
     _, sizes, directions = np.linalg.svd(R / lengths)
     shares = 1 / np.linalg.norm(directions.T / np.maximum(sizes, 1e-12 * sizes[0]), axis=1)[own]
@@ -535,24 +523,8 @@ def _fits(start: TrajectoryFit, bench: _Bench, true: Effect) -> Iterator[Point]:
     for variant, sizes in (*guesses, *starts):
         coordinates = np.r_[sizes, variant.coordinates[variant.magnitude_count :]]
         wanted = variant.at(np.clip(coordinates, *variant.bounds))
-        found = refit(CandidateFit(start), (wanted,), _patience(nonsmooth=true.nonsmooth))
+        found = refit(CandidateFit(start), (wanted,), StoppingRule(np.inf, nonsmooth=true.nonsmooth))
         if found is not None:
             yield found.point
-            if _is_noise(found.point):
+            if found.point.misfit < NOISE:
                 return
-
-
-def _is_noise(point: Point) -> bool:
-    """True if noise explains the residuals, to five standard deviations of chi^2."""
-    return point.chi2 < point.count + 5.0 * float(np.sqrt(2 * point.count))
-
-
-def _patience(steps: float = np.inf, nonsmooth: bool = False) -> Callable[[Point, float], bool]:
-    """End a fit after some steps, at its end (falls of chi^2 below 0.1), or when it is stuck far from noise."""
-    count = iter(range(10**6))
-
-    def ends(point: Point, predicted: float) -> bool:
-        done = predicted < 0.1 or (nonsmooth and _is_noise(point))
-        return next(count) >= steps or done or (point.misfit > 1.5 and predicted < 1e-2 * point.chi2)
-
-    return ends
