@@ -11,7 +11,7 @@ from pathlib import Path
 from PIL import Image
 
 import vjm
-from vjm.report.figures.pictures import identification_pictures
+from vjm.report.figures.identification import identification_pictures
 
 HERE = Path(__file__).parent
 DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"

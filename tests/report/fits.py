@@ -23,7 +23,7 @@ from vjm.markers.angles import ShapeSettings, estimate_angles
 from vjm.markers.smoothing import Smoother
 from vjm.model.torque import torque_errors
 from vjm.records import Estimate, RecordingComparison, SimulatedRecording
-from vjm.report.figures.pictures import identification_pictures
+from vjm.report.figures.identification import identification_pictures
 from vjm.report.figures.style import Picture
 from vjm.simulation.integrate import simulate
 from vjm.simulation.measurement import Observations

@@ -7,6 +7,7 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.model.urdf_contents import robot_from
@@ -23,7 +24,7 @@ from tests.report.diagnoses import (
     unknown,
 )
 from tests.report.schema import DiagnoseResult
-from tests.report.test_figures import assert_labelled, assert_nothing_overlaps
+from tests.report.test_figures import assert_nothing_overlaps, assert_readable, figure_of
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
 from vjm.diagnosis.records import Diagnosis, Remaining
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
@@ -31,7 +32,7 @@ from vjm.files import json_text
 from vjm.records import Estimate
 from vjm.report import save as saving
 from vjm.report.figures import diagnosis as drawing
-from vjm.report.figures.diagnosis import before_and_after, evidence, gain_of_recordings
+from vjm.report.figures.diagnosis import _evidence, diagnosis_pictures
 from vjm.report.model_json import read_model
 from vjm.report.page import report_page
 from vjm.report.result_json import result_object
@@ -198,16 +199,23 @@ def test_hostile_names_stay_text() -> None:
     assert not [tag for tag, _ in Elements(page).found if tag == "script"]
 
 
-def test_figures_are_readable() -> None:
-    found = pair()
-    followed = found.recordings[-1]
-    drawn = [evidence(cause, found, [followed]) for cause in found.causes]
-    drawn += [gain_of_recordings(found), gain_of_recordings(nothing()), before_and_after(followed, found)]
-    for figure in drawn:
-        for axes in figure.axes:
-            assert_labelled(axes.get_xlabel())
-            assert_labelled(axes.get_ylabel())
-        assert_nothing_overlaps(figure)
+def test_figures_are_readable(diagnosis: Diagnosis) -> None:
+    for picture in diagnosis_pictures(replace(diagnosis, symptoms=None)):
+        assert_readable(picture.figure)
+
+
+def test_residuals_without_and_with_the_causes_are_drawn() -> None:
+    found = replace(pair(), symptoms=None)
+    shown = next(each for each in found.recordings if each.recording.role == "holdout")
+    assert shown.reference is not None
+    assert shown.simulated is not None
+    motion, residual = figure_of(diagnosis_pictures(found), "held_out_1").axes
+    assert [line.get_label() for line in motion.lines] == ["measured", "with the causes", "without the causes"]
+    sizes = {line.get_label(): np.ptp(np.asarray(line.get_ydata())) for line in residual.lines}
+    assert sizes["with the causes"] < sizes["without the causes"]
+    gain = figure_of(diagnosis_pictures(found), "gain").axes[0]
+    marks = [line for line in gain.lines if line.get_label() == "with the causes"]
+    assert np.ravel(marks[0].get_xdata())[0] == pytest.approx(1e3 * shown.simulated.marker_rms)  # held out comes first
 
 
 def test_pictures_have_their_names(diagnosis: Diagnosis) -> None:
@@ -225,7 +233,7 @@ def test_every_effect_has_its_evidence() -> None:
     first = found.recordings[0]
     for effect in BUILTIN:
         cause = replace(found.causes[0], effect=replace(effect, link=0), parameters={})
-        assert_nothing_overlaps(evidence(cause, found, [first]))
+        assert_nothing_overlaps(_evidence(cause, found.model, [first]))
 
 
 @pytest.mark.parametrize("name", ["undecided", "pair", "nothing"])

@@ -1,10 +1,9 @@
-"""Every figure: units on its axes, nothing on top of anything else, no warnings."""
+"""Every figure: what it must show, units on its axes, nothing on top of anything else, no warnings."""
 
 from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 
 import matplotlib as mpl
@@ -12,56 +11,50 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
+from numpy.typing import NDArray
 
-from tests.report.fits import demo_fit, elbow_fit, hub_fit, pictures_of, torque_fit
-from vjm.errors import InsufficientDataError
+from tests.report.fits import SHARED, demo_fit, elbow_fit, hub_fit, pictures_of, torque_fit
 from vjm.identification.records import Identification
 from vjm.records import RecordingComparison, SimulatedRecording
-from vjm.report.figures.joints import joint_angles, torque_error_figure
-from vjm.report.figures.motion import fit_of_recordings, link_shapes, most_recordings, raw_markers, tip_motion
-from vjm.report.figures.pictures import NAMES, identification_pictures, replay_pictures
-from vjm.report.figures.residuals import correlation_map, residual_map, residual_spectra
-from vjm.report.figures.style import png
-from vjm.report.figures.windows import liveliest, spread_over, tips, windows
+from vjm.report.figures.identification import NAMES, identification_pictures, replay_pictures
+from vjm.report.figures.measurements import data_pictures
+from vjm.report.figures.panels import Curve, Spectrum, motion_panel, residual_panel, spectrum_panel
+from vjm.report.figures.selection import Signal, liveliest_window
+from vjm.report.figures.style import Picture
 
-_COUNTS = (
-    "recording",
-    "joint, from the base outwards",
-    "marker coordinate",
-    "parameter",
-)  # axes that hold names, not quantities
+Array = NDArray[np.float64]
+# Axes that hold names, not quantities.
+_COUNTS = ("recording", "joint, from the base outwards", "marker coordinate", "parameter")
 
 
-def figures(fit: Identification) -> Iterator[Figure]:
-    rig, chain = fit.model.rig, fit.model.chain
-    yield fit_of_recordings(fit.recordings)
-    for each in tips(rig, fit.recordings, 4):
-        yield tip_motion(each, fit.model, fit.nominal)
-    yield residual_map(fit.model, fit.recordings)
-    yield drawn(residual_spectra(fit.model, fit.recordings))
-    yield drawn(correlation_map(fit.parameters, fit.covariance))
-    lively = liveliest(rig, fit.torque_data, 2)
-    yield link_shapes(rig, chain, lively)
-    yield joint_angles(chain, lively[0])
-    yield torque_error_figure(chain, fit.torque_data)
-    yield raw_markers(rig, spread_over(fit.experiment.recordings, most_recordings(rig)))
+def figure_of(pictures: list[Picture], name: str) -> Figure:
+    (picture,) = [picture for picture in pictures if picture.name == name]
+    return picture.figure
 
 
-def drawn(figure: Figure | None) -> Figure:
-    assert figure is not None
-    return figure
+def replayed(fit: Identification, name: str) -> Figure:
+    return figure_of(replay_pictures(fit.recordings, fit.model, fit.nominal, "identified"), name)
+
+
+def legend_labels(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.subfigs[0].legends[0].texts]
 
 
 def test_every_figure_is_readable(fit: Identification) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for figure in figures(fit):
-            assert figure.texts[0].get_text().strip(), "a figure without a finding"
-            for axes in figure.axes:
-                if axes.xaxis.get_tick_params()["labelbottom"]:  # else the panel below says it
-                    assert_labelled(axes.get_xlabel())
-                assert_labelled(axes.get_ylabel())
-            assert_nothing_overlaps(figure)
+        for picture in pictures_of(fit):
+            assert picture.caption.endswith(".")
+            assert picture.alternative.strip(), "a figure without a finding"
+            assert_readable(picture.figure)
+
+
+def assert_readable(figure: Figure) -> None:
+    for axes in figure.axes:
+        if axes.xaxis.get_tick_params()["labelbottom"]:  # else the panel below says it
+            assert_labelled(axes.get_xlabel())
+        assert_labelled(axes.get_ylabel())
+    assert_nothing_overlaps(figure)
 
 
 def assert_labelled(label: str) -> None:
@@ -71,7 +64,7 @@ def assert_labelled(label: str) -> None:
 def assert_nothing_overlaps(figure: Figure) -> None:
     figure.draw_without_rendering()
     page = figure.bbox
-    boxes = [("legend", figure.legends[0].get_tightbbox()), ("title", figure.texts[0].get_window_extent())]
+    boxes = [("legend", figure.subfigs[0].legends[0].get_tightbbox()), ("title", figure.texts[0].get_window_extent())]
     boxes += [(f"axes {k}", axes.get_tightbbox()) for k, axes in enumerate(figure.axes)]
     for name, box in boxes:
         assert box is not None, name
@@ -97,28 +90,83 @@ def test_residuals_are_shown_for_whole_trajectories_only() -> None:
     assert not shown & {picture.name for picture in pictures_of(torque_fit())}
 
 
-def test_all_three_models_stand_beside_each_other_in_units_of_the_noise() -> None:
-    figure = fit_of_recordings(demo_fit().recordings)
-    assert [text.get_text() for text in figure.legends[0].texts] == [
-        "nominal model",
-        "torque method",
-        "identified model (trajectory method)",
-        "noise",
-    ]
-    axes = figure.axes[0]
+def test_every_model_stands_beside_the_noise_in_every_recording() -> None:
+    fit = demo_fit()
+    figure = figure_of(pictures_of(fit), "fit")
+    assert sorted(legend_labels(figure)) == ["identified model", "noise", "nominal model", "torque method"]
+    (axes,) = figure.axes
     assert axes.get_xlabel().endswith("[times the noise]")
-    marks = [line for line in axes.lines if line.get_marker() == "D"]
-    expected = [each.alternative.marker_rms / each.noise[0] for each in demo_fit().recordings if each.alternative]
+    marks = [line for line in axes.lines if line.get_label() == "torque method"]
+    expected = [each.alternative.marker_rms / each.noise[0] for each in fit.recordings if each.alternative]
     assert np.ravel([line.get_xdata() for line in marks]).tolist() == pytest.approx(expected)
-    title = figure.texts[0].get_text().replace("\n", " ")
+    title = pictures_of(fit)[0].alternative
     for words in ("in held-out recordings: identified model 2.3", "torque method", "nominal model 53"):
         assert words in title
+    assert "torque method" not in legend_labels(figure_of(pictures_of(torque_fit()), "fit"))
 
 
-def test_without_torque_method_beside_it_residuals_are_in_millimetres() -> None:
-    figure = fit_of_recordings(torque_fit().recordings)
-    assert figure.axes[0].get_xlabel().endswith("[mm]")
-    assert [text.get_text() for text in figure.legends[0].texts] == ["nominal model", "identified model", "noise"]
+def test_tip_shows_the_measured_motion_and_the_simulated_one_between_frames() -> None:
+    fit = demo_fit()
+    for comparison in fit.recordings[2:]:
+        signal = Signal.of(fit.model.rig, comparison.recording)
+        assert signal is not None
+        figure = Figure()
+        axes = figure.subplots()
+        curves = Curve.of(
+            comparison, {"simulated": "model", "reference": "", "alternative": ""}, {"simulated": fit.model}
+        )
+        motion_panel(axes, signal, [*curves.values()])
+        measured, simulated = axes.lines
+        assert (measured.get_label(), simulated.get_label()) == ("measured", "model")
+        assert np.asarray(measured.get_ydata()) == pytest.approx(1e3 * signal.value)
+        # At the frames the line is the measured signal less its residual.
+        at_frames = np.interp(signal.time, np.asarray(simulated.get_xdata()), np.asarray(simulated.get_ydata()))
+        expected = 1e3 * (signal.value - signal.residual(curves["simulated"].simulated))
+        assert at_frames == pytest.approx(expected, abs=0.02 * np.ptp(expected))
+
+
+def test_residual_is_measured_minus_simulated_over_the_whole_recording() -> None:
+    comparison = demo_fit().recordings[1]
+    signal = Signal.of(demo_fit().model.rig, comparison.recording)
+    assert signal is not None
+    assert comparison.simulated is not None
+    axes = Figure().subplots()
+    residual_panel(axes, signal, [Curve(comparison.simulated, "model", {"color": "k"})], (3e-4, 1e-4))
+    (line,) = [line for line in axes.lines if line.get_label() == "model"]
+    marker, axis = signal.index
+    expected = comparison.recording.markers - comparison.simulated.simulation.markers
+    assert np.asarray(line.get_ydata()) == pytest.approx(1e3 * expected[signal.rows, marker, axis])
+    assert np.abs(axes.get_ylim()).min() >= 1e3 * np.nanmax(np.abs(expected[signal.rows, marker, axis]))
+
+
+def test_an_arm_without_markers_shows_its_joint_angle() -> None:
+    fit = elbow_fit()
+    comparison = fit.recordings[0]
+    assert comparison.simulated is not None
+    markers = np.full_like(comparison.recording.markers, np.nan)
+    signal = Signal.of(fit.model.rig, replace(comparison.recording, markers=markers))
+    assert signal is not None
+    assert signal.name == "fore.theta"
+    assert signal.residual(comparison.simulated) == pytest.approx(comparison.simulated.theta_residual[:, 1])
+    axes = Figure().subplots()
+    motion_panel(axes, signal, [Curve(comparison.simulated, "model", {"color": "k"}, fit.model)])
+    assert axes.get_ylabel() == "fore.theta [°]"
+    assert np.asarray(axes.lines[1].get_ydata()) == pytest.approx(
+        np.degrees(comparison.simulated.simulation.theta[:, 1])
+    )
+
+
+def test_spectrum_is_drawn_beside_white_noise() -> None:
+    simulated = demo_fit().recordings[1].simulated
+    assert simulated is not None
+    spectrum = Spectrum.of(simulated)
+    assert spectrum is not None
+    axes = Figure().subplots()
+    spectrum_panel(axes, [(spectrum, "model", "k")])
+    line, white, limit = axes.lines
+    assert np.asarray(line.get_ydata()) == pytest.approx(1e6 * spectrum.amplitude)
+    assert np.asarray(white.get_ydata())[0] == pytest.approx(1e6 * spectrum.white)
+    assert np.asarray(limit.get_ydata())[0] == pytest.approx(1e6 * spectrum.limit)
 
 
 def test_tip_shows_the_torque_methods_residual_where_it_is_worse_but_legible() -> None:
@@ -127,48 +175,52 @@ def test_tip_shows_the_torque_methods_residual_where_it_is_worse_but_legible() -
     assert shown.simulated is not None
     assert shown.alternative is not None
 
-    def residuals(torque: SimulatedRecording | None) -> tuple[str, str]:
-        figure = tip_motion(replace(shown, alternative=torque), fit.model, fit.nominal)
-        return figure.axes[-1].get_title("left"), figure.texts[0].get_text().replace("\n", " ")
+    def residuals(torque: SimulatedRecording | None) -> list[str]:
+        changed = replace(fit, recordings=(replace(shown, alternative=torque),))
+        return [str(line.get_label()) for line in replayed(changed, "tip_1").axes[-1].lines]
 
-    panel, title = residuals(shown.alternative)
-    assert "torque method's" in panel
-    assert "torque method" in title
-    assert "torque" not in residuals(shown.simulated)[0]  # as good: its line would hide the other
-    assert "torque" not in residuals(None)[1]
+    assert "torque method" in residuals(shown.alternative)
+    assert "torque method" not in residuals(shown.simulated)  # as good: its line would hide the other
+    assert "torque method" not in residuals(None)
 
 
-def test_holdout_recordings_are_shown_first() -> None:
-    fit = hub_fit() if hub_available() else demo_fit()
-    shown = tips(fit.model.rig, fit.recordings, 4)
-    assert shown[0].recording.role == "holdout"
-    assert {each.recording.role for each in shown} == {"train", "holdout"}
-    labels = [each.recording.repeat for each in shown if each.recording.repeat]
+def test_held_out_recordings_are_shown_first_and_repeats_once() -> None:
+    fit = hub_fit() if SHARED.is_dir() else demo_fit()
+    titles = [each.alternative for each in pictures_of(fit) if each.name.startswith("tip")]
+    assert "held out" in titles[0]
+    assert any("(train)" in title for title in titles)
+    files = {each.recording.file: each.recording.repeat for each in fit.recordings}
+    labels = [label for file, label in files.items() if label and any(title.startswith(file) for title in titles)]
     assert len(labels) == len(set(labels))
 
 
-def hub_available() -> bool:
-    from tests.report.fits import SHARED
-
-    return SHARED.is_dir()
-
-
-def test_a_recording_that_was_not_simulated_has_no_tip_figure() -> None:
-    fit = elbow_fit()
-    assert all(each.recording.file != "no_torque.csv" for each in tips(fit.model.rig, fit.recordings, 9))
-    with pytest.raises(InsufficientDataError, match="no torque"):
-        tip_motion(fit.recordings[-1], fit.model, fit.nominal)
+def test_a_recording_that_was_not_simulated_is_named_but_has_no_tip_figure() -> None:
+    pictures = pictures_of(elbow_fit())
+    assert not [each for each in pictures if each.name.startswith("tip") and "no_torque" in each.alternative]
+    labels = [label.get_text() for label in figure_of(pictures, "fit").axes[0].get_yticklabels()]
+    assert labels[-1] == "no_torque.csv (train, not simulated)"
 
 
-def test_many_periods_are_cut_to_a_window() -> None:
+def test_many_periods_are_cut_to_windows() -> None:
+    fit = demo_fit()
+    assert len(replayed(fit, "tip_1").axes) == 2  # all of 10 s at 1.2 Hz
+    titles = {each.alternative.partition(" ")[0]: each.figure for each in pictures_of(fit) if each.name[:3] == "tip"}
+    first, last, _ = titles["second_mode.csv"].axes
+    assert first.get_title("left").startswith("First 0.8")
+    assert last.get_title("left").startswith("Last 0.8")
     time = np.arange(0.0, 20.0, 0.01)
-    parts = windows(time, np.sin(2 * np.pi * 7 * time))
-    assert [round(stop - start, 1) for start, stop in parts] == [0.9, 0.9]
-    assert parts[1][1] == time[-1]
-    assert windows(time, np.sin(2 * np.pi * 0.5 * time)) == [(0.0, time[-1])]
-    dying = windows(time, np.exp(-4 * time) * np.sin(2 * np.pi * 7 * time))
-    assert len(dying) == 1
-    assert dying[0][1] < 1.5
+    start, stop = liveliest_window(time, np.sin(2 * np.pi * 7 * time) * np.exp(-((time - 9) ** 2)))
+    assert start < 9 < stop < start + 1
+    assert liveliest_window(time, np.sin(2 * np.pi * 0.1 * time)) == (0.0, time[-1])
+
+
+def test_a_signal_that_dies_out_is_shown_until_then() -> None:
+    fit = demo_fit()
+    shown = fit.recordings[1]
+    faded = shown.recording.markers * np.exp(-2 * shown.recording.time)[:, None, None]
+    changed = replace(shown, recording=replace(shown.recording, markers=faded))
+    first, *_ = replayed(replace(fit, recordings=(changed,)), "tip_1").axes
+    assert first.get_xlim()[1] < 0.5 * shown.recording.time[-1]
 
 
 def test_without_training_data_or_replays_the_rest_is_drawn() -> None:
@@ -180,6 +232,17 @@ def test_without_training_data_or_replays_the_rest_is_drawn() -> None:
     assert names == ["fit", "correlations", "markers"]
 
 
+def test_raw_markers_show_every_kind_of_recording() -> None:
+    fit = demo_fit()
+    copies = tuple(replace(fit.experiment.recordings[1], file=f"copy_{k}.csv") for k in range(12))
+    crowded = replace(fit.experiment, recordings=(*copies, *fit.experiment.recordings))
+    *_, picture = data_pictures(replace(fit, experiment=crowded))
+    headings = " ".join(axes.get_title("left") for axes in picture.figure.axes)
+    assert len(picture.figure.axes) == 8
+    assert "quiet.csv (quiet, train)" in headings
+    assert "both_modes.csv (decay, held out" in headings
+
+
 def test_comparison_pictures_name_the_given_model() -> None:
     fit = demo_fit()
     pictures = replay_pictures(fit.recordings, fit.model, fit.nominal)
@@ -188,22 +251,28 @@ def test_comparison_pictures_name_the_given_model() -> None:
 
 def test_pictures_do_not_depend_on_the_users_settings_and_leave_them_alone() -> None:
     fit = demo_fit()
-    plain = png(fit_of_recordings(fit.recordings))
-    with mpl.rc_context({"font.size": 30, "axes.grid": False, "savefig.dpi": 10}):
-        assert png(fit_of_recordings(fit.recordings)) == plain
+    plain = figure_png(fit)
+    with mpl.rc_context(
+        {"font.size": 30, "axes.grid": False, "savefig.dpi": 10, "lines.marker": "x", "font.family": "serif"}
+    ):
+        assert figure_png(fit) == plain
         assert mpl.rcParams["font.size"] == 30
     assert plain.startswith(b"\x89PNG")
+
+
+def figure_png(fit: Identification) -> bytes:
+    return replay_pictures(fit.recordings[:1], fit.model, fit.nominal)[0].png
 
 
 def test_strange_file_names_are_printed_as_they_are() -> None:
     fit = demo_fit()
     names = ["$x^2$ \\alpha_$.csv", "二.csv", "a" * 300 + ".csv", "line\nbreak.csv"]
-    strange = tuple(
+    strange = [
         replace(each, recording=replace(each.recording, file=name))
         for each, name in zip(fit.recordings, names, strict=True)
-    )
+    ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert png(fit_of_recordings(strange))
-        assert png(tip_motion(strange[1], fit.model, fit.nominal))
-        assert png(tip_motion(strange[2], fit.model, fit.nominal))
+        for picture in replay_pictures(strange, fit.model, fit.nominal):
+            assert picture.png
+            assert_nothing_overlaps(picture.figure)

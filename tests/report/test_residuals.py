@@ -9,25 +9,49 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.report.fits import demo_fit, elbow_fit
+from tests.report.test_figures import figure_of
 from vjm.identification.records import Identification
-from vjm.records import RecordingComparison
-from vjm.report.figures.residuals import columns, misfit, residual_map, residual_spectra, spectrum
+from vjm.records import RecordingComparison, SimulatedRecording
+from vjm.report.figures.identification import identification_pictures
+from vjm.report.figures.panels import Spectrum
+from vjm.report.figures.style import Picture
 
 Array = NDArray[np.float64]
 _NOISE = 3e-4
 
 
-def with_residual(fit: RecordingComparison, left: Array) -> RecordingComparison:
-    """The same recording, which the model misses by this much (T, k, 2) [m]."""
+def with_residual(fit: RecordingComparison, residual: Array) -> RecordingComparison:
+    """Return the same recording, with another residual (T, k, 2) [m] of the model."""
     assert fit.simulated is not None
-    markers = np.where(np.isfinite(fit.recording.markers), fit.simulated.simulation.markers + left, np.nan)
-    return replace(fit, recording=replace(fit.recording, markers=markers))
+    markers = np.where(np.isfinite(fit.recording.markers), fit.simulated.simulation.markers + residual, np.nan)
+    recording = replace(fit.recording, markers=markers)
+    return replace(fit, recording=recording, simulated=replace(fit.simulated, recording=recording))
 
 
 def noisy(fit: RecordingComparison, seed: int, more: Array | float = 0.0) -> RecordingComparison:
-    """The recording with white noise of the camera's size, and something more."""
+    """Return the recording with white noise of the camera's size, and something more."""
     shape = fit.recording.markers.shape
     return with_residual(fit, _NOISE * np.random.default_rng(seed).standard_normal(shape) + more)
+
+
+def with_markers(fit: RecordingComparison, markers: Array) -> SimulatedRecording:
+    """Return the simulation beside other measured markers."""
+    assert fit.simulated is not None
+    return replace(fit.simulated, recording=replace(fit.recording, markers=markers))
+
+
+def residual_pictures(fit: Identification) -> list[Picture]:
+    """Draw the residuals, without the data."""
+    bare = replace(fit, torque_data=(), experiment=replace(fit.experiment, recordings=fit.experiment.recordings[:1]))
+    return [each for each in identification_pictures(bare) if each.name.startswith("residual")]
+
+
+def cells(fit: Identification) -> tuple[list[str], Array]:
+    """Return the names of the columns of the residual map, and its values."""
+    (axes,) = figure_of(residual_pictures(fit), "residual_map").axes
+    (mesh,) = axes.collections
+    names = [label.get_text().replace(" ", ".") for label in axes.get_xticklabels()]
+    return names, np.ma.filled(mesh.get_array(), np.nan).reshape(len(axes.get_yticks()), len(names))  # type: ignore[arg-type]
 
 
 def white(fit: Identification) -> Identification:
@@ -41,85 +65,106 @@ def sine(fit: RecordingComparison, frequency: float, amplitude: float) -> Array:
 
 def test_a_sine_stands_at_its_frequency_with_its_amplitude() -> None:
     fit = demo_fit().recordings[1]
-    assert fit.simulated is not None
     step = float(np.median(np.diff(fit.recording.time)))
     frequency = 30 / (step * fit.recording.time.size)  # a line of the spectrum
-    wave = with_residual(fit, sine(fit, frequency, 2e-3))
-    lost = wave.recording.markers.copy()
+    wave = with_residual(fit, sine(fit, frequency, 2e-3)).recording.markers
+    lost = wave.copy()
     lost[np.random.default_rng(0).random(lost.shape[:2]) < 0.3] = np.nan
-    for recording, tolerance in ((wave.recording, 1e-6), (replace(wave.recording, markers=lost), 0.05)):
-        found = spectrum(recording, fit.simulated, _NOISE)
-        assert found is not None
-        peak = int(np.argmax(found.amplitude))
-        assert found.frequency[peak] == pytest.approx(frequency, rel=1e-3)
-        assert found.amplitude[peak] == pytest.approx(2e-3, rel=tolerance)
+    for markers, tolerance in ((wave, 1e-6), (lost, 0.05)):
+        spectrum = Spectrum.of(with_markers(fit, markers))
+        assert spectrum is not None
+        peak = int(np.argmax(spectrum.amplitude))
+        assert spectrum.frequency[peak] == pytest.approx(frequency, rel=1e-3)
+        assert spectrum.amplitude[peak] == pytest.approx(2e-3, rel=tolerance)
 
 
 def test_white_noise_lies_on_its_level_and_below_its_limit() -> None:
     fit = demo_fit().recordings[1]
-    assert fit.simulated is not None
     passed = 0
     for seed in range(40):
-        found = spectrum(noisy(fit, seed).recording, fit.simulated, _NOISE)
-        assert found is not None
-        assert float(np.sqrt(np.mean(found.amplitude**2))) == pytest.approx(found.white, rel=0.1)
-        passed += bool((found.amplitude > found.limit).any())
+        simulated = noisy(fit, seed).simulated
+        assert simulated is not None
+        spectrum = Spectrum.of(simulated)
+        assert spectrum is not None
+        assert float(np.sqrt(np.mean(spectrum.amplitude**2))) == pytest.approx(spectrum.white, rel=0.1)
+        passed += bool((spectrum.amplitude > spectrum.limit).any())
     assert passed <= 1
 
 
 def test_a_recording_of_a_few_frames_has_no_spectrum() -> None:
     fit = demo_fit().recordings[1]
-    assert fit.simulated is not None
     markers = np.full_like(fit.recording.markers, np.nan)
+    assert Spectrum.of(with_markers(fit, markers)) is None
     markers[:5] = 0.0
-    assert spectrum(replace(fit.recording, markers=markers), fit.simulated, _NOISE) is None
+    assert Spectrum.of(with_markers(fit, markers)) is None
 
 
 def test_a_marker_that_is_hardly_seen_does_not_count() -> None:
     fit = noisy(demo_fit().recordings[1], 0)
-    assert fit.simulated is not None
     markers = fit.recording.markers.copy()
     markers[3:, 0] = np.nan
     markers[:3, 0] = 0.5
-    found = spectrum(replace(fit.recording, markers=markers), fit.simulated, _NOISE)
-    assert found is not None
-    assert found.amplitude.max() < found.limit
+    spectrum = Spectrum.of(with_markers(fit, markers))
+    assert spectrum is not None
+    assert spectrum.amplitude.max() < spectrum.limit
 
 
 def test_a_marker_that_is_off_shows_in_its_cell() -> None:
     fit = white(demo_fit())
     off = np.zeros(fit.recordings[2].recording.markers.shape)
     off[:, 3, 1] = 5 * _NOISE
-    fits = list(fit.recordings)
-    fits[2] = noisy(fits[2], 2, off)
-    table, limit = misfit(fits, columns(fit.model.rig, fits, 14))
+    recordings = list(fit.recordings)
+    recordings[2] = noisy(recordings[2], 2, off)
+    changed = replace(fit, recordings=tuple(recordings))
+    names, table = cells(changed)
     assert table.shape == (4, 10)
+    assert names[7] == "m4.y"
     assert table[2, 7] == pytest.approx(26**0.5, rel=0.05)
-    assert (table > np.maximum(limit, 1.1)).sum() == 1
-    title = residual_map(fit.model, fits).texts[0].get_text()
-    assert "beam.m4.y in second_mode.csv" in title.replace("\n", " ")
+    assert (table > 1.3).sum() == 1
+    title = residual_pictures(changed)[0].alternative
+    assert "beam.m4.y in second_mode.csv" in title
     assert "within the noise" not in title
 
 
-def test_columns_are_what_was_measured_and_pooled_where_there_are_many() -> None:
-    fit = elbow_fit()
-    shown = [each for each in fit.recordings if each.simulated is not None]
-    names = [column.name for column in columns(fit.model.rig, shown, 14)]
+def test_columns_are_what_was_measured() -> None:
+    names, table = cells(elbow_fit())
     assert names == [f"upper.m{k}.{axis}" for k in (1, 2, 3) for axis in "xy"] + [f"fore.m{k}.y" for k in (1, 2, 3, 4)]
-    pooled = columns(fit.model.rig, shown, 9)
-    assert [column.name for column in pooled] == [f"upper.m{k}" for k in (1, 2, 3)] + [
-        f"fore.m{k}" for k in range(1, 5)
-    ]
-    assert [column.axes for column in pooled] == [(0, 1)] * 3 + [(1,)] * 4
+    comparison = elbow_fit().recordings[1]
+    assert comparison.simulated is not None
+    residual = comparison.simulated.marker_residual / comparison.noise[0]
+    assert table[1, 0] == pytest.approx(np.sqrt(np.mean(residual[:, 0, 0] ** 2)))
+    assert table[1, 4] == pytest.approx(np.sqrt(np.nanmean(residual[:, 2, 0] ** 2)))  # occluded for a moment
+
+
+def test_coordinates_of_many_markers_are_pooled() -> None:
+    fit = demo_fit()
+    rig = replace(
+        fit.model.rig, links=(replace(fit.model.rig.links[0], markers=(0.1, 0.2, 0.3, 0.4, 0.6, 0.7, 0.8, 1.0)),)
+    )
+    wide = tuple(
+        noisy(RecordingComparison(widened(each).recording, each.noise, widened(each)), k)
+        for k, each in enumerate(fit.recordings)
+    )
+    experiment = replace(fit.experiment, rig=rig, recordings=tuple(each.recording for each in wide))
+    names, table = cells(replace(fit, experiment=experiment, model=replace(fit.model, rig=rig), recordings=wide))
+    assert names == [f"m{k}" for k in range(1, 9)]
+    assert table == pytest.approx(np.ones((4, 8)), abs=0.3)
+
+
+def widened(fit: RecordingComparison) -> SimulatedRecording:
+    """Return the simulation with eight markers."""
+    assert fit.simulated is not None
+    wide = [0, 1, 2, 3, 4, 0, 1, 4]
+    recording = replace(fit.recording, markers=fit.recording.markers[:, wide])
+    simulation = replace(fit.simulated.simulation, markers=fit.simulated.simulation.markers[:, wide])
+    return replace(fit.simulated, recording=recording, simulation=simulation)
 
 
 def test_titles_say_that_nothing_is_missing() -> None:
-    fit = white(demo_fit())
-    assert "within the noise" in residual_map(fit.model, fit.recordings).texts[0].get_text()
-    figure = residual_spectra(fit.model, fit.recordings)
-    assert figure is not None
-    assert "no frequency" in figure.texts[0].get_text()
-    assert {axes.get_title("left").split(": ")[1] for axes in figure.axes} == {"nothing but noise"}
+    table, spectra = residual_pictures(white(demo_fit()))
+    assert "within the noise" in table.alternative
+    assert "no frequency" in spectra.alternative
+    assert {axes.get_title("left").split(": ")[1] for axes in spectra.figure.axes} == {"noise only"}
 
 
 @pytest.mark.parametrize(
@@ -128,14 +173,12 @@ def test_titles_say_that_nothing_is_missing() -> None:
 def test_title_says_where_something_is_missing(frequency: float | None, words: str) -> None:
     fit = white(demo_fit())
     second = float(fit.model.modes().frequencies[1])
-    fits = list(fit.recordings)
-    more = sine(fits[3], second if frequency is None else frequency, 5e-4)
+    recordings = list(fit.recordings)
+    more = sine(recordings[3], second if frequency is None else frequency, 5e-4)
     if frequency == 0.0:
         more = np.broadcast_to(np.linspace(-2e-3, 2e-3, len(more))[:, None, None], more.shape)
-    fits[3] = noisy(fits[3], 3, more)
-    figure = residual_spectra(fit.model, fits)
-    assert figure is not None
-    title = figure.texts[0].get_text().replace("\n", " ")
+    recordings[3] = noisy(recordings[3], 3, more)
+    title = residual_pictures(replace(fit, recordings=tuple(recordings)))[1].alternative
     assert words in title
     assert "both_modes.csv" in title
     if frequency is not None:
@@ -144,16 +187,17 @@ def test_title_says_where_something_is_missing(frequency: float | None, words: s
 
 def test_spectra_mark_the_natural_frequencies_that_the_camera_sees() -> None:
     fit = demo_fit()
-    figure = residual_spectra(fit.model, fit.recordings)
-    assert figure is not None
     marked = [
         line.get_xdata()[0]  # type: ignore[index]
-        for line in figure.axes[0].lines
+        for line in figure_of(residual_pictures(fit), "residual_spectra").axes[0].lines
         if len(set(line.get_xdata())) == 1  # type: ignore[arg-type]
     ]
     assert marked == pytest.approx(fit.model.modes().frequencies[:2].tolist())
 
 
-def test_nothing_replayed_has_no_spectra() -> None:
+def test_nothing_simulated_has_no_residuals() -> None:
     fit = demo_fit()
-    assert residual_spectra(fit.model, [replace(each, simulated=None) for each in fit.recordings]) is None
+    assert (
+        residual_pictures(replace(fit, recordings=tuple(replace(each, simulated=None) for each in fit.recordings)))
+        == []
+    )

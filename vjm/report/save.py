@@ -9,10 +9,10 @@ from vjm.files import check_folder, encoded, json_text, write_folder
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
 from vjm.report.figures import diagnosis as diagnosis_figures
-from vjm.report.figures import pictures as identification_figures
+from vjm.report.figures import identification as identification_figures
 from vjm.report.figures import symptoms as symptom_figures
 from vjm.report.figures.diagnosis import diagnosis_pictures
-from vjm.report.figures.pictures import identification_pictures, replay_pictures
+from vjm.report.figures.identification import identification_pictures, replay_pictures
 from vjm.report.model_json import model_text
 from vjm.report.page import report_page
 from vjm.report.result_json import result_object

@@ -1,4 +1,4 @@
-"""The look all figures share: sheets of axes at fixed places, colours that stay apart in grey, PNG."""
+"""The style that all figures share: matplotlib settings, colours that stay apart in grey, layout, and the PNG file."""
 
 from __future__ import annotations
 
@@ -7,51 +7,45 @@ import math
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, wraps
+from functools import cache, cached_property, wraps
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
+import matplotlib.style
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
+from matplotlib.collections import Collection
+from matplotlib.colors import Colormap, Normalize, to_hex
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
-Dashes = tuple[float, tuple[float, ...]]
-Look = tuple[str, Dashes]
+from vjm.records import Array
 
-# Dark, middle and light: apart in grey as well; the torque method has marks or dashes of its own beside them.
+# Dark, middle and light: apart in grey as well, and each with a line style or a marker of its own.
 IDENTIFIED = "#0b2f5c"
 NOMINAL = "#e07b00"
 TORQUE = "#4aa3c7"
 MEASURED = "#7d7d7d"
 BAND = "#d6d6d6"
-NOMINAL_STYLE: Dashes = (0, (4, 2))
-_LINE_STYLES: tuple[Dashes, ...] = ((0, ()), (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
+AXIS = "#444444"
 
-_LIGHT = 0.55  # of white
-_DPI = 120
-_WIDTH = 9.2  # inches, as all lengths of the page below
-_LEFT, _RIGHT, _BOTTOM = 0.85, 0.2, 0.52
-_TITLE_LINE, _LEGEND_LINE, _TOP = 0.22, 0.27, 0.37
-_ROW_GAP, _COLUMN_GAP = 0.28, 0.85
-_TITLE_WIDTH = 101  # characters
 _SETTINGS: Any = {
-    "font.family": ["DejaVu Sans"],
     "font.size": 9,
     "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 4,
     "axes.labelsize": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
-    "axes.edgecolor": "#444444",
+    "axes.edgecolor": AXIS,
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.formatter.use_mathtext": True,
     "axes.formatter.limits": (-4, 5),
-    "axes.unicode_minus": True,
     "axes.xmargin": 0.01,
     "grid.color": "#e6e6e6",
     "grid.linewidth": 0.6,
@@ -59,119 +53,157 @@ _SETTINGS: Any = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "legend.handlelength": 2.6,
-    "text.usetex": False,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "path.simplify": True,
+    "legend.columnspacing": 1.8,
+    "legend.borderpad": 0.0,
+    "figure.titlesize": 11,
+    "figure.titleweight": "bold",
+    "figure.constrained_layout.h_pad": 0.07,
+    "figure.constrained_layout.w_pad": 0.09,
+    "savefig.dpi": 120,
 }
 _P = ParamSpec("_P")
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A figure of a report.
+
+    Attributes:
+        name: of its file, without suffix.
+        caption: one sentence on how to read it.
+        figure: as drawn.
+    """
+
+    name: str
+    caption: str
+    figure: Figure
+
+    @property
+    def alternative(self) -> str:
+        """The title, for those who cannot see the figure."""
+        return self.figure.texts[0].get_text().replace("\n", " ").replace(r"\$", "$")
+
+    @cached_property
+    def png(self) -> bytes:
+        """The PNG file, the same bytes for the same figure."""
+        stream = io.BytesIO()
+        with mpl.style.context(["default", _SETTINGS]):
+            self.figure.savefig(stream, format="png", metadata={"Software": None})
+        return stream.getvalue()
+
+
 def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
-    """A drawing function that draws in vjm's style, whatever the user's own settings of matplotlib are."""
+    """Return a drawing function that draws in vjm's style, whatever the user's own settings of matplotlib are."""
 
     @wraps(draw)
     def drawn(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
-        with mpl.rc_context(_SETTINGS):
+        with mpl.style.context(["default", _SETTINGS]):
             return draw(*args, **kwargs)
 
     return drawn
 
 
-def png(figure: Figure) -> bytes:
-    """The figure as a PNG file, the same bytes for the same picture."""
-    stream = io.BytesIO()
-    with mpl.rc_context(_SETTINGS):
-        figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
-    return stream.getvalue()
-
-
 @dataclass(frozen=True)
-class Row:
-    """One row of axes on a sheet.
-
-    Attributes:
-        height: of its axes [inches].
-        columns: number of axes in the row.
-        gap: room above it [inches].
-    """
-
-    height: float
-    columns: int = 1
-    gap: float = _ROW_GAP
-
-
-@dataclass(frozen=True)
-class Sheet:
-    """A figure with axes at fixed places.
+class Page:
+    """A figure with a title, a legend and rows of panels, laid out by matplotlib's constrained layout.
 
     Attributes:
         figure: the whole.
-        axes: row by row, from the top.
-        legend_top: where the legend begins, as a fraction of the height.
+        axes: of the panels, row by row from the top.
     """
 
     figure: Figure
     axes: list[list[Axes]]
-    legend_top: float
 
-    def legend(self, handles: Sequence[Artist], columns: int = 6) -> None:
-        """One legend for the whole sheet, between title and axes; the labels are the handles' own."""
-        self.figure.legend(
-            handles=list(handles),
-            loc="upper left",
-            bbox_to_anchor=(0.1 / _WIDTH, self.legend_top),
-            ncols=min(columns, len(handles)),
-            borderaxespad=0.0,
-            borderpad=0.0,
-            columnspacing=1.8,
-        )
+    @classmethod
+    def of(cls, title: str, rows: Sequence[tuple[float, int]]) -> Page:
+        """Make an empty page.
+
+        Args:
+            title: what the figure shows, in a sentence; wrapped.
+            rows: from the top, height with labels [inches] and number of panels.
+        """
+        lines = textwrap.wrap(printable(title), 98)  # so many characters of the title's size fit across the page
+        height = 0.42 + 0.18 * len(lines) + sum(size for size, _ in rows)  # title and legend stand above the rows
+        figure = Figure(figsize=(9.2, height), layout="constrained")
+        figure.suptitle("\n".join(lines), x=0.011, ha="left", wrap=True)
+        columns = math.lcm(*(count for _, count in rows))
+        mosaic = [[f"{r}.{c * count // columns}" for c in range(columns)] for r, (_, count) in enumerate(rows)]
+        # The panels are a subfigure, so that its legend stands between them and the title.
+        body: SubFigure = figure.subfigures(1, 1)  # type: ignore[assignment]
+        panels = body.subplot_mosaic(mosaic, height_ratios=[size for size, _ in rows])  # type: ignore[arg-type]
+        return cls(figure, [[panels[f"{r}.{k}"] for k in range(count)] for r, (_, count) in enumerate(rows)])
+
+    def panels(self, count: int) -> list[Axes]:
+        """Return the first panels, and remove the others from the page."""
+        every = [axes for row in self.axes for axes in row]
+        for unused in every[count:]:
+            unused.remove()
+        return every[:count]
+
+    def legend(self, handles: Sequence[Artist] = (), columns: int = 6) -> None:
+        """Add one legend for all panels, between title and panels.
+
+        Args:
+            handles: what it shows, each with its label; none: all labels in the panels, once each, areas last.
+            columns: so many entries in a row at most.
+        """
+        labelled: dict[str, Artist] = {}
+        for axes in self.figure.axes:
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                labelled.setdefault(label, handle)
+        areas = [handle for handle in labelled.values() if isinstance(handle, (Patch, Collection))]
+        lines = [handle for handle in labelled.values() if handle not in areas]
+        shown = [*(handles or [*lines, *areas])]
+        self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(columns, len(shown)))
 
 
-def sheet(title: str, rows: Sequence[Row], left: float = _LEFT, bottom: float = _BOTTOM) -> Sheet:
-    """A sheet of axes; their places are computed beforehand, so nothing overlaps and nothing has to be tried.
+def line_styles(count: int) -> list[dict[str, Any]]:
+    """Return `color` and `linestyle` of lines that differ in darkness and in dashes."""
+    dashes = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)))
+    colors = mpl.colormaps["viridis"](np.linspace(0.0, 0.8, max(count, 1)))[:count]
+    return [{"color": to_hex(color), "linestyle": dashes[i % len(dashes)]} for i, color in enumerate(colors)]
+
+
+def readable_on(color: tuple[float, float, float, float]) -> str:
+    """Return the colour of letters on a ground of a colour (red, green, blue, opacity, each up to 1), by its luma."""
+    red, green, blue, _ = color
+    return "#222222" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.55 else "white"
+
+
+def heat_map(
+    axes: Axes, table: Array, shades: tuple[Colormap, Normalize], names: tuple[Sequence[str], Sequence[str]],
+    text: Callable[[float], str] | None, fontsize: float = 8.5,
+) -> None:  # fmt: skip
+    """Draw a table (R, C) as coloured cells, the first row at the top; cells that are NaN are grey and empty.
 
     Args:
-        title: what the picture shows, in a sentence; wrapped.
-        rows: from the top.
-        left: room for labels [inches].
-        bottom: room for labels [inches].
+        axes: to draw into.
+        table: the values.
+        shades: colours, and what normalises the values for them.
+        names: of the rows and of the columns.
+        text: written into a cell; None: cells hold no text.
+        fontsize: of text and names [points].
     """
-    lines = textwrap.wrap(printable(title), _TITLE_WIDTH)
-    top = _TOP + _TITLE_LINE * len(lines) + _LEGEND_LINE
-    height = top + sum(row.height + row.gap for row in rows) - rows[0].gap + bottom
-    figure = Figure(figsize=(_WIDTH, height))
-    figure.text(0.1 / _WIDTH, 1 - 0.12 / height, "\n".join(lines), va="top", fontsize=11, fontweight="bold")
-    axes: list[list[Axes]] = []
-    y = height - top + rows[0].gap
-    for row in rows:
-        y -= row.height + row.gap
-        width = (_WIDTH - left - _RIGHT - _COLUMN_GAP * (row.columns - 1)) / row.columns
-        places = [left + (width + _COLUMN_GAP) * column for column in range(row.columns)]
-        axes.append([figure.add_axes((x / _WIDTH, y / height, width / _WIDTH, row.height / height)) for x in places])
-    return Sheet(figure, axes, 1 - (0.2 + _TITLE_LINE * len(lines)) / height)
+    colors, norm = shades
+    axes.set_facecolor(BAND)
+    axes.pcolormesh(np.ma.masked_invalid(table), cmap=colors, norm=norm, edgecolors="#bbbbbb", linewidth=0.6)
+    for (row, column), value in np.ndenumerate(table):
+        if text is not None and np.isfinite(value):
+            look: Any = {"ha": "center", "va": "center", "fontsize": fontsize, "in_layout": False}
+            axes.text(column + 0.5, row + 0.5, text(value), color=readable_on(colors(norm(value))), **look)
+    axes.invert_yaxis()
+    axes.set_yticks(np.arange(len(table)) + 0.5, [printable(name) for name in names[0]], fontsize=fontsize)
+    axes.set_xticks(np.arange(table.shape[1]) + 0.5, [printable(name) for name in names[1]], fontsize=fontsize)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.grid(False)
 
 
-def panel_title(axes: Axes, text: str) -> None:
-    """A small heading above one panel."""
-    axes.set_title(printable(text), loc="left", color="#333333", pad=4)
-
-
-def series(count: int) -> list[Look]:
-    """So many looks that differ in darkness and in line style."""
-    colors = mpl.colormaps["viridis"](np.linspace(0.0, 0.8, max(count, 1)))
-    return [(to_hex(color), _LINE_STYLES[i % len(_LINE_STYLES)]) for i, color in enumerate(colors[:count])]
-
-
-def letters_on(color: tuple[float, float, float, float]) -> str:
-    """Colour of letters that are read on a ground of this colour (red, green, blue, opacity, each up to 1)."""
-    red, green, blue, _ = color
-    return "#222222" if 0.3 * red + 0.59 * green + 0.11 * blue > _LIGHT else "white"
-
-
-def log_ticks(axis: Axis) -> None:
-    """Labels in plain numbers on a logarithmic axis whose limits are set."""
-    low, high = sorted(axis.get_view_interval())
+def log_scale(axis: Axis, low: float, high: float) -> None:
+    """Make an axis logarithmic between two limits, with its ticks in plain numbers."""
+    name = axis.axis_name  # type: ignore[attr-defined]
+    axis.axes.set(**{f"{name}scale": "log", f"{name}lim": (low, high)})
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     steps = (1.0,) if high > 300 * low else (1.0, 3.0) if high > 30 * low else (1.0, 2.0, 3.0, 5.0)
     ticks = [step * 10.0**decade for decade in decades for step in steps if low <= step * 10.0**decade <= high]
@@ -183,7 +215,7 @@ def log_ticks(axis: Axis) -> None:
 
 
 def printable(text: str) -> str:
-    """Text that matplotlib prints as it is: no mathematics, no characters that the font lacks."""
+    """Return text that matplotlib prints as it is: no mathematics, no characters that the font lacks."""
     known = _characters()
     return "".join(c if ord(c) in known or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text).replace("$", r"\$")
 
@@ -191,20 +223,3 @@ def printable(text: str) -> str:
 @cache
 def _characters() -> frozenset[int]:
     return frozenset(get_font(findfont(FontProperties(family=["DejaVu Sans"]))).get_charmap())
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A drawn figure.
-
-    Attributes:
-        name: of its file, without suffix.
-        caption: one sentence on how to read it.
-        alternative: what it shows, for those who cannot see it.
-        png: the file.
-    """
-
-    name: str
-    caption: str
-    alternative: str
-    png: bytes

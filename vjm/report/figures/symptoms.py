@@ -16,26 +16,24 @@ from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms, condition_of
 from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
 from vjm.diagnosis.symptoms.joints import JointProfile
 from vjm.diagnosis.symptoms.modes import FreeMotion, ModeDifference
-from vjm.records import Array, Rig
+from vjm.records import Array
+from vjm.report.figures.panels import Curve, motion_panel, residual_panel
+from vjm.report.figures.selection import Signal, liveliest_window
 from vjm.report.figures.style import (
+    AXIS,
     BAND,
     IDENTIFIED,
     MEASURED,
     NOMINAL,
     TORQUE,
+    Page,
     Picture,
-    Row,
-    Sheet,
-    letters_on,
-    log_ticks,
-    panel_title,
-    png,
+    line_styles,
+    log_scale,
     printable,
-    series,
-    sheet,
+    readable_on,
     styled,
-)
-from vjm.report.figures.windows import liveliest_window, marker_name, tip_signal
+)  # fmt: skip
 from vjm.report.text import number, short
 
 # Every file name that these pictures may have.
@@ -66,22 +64,15 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
     pictures = []
     for name, caption, draw, something in drawn:
         if something:
-            figure = draw(found)
-            title = figure.texts[0].get_text().replace("\n", " ").replace(r"\$", "$")
-            pictures.append(Picture(f"symptom_{name}", caption, title, png(figure)))
+            pictures.append(Picture(f"symptom_{name}", caption, draw(found)))
     return pictures
 
 
-def _page(found: Symptoms, kinds: Sequence[str], otherwise: str, rows: Sequence[Row], left: float = 0.85) -> Sheet:
-    """A sheet under the largest symptom of some kinds (none: of any), or under what to say where there is none."""
+def _page(found: Symptoms, kinds: Sequence[str], otherwise: str, rows: Sequence[tuple[float, int]]) -> Page:
+    """Make a page under the largest symptom of some kinds (none: of any), or under what to say where there is none."""
     symptoms = found.headlines(len(found.found))
     first = next((one.sentence for one in symptoms if one.kind in kinds or not kinds), otherwise)
-    page = sheet(first.removesuffix("."), rows, left=left)
-    title = page.figure.texts[0]
-    extent = title.get_window_extent()
-    room = page.figure.bbox.width - 2 * extent.x0
-    title.set_fontsize(title.get_fontsize() * min(room / extent.width, 1.0))
-    return page
+    return Page.of(first.removesuffix("."), rows)
 
 
 def _file(one: RecordingSymptoms, most: int) -> str:
@@ -105,49 +96,24 @@ def _worst(found: Symptoms) -> list[RecordingSymptoms]:
 def _overview(found: Symptoms) -> Figure:
     """Measured and simulated tip where it is worst, and the residual of the whole recording below."""
     shown = _worst(found)
-    rows = [Row(1.9, len(shown)), Row(1.25, len(shown), gap=0.8)]
+    rows = [(2.4, len(shown)), (1.8, len(shown))]
     page = _page(found, (), "The model follows every recording to within what noise explains", rows)
     for upper, lower, one in zip(*page.axes, shown, strict=True):
-        time, measured, simulated, name, unit, noise = _signal(found.rig, one)
-        residual = measured - simulated
-        start, stop = liveliest_window(time, residual)
-        inside = (time >= start) & (time <= stop)
-        upper.plot(time[inside], measured[inside], **_MEASURED)
-        upper.plot(time[inside], simulated[inside], color=IDENTIFIED, linewidth=1.2)
-        whole = stop - start > 0.99 * (time[-1] - time[0])
-        panel_title(upper, f"{_file(one, 18)}{'' if whole else ', worst stretch'}")
-        lower.axvspan(start, stop, color=_WINDOW, linewidth=0)
-        lower.axhspan(-2 * noise, 2 * noise, color=BAND, linewidth=0)
-        lower.plot(time, residual, color=NOMINAL, linewidth=0.9)
-        lower.axhline(0.0, color="#444444", linewidth=0.6)
-        for axes, what in ((upper, short(name, 16)), (lower, "residual")):
-            axes.set_xlabel("time [s]")
-            axes.set_ylabel(f"{printable(what)} [{unit}]", labelpad=2)
-        panel_title(lower, f"{number(float(np.sqrt(np.mean(residual**2))) / noise, 2)} times the noise")
-    page.legend(
-        [
-            Line2D([], [], label="measured", **_MEASURED),
-            Line2D([], [], color=IDENTIFIED, label="model"),
-            Line2D([], [], color=NOMINAL, linewidth=1.0, label="measured minus model"),
-            Patch(color=_WINDOW, label="the stretch shown above"),
-            Patch(color=BAND, label="±2σ noise"),
-        ]
-    )
+        signal = Signal.of(found.rig, one.simulated.recording)
+        if signal is None:  # a recording that moves was measured
+            continue
+        residual = signal.residual(one.simulated)
+        window = liveliest_window(signal.time, np.nan_to_num(residual))
+        curve = Curve(one.simulated, "model", {"color": IDENTIFIED, "linestyle": "-"})
+        motion_panel(upper, signal, [curve], window, most_circles=0)
+        whole = window[1] - window[0] > 0.99 * (signal.time[-1] - signal.time[0])
+        upper.set_title(f"{_file(one, 18)}{'' if whole else ', worst stretch'}")
+        curve = Curve(one.simulated, "measured minus model", {"color": NOMINAL})
+        residual_panel(lower, signal, [curve], one.simulated.noise, [window])
+        noise = one.simulated.noise[0 if signal.is_marker else 1]
+        lower.set_title(f"{number(float(np.sqrt(np.nanmean(residual**2))) / noise, 2)} times the noise")
+    page.legend()
     return page.figure
-
-
-def _signal(rig: Rig, one: RecordingSymptoms) -> tuple[Array, Array, Array, str, str, float]:
-    """Instants, measured and simulated values, name, unit and noise of the tip, or of the first encoder without one."""
-    recording, simulation, sensor = one.simulated.recording, one.simulated.simulation, one.sensors[0]
-    tip = tip_signal(rig, recording)
-    if tip is not None:
-        simulated = simulation.markers[np.isfinite(recording.markers[:, tip.marker, tip.axis]), tip.marker, tip.axis]
-        name = f"{marker_name(rig, tip.marker)}.{'xy'[tip.axis]}"
-        return tip.time, 1e3 * tip.value, 1e3 * simulated, name, "mm", 1e3 * one.simulated.noise[0]
-    rows, (scale, unit) = sensor.known[:, 0], _UNITS["rad"]
-    simulated = scale * sensor.simulated[rows, 0]
-    measured = simulated + scale * sensor.noise * sensor.residual[rows, 0]
-    return sensor.time[rows], measured, simulated, sensor.names[0], unit, scale * sensor.noise
 
 
 @styled
@@ -157,7 +123,7 @@ def _modes(found: Symptoms) -> Figure:
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:_MOST_MODES]
     nothing = "Frequency, damping, amplitude and phase of all modes are as simulated"
     kinds = ("frequency", "damping", "amplitude", "phase", "rest_amplitude", "rest_delay")
-    page = _page(found, kinds, nothing, [Row(0.3 * len(rows), gap=0.5)], left=2.3)
+    page = _page(found, kinds, nothing, [(0.8 + 0.28 * max(len(rows), 2), 1)])
     axes, start, ticks, colors = page.axes[0][0], 0.0, {}, colormaps["PuOr_r"]
     values: Sequence[tuple[str, Callable[[ModeDifference], float]]] = (
         ("frequency [%]", lambda mode: 100 * _sure(mode.frequency)),
@@ -186,7 +152,7 @@ def _modes(found: Symptoms) -> Figure:
     axes.spines[:].set_visible(False)
     axes.grid(False)
     axes.set_xlabel("mode, and the motion outside the modes [Hz]")
-    axes.set_ylabel("recording", labelpad=6)
+    axes.set_ylabel("recording")
     words = ((colors(0.95), "more than the model"), ("white", "0: as the model, within three standard errors"),
              (colors(0.05), "less"), (BAND, "does not move"))  # fmt: skip
     page.legend([Patch(facecolor=color, edgecolor="#bbbbbb", label=word) for color, word in words])
@@ -206,7 +172,7 @@ def _draw_table(axes: Axes, start: float, table: Array) -> None:
     axes.pcolormesh(columns, rows, shade, cmap=colors, vmin=-1, vmax=1, edgecolors="#bbbbbb", linewidth=0.6)
     for (row, column), value in np.ndenumerate(table):
         if np.isfinite(value):
-            letters = letters_on(colors(0.5 + 0.5 * float(shade[row, column])))
+            letters = readable_on(colors(0.5 + 0.5 * float(shade[row, column])))
             place = {"x": start + column + 0.5, "y": row + 0.5, "s": _signed(value)}
             axes.text(**place, ha="center", va="center", fontsize=8, color=letters)
 
@@ -236,11 +202,11 @@ def _with_amplitude(found: Symptoms) -> Figure:
     """Frequency and damping ratio of every mode against amplitude, while nothing drives the arm."""
     modes = _free_motion(found)
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
-    looks = dict(zip(conditions, series(len(conditions)), strict=True))
+    looks = dict(zip(conditions, line_styles(len(conditions)), strict=True))
     markers = dict(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False))
     nothing = "Frequency and damping are as in the model, and change with amplitude as they do there"
     kinds = ("frequency", "damping", "frequency_with_amplitude", "damping_with_amplitude")
-    page = _page(found, kinds, nothing, [Row(1.9, len(modes)), Row(1.9, len(modes), gap=0.3)])
+    page = _page(found, kinds, nothing, [(2.1, len(modes)), (2.35, len(modes))])
     for column, (mode, groups) in enumerate(modes.items()):
         upper, lower = page.axes[0][column], page.axes[1][column]
         every = [free for own in groups.values() for free in own]
@@ -254,42 +220,38 @@ def _with_amplitude(found: Symptoms) -> Figure:
                 if not j:  # in per cent of the model's at the smallest amplitude, conditions lie on one axis
                     first = pairs[np.argmin(amplitude), 1]
                     pairs, scaled = 100 * (pairs / first - 1), 100 * scaled / first
-                _draw_trend(axes, amplitude, pairs, scaled, 2 - j, (*looks[condition], markers[condition]))
+                _draw_trend(axes, amplitude, pairs, scaled, 2 - j, looks[condition] | {"marker": markers[condition]})
         for axes in (upper, lower):
             low, high = axes.get_ylim()
             least = 0.05 if axes is upper else 2e-5  # per cent, and a ratio: or nothing but noise is magnified
             if high - low < least:
                 axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
-            axes.set_xscale("log")
             largest = scale * np.concatenate([free.amplitude for free in every])
-            axes.set_xlim(float(largest.min()) / 1.15, float(largest.max()) * 1.15)
-            log_ticks(axes.xaxis)
+            log_scale(axes.xaxis, float(largest.min()) / 1.15, float(largest.max()) * 1.15)
             axes.ticklabel_format(axis="y", useOffset=False)
         upper.set_ylabel("frequency, off the model's [%]")
         lower.set_ylabel("damping ratio [1]")
         upper.tick_params(labelbottom=False)
         lower.set_xlabel(f"amplitude [{unit}]")
-        panel_title(upper, f"mode at {number(found.frequencies[mode], 3)} Hz")
+        upper.set_title(printable(f"mode at {number(found.frequencies[mode], 3)} Hz"))
     handles = [
         Line2D([], [], color=MEASURED, linestyle="", marker="o", markerfacecolor="white", label="measured, with error"),
         Line2D([], [], color=MEASURED, label="model"),
     ]
     for condition in conditions if len(conditions) > 1 else ():
-        color, dashes = looks[condition]
         name = printable(short(condition or "other recordings", 24))
-        look: Any = {"color": color, "linestyle": dashes, "marker": markers[condition], "markerfacecolor": "white"}
+        look: Any = looks[condition] | {"marker": markers[condition], "markerfacecolor": "white"}
         handles.append(Line2D([], [], label=name, **look))
     page.legend(handles)
     return page.figure
 
 
-def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: int, look: tuple[Any, Any, str]) -> None:
+def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: int, look: dict[str, Any]) -> None:
     """Measured and simulated values (P, 2): the model's trend, and what is measured beside it.
 
     What other motion leaks into the windows is the same in both, and goes with their difference. Neighbours in
     amplitude are averaged by their errors.
     """
-    color, dashes, marker = look
     line = np.stack([np.ones_like(amplitude), (amplitude / amplitude.max()) ** power], axis=1)
     model = line @ np.linalg.lstsq(line / std[:, None], pairs[:, 1] / std, rcond=None)[0]
     measured = model + pairs[:, 0] - pairs[:, 1]
@@ -302,8 +264,8 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
         errors[k] = max(float(np.sum(weights) ** -0.5), float(np.sqrt(scatter)))
     clear = errors <= 4 * np.median(errors)  # of the others nothing could be seen
     order = np.argsort(amplitude)
-    axes.plot(amplitude[order], model[order], color=color, linestyle=dashes, linewidth=1.3)
-    bars: Any = {"linestyle": "", "marker": marker, "markersize": 5, "color": color, "markerfacecolor": "white"}
+    axes.plot(amplitude[order], model[order], **(look | {"marker": ""}))
+    bars: Any = look | {"linestyle": "", "markersize": 5, "markerfacecolor": "white"}
     axes.errorbar(place[clear], shown[clear], yerr=errors[clear], elinewidth=1.1, **bars)
 
 
@@ -324,7 +286,7 @@ def _profiles(found: Symptoms) -> Figure:
     shown = _profiles_shown(found)
     nothing = "What the model misses depends neither on where the arm is nor on how fast or which way it moves"
     kinds = ("against_angle", "against_velocity", "against_sign")
-    page = _page(found, kinds, nothing, [Row(1.75, 3, gap=0.85) for _ in shown])
+    page = _page(found, kinds, nothing, [(2.35, 3)] * len(shown))
     for axes, profile in zip(page.axes, shown, strict=True):
         _draw_profile(axes, found, profile)
     page.legend(
@@ -362,20 +324,20 @@ def _draw_profile(row: Sequence[Axes], found: Symptoms, profile: JointProfile) -
     row[2].set_xticks([-1.0, 1.0], ["backwards", "forwards"])
     what = "missing torque" if profile.quantity == "torque" else profile.quantity
     for axes in row:
-        axes.set_ylabel(f"{what} [{unit}]", labelpad=2)
+        axes.set_ylabel(f"{what} [{unit}]")
     row[0].set_xlabel(f"{printable(short(profile.motion, 16))} [{motion}]")
     row[1].set_xlabel(f"its velocity [{motion}/s]")
     row[2].set_xlabel("its direction [1]")
     several = np.unique(profile.recording).size > 1
     where = "all recordings" if several else _file(found.recordings[int(profile.recording[0])], 16)
-    panel_title(row[0], f"{short(profile.sensor, 18)}, {where}")
+    row[0].set_title(printable(f"{short(profile.sensor, 18)}, {where}"))
 
 
 def _draw_means(axes: Axes, place: Array, values: Array) -> None:
     """Single values, and means over about as many each; on the third panel, over the two directions."""
     thin = slice(None, None, max(1, place.size // 600))
     axes.plot(place[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1)
-    axes.axhline(0.0, color="#444444", linewidth=0.6, zorder=1)
+    axes.axhline(0.0, color=AXIS, linewidth=0.6, zorder=1)
     two = set(np.round(place)) <= {-1.0, 1.0} and bool(np.all(np.abs(np.abs(place) - 1) <= 0.1))
     order = np.argsort(place)
     parts = [np.flatnonzero(place * s > 0) for s in (-1, 1)] if two else np.array_split(order, min(10, place.size // 6))
@@ -402,10 +364,10 @@ def _lags(found: Symptoms) -> Figure:
     shown, lag = _with_lag(found), found.lag
     within = number(1e3 * (abs(lag.value) + 2 * lag.std), 2)
     nothing = f"Camera and encoders tell the same time, to within {within} ms"
-    page = _page(found, ("camera_lag",), nothing, [Row(max(0.34 * len(shown), 0.7))], left=2.2)
+    page = _page(found, ("camera_lag",), nothing, [(0.6 + 0.34 * max(len(shown), 2), 1)])
     axes, places = page.axes[0][0], np.arange(len(shown))[::-1]
     axes.axvspan(1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std), color=_POOLED, linewidth=0)
-    axes.axvline(0.0, color="#444444", linewidth=0.8)
+    axes.axvline(0.0, color=AXIS, linewidth=0.8)
     handles: list[Line2D | Patch] = []
     for label, delays, offset, color, marker, face in (
         ("camera against model", [one.delays[0] for one in shown], 0.22, MEASURED, "o", "white"),
@@ -427,7 +389,7 @@ def _lags(found: Symptoms) -> Figure:
     axes.set_yticks(places, [_file(one, 22) for one in shown])
     axes.grid(False, axis="y")
     axes.set_xlabel("delay, two standard errors [ms]")
-    axes.set_ylabel("recording", labelpad=6)
+    axes.set_ylabel("recording")
     page.legend([*handles, Patch(color=_POOLED, label="all recordings together")])
     return page.figure
 
@@ -442,17 +404,14 @@ def _quiet(found: Symptoms) -> Figure:
     """Amplitude spectra of the sensors at rest, beside the noise that was supposed."""
     panels = _at_rest(found)
     columns = min(2, len(panels))
-    rows = [Row(1.9, columns, gap=0.8) for _ in range(-(-len(panels) // columns))]
+    rows = [(2.5, columns)] * -(-len(panels) // columns)
     nothing = "At rest, the sensors show white noise of the size that was supposed"
     page = _page(found, ("quiet_tone", "quiet_size", "quiet_colour"), nothing, rows)
-    every = [axes for row in page.axes for axes in row]
-    for unused in every[len(panels) :]:
-        unused.remove()
-    for axes, (one, rest) in zip(every, panels, strict=False):
+    for axes, (one, rest) in zip(page.panels(len(panels)), panels, strict=True):
         _draw_spectrum(axes, rest)
         size = f"{number(1 + rest.size.value, 3)} times the noise"
         tone = "" if rest.tone is None else f", tone at {number(rest.tone.frequency, 3)} Hz"
-        panel_title(axes, f"{_file(one, 18)}, {rest.channels.sensor}: {size}{tone}")
+        axes.set_title(printable(f"{_file(one, 18)}, {rest.channels.sensor}: {size}{tone}"))
     page.legend(
         [
             Line2D([], [], color=IDENTIFIED, label="residual at rest"),
@@ -473,10 +432,8 @@ def _draw_spectrum(axes: Axes, rest: SensorAtRest) -> None:
     if rest.tone is not None:
         at = int(np.argmin(np.abs(rest.frequency - rest.tone.frequency)))
         axes.plot([rest.tone.frequency], [1.25 * float(amplitude[at])], marker="v", color=NOMINAL)
-    axes.set_yscale("log")
     low, high = 0.8 * float(np.quantile(amplitude, 0.02)), 1.6 * max(scale * rest.limit, float(amplitude.max()))
-    axes.set_ylim(low, high)
+    log_scale(axes.yaxis, low, high)
     axes.set_xlim(0.0, float(rest.frequency[-1]))
-    log_ticks(axes.yaxis)
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"amplitude [{unit}]")

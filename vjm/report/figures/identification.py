@@ -1,0 +1,312 @@
+"""The figures of an identification, or of a model compared with recordings: how well it follows, and what it leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from scipy import stats
+
+from vjm.identification.records import Identification
+from vjm.records import Array, Estimate, RecordingComparison, Rig
+from vjm.report.figures.measurements import data_pictures
+from vjm.report.figures.panels import (
+    FALSE_ALARM,
+    Curve,
+    Role,
+    Spectrum,
+    motion_figure,
+    recording_label,
+    rms_figure,
+    spectrum_panel,
+)
+from vjm.report.figures.selection import Signal, Window, few_periods, marker_name, one_of_each_repeat
+from vjm.report.figures.style import IDENTIFIED, TORQUE, Page, Picture, heat_map, styled
+from vjm.report.text import number, short
+from vjm.simulation.model import Model
+
+_MOST_TIPS = 4
+_MOST_ROWS = 40  # recordings in the RMS figure
+_MOST_MAP_ROWS, _MOST_MAP_COLUMNS = 24, 14
+# Every file name that these pictures may have: what an earlier run left of them is out of date.
+NAMES = (
+    "fit",
+    *(f"tip_{k + 1}" for k in range(_MOST_TIPS)),
+    "residual_map",
+    "residual_spectra",
+    "correlations",
+    "shapes",
+    "angles",
+    "torque_errors",
+    "markers",
+)
+
+
+def identification_pictures(fit: Identification) -> list[Picture]:
+    """Draw all figures of an identification."""
+    return [
+        *replay_pictures(fit.recordings, fit.model, fit.nominal, "identified"),
+        *(_residual_pictures(fit) if fit.trajectory is not None else ()),
+        *_correlation_pictures(fit.parameters, fit.covariance),
+        *data_pictures(fit),
+    ]
+
+
+def replay_pictures(
+    comparisons: Sequence[RecordingComparison], model: Model, nominal: Model, name: str = "given"
+) -> list[Picture]:
+    """Draw the figures of a comparison of a model with recordings.
+
+    Args:
+        comparisons: the recordings.
+        model: by which they are simulated.
+        nominal: the model of reference.
+        name: what to call the model.
+    """
+    labels: dict[Role, str] = {"reference": "nominal model", "alternative": "torque method"}
+    labels["simulated"] = f"{name} model"
+    more = f" The first {_MOST_ROWS} recordings of {len(comparisons)}." if len(comparisons) > _MOST_ROWS else ""
+    caption = (
+        "Open-loop simulation of each whole recording: only its initial state is estimated from it. "
+        f"A complete model lies on the noise mark.{more}"
+    )
+    title = _rms_title(comparisons, labels)
+    pictures = [Picture("fit", caption, rms_figure(title, comparisons[:_MOST_ROWS], labels, in_noise=True))]
+    shown = _shown_tips(model.rig, comparisons)
+    for k, (comparison, signal) in enumerate(shown):
+        more = "" if k or len(shown) == len(comparisons) else f" For {len(shown)} of {len(comparisons)} recordings."
+        caption = f"{signal.name} in {short(comparison.recording.file)}, measured and simulated; residual below.{more}"
+        curves = Curve.of(comparison, labels, {"simulated": model, "reference": nominal})
+        pictures.append(Picture(f"tip_{k + 1}", caption, _tip_figure(comparison, signal, curves)))
+    return pictures
+
+
+def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[Role, str]) -> str:
+    """Return the RMS residual over the noise by every model, in the held-out recordings or, without any, in all."""
+    simulated = [each for each in comparisons if each.simulated is not None]
+    held_out = [each for each in simulated if each.recording.role == "holdout"]
+    parts = []
+    for role in reversed(labels):
+        pairs = [(getattr(each, role), each.noise[0]) for each in held_out or simulated]
+        ratios = [simulation.marker_rms / noise for simulation, noise in pairs if simulation is not None]
+        if ratios:
+            ends = dict.fromkeys([number(min(ratios), 2), number(max(ratios), 2)])
+            parts.append(f"{labels[role]} {' to '.join(ends)}")
+    if not parts:
+        return "No recording could be simulated"
+    return f"Residual over noise in {'held-out' if held_out else 'training'} recordings: {', '.join(parts)}"
+
+
+def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tuple[RecordingComparison, Signal]]:
+    """Return recordings that move, held-out ones first, then by falling residual; no repeats.
+
+    At most two held-out recordings take the place of training ones.
+    """
+    usable = []
+    for each in comparisons:
+        signal = Signal.of(rig, each.recording)
+        if each.simulated is not None and signal is not None and each.recording.kind != "quiet":
+            usable.append((each.simulated.marker_rms / each.noise[0], each, signal))
+    ordered = [(each, signal) for _, each, signal in sorted(usable, key=lambda item: -item[0])]
+    held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
+    train = [pair for pair in ordered if pair[0].recording.role == "train"]
+    chosen = one_of_each_repeat([*held_out[:2], *train, *held_out[2:]], lambda pair: pair[0].recording)[:_MOST_TIPS]
+    return sorted(chosen, key=lambda pair: pair[0].recording.role != "holdout")
+
+
+def _tip_figure(comparison: RecordingComparison, signal: Signal, curves: dict[Role, Curve]) -> Figure:
+    """Draw the outermost channel of one recording."""
+    rms = {role: float(np.sqrt(np.nanmean(signal.residual(curve.simulated) ** 2))) for role, curve in curves.items()}
+    # A second residual is drawn where it is neither hidden by the first one nor hides it.
+    least: tuple[tuple[Role, float], ...] = (("alternative", 1.05), ("reference", 0.0))
+    second = [curves[role] for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4]
+    sizes = [f"{curve.label} {signal.rms_text(curve.simulated)}" for curve in reversed(curves.values())]
+    title = f"{recording_label(comparison.recording)}, {signal.name}: residual {', '.join(sizes)} RMS"
+    residuals = [*second[:1], curves["simulated"]]
+    motion = [curve for role, curve in curves.items() if role != "alternative"]
+    return motion_figure(title, comparison.noise, signal, motion, residuals, _windows(signal))
+
+
+def _windows(signal: Signal) -> list[tuple[Window, str]]:
+    """Return the whole motion where its oscillations stay apart on paper; else its first and its last few periods."""
+    time, value = signal.time, signal.value
+    start, end, stop = float(time[0]), float(time[-1]), float(time[-1])
+    deflection = np.abs(value - np.median(value))
+    moving = np.flatnonzero(deflection > 0.03 * deflection.max())  # what comes after has died out
+    if moving.size and moving[-1] >= 20:
+        stop = float(time[moving[-1]])
+    length, legible = few_periods(time, value)
+    if stop - start <= legible:
+        whole = stop - start > 0.99 * (end - start)
+        return [((start, stop), "" if whole else f"First {stop - start:.2g} s of {end - start:.3g} s")]
+    first = f"First {length:.2g} s of {end - start:.3g} s"
+    last = f"Last {length:.2g} s{'' if stop == end else ' before it dies out'}"
+    return [((start, start + length), first), ((stop - length, stop), last)]
+
+
+def _residual_pictures(fit: Identification) -> Iterator[Picture]:
+    replayed = [each for each in fit.recordings if each.simulated is not None and each.recording.frames.size]
+    if not replayed:
+        return
+    more = f" The first {_MOST_MAP_ROWS} recordings of {len(replayed)}." if len(replayed) > _MOST_MAP_ROWS else ""
+    caption = (
+        "Residual of each marker coordinate, RMS over the whole recording in units of the camera's noise. Pale "
+        "throughout: nothing is missing; a dark column: a marker that is not where the file says, or a mode that only "
+        f"it shows; a dark row: something that happens in that recording only.{more}"
+    )
+    yield Picture("residual_map", caption, _residual_map(fit.model.rig, replayed[:_MOST_MAP_ROWS]))
+    shown = [(each, Spectrum.of(each.simulated)) for each, _ in _shown_tips(fit.model.rig, replayed) if each.simulated]
+    spectra = [(each, spectrum) for each, spectrum in shown if spectrum is not None]
+    if spectra:
+        caption = (
+            "Amplitude of the residual, root mean square over all marker coordinates. A peak above the dashed line at "
+            "a natural frequency: its frequency or damping is off; elsewhere: something that is not in the model."
+        )
+        yield Picture("residual_spectra", caption, _residual_spectra(fit.model, spectra))
+
+
+@styled
+def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figure:
+    """Draw the RMS residual of every marker coordinate in every recording, in units of the noise."""
+    names, table, count = _residual_table(rig, comparisons)
+    # RMS that white noise passes anywhere in one such table of a thousand, and never less than 10 % above the noise.
+    limit = np.sqrt(stats.chi2.isf(FALSE_ALARM / table.size, np.maximum(count, 1)) / np.maximum(count, 1))
+    row, column = divmod(int(np.nanargmax(table)), table.shape[1])
+    worst = f"at most {number(float(table[row, column]), 3)} times the noise"
+    white = bool(np.nanmax(table / np.maximum(limit, 1.1)) <= 1)
+    title = "Every marker is followed to within the noise" if white else "Residual marker by marker"
+    title = f"{title}: {worst}, {names[column]} in {short(comparisons[row].recording.file)}"
+    page = Page.of(title, [(0.65 + 0.28 * max(len(comparisons), 2), 1)])
+    axes = page.axes[0][0]
+    scales = ((1.0, 1.5, 3.0, 10.0), (1.0, 3.0, 10.0, 100.0), (1.0, 10.0, 100.0, 1000.0))
+    levels = next((each for each in scales if np.nanmax(table) <= each[-1]), scales[-1])
+    colors = LinearSegmentedColormap.from_list("residual", ["#ffffff", "#f5c38a", "#c2541a", "#3d0f04"])
+    norm = LogNorm(1.0, levels[-1], clip=True)
+    rows = [recording_label(each.recording, 24) for each in comparisons]
+    heads = [name.partition(".")[2] if len(rig.links) == 1 else name.replace(".", " ", 1) for name in names]
+    roomy = len(names) <= _MOST_MAP_COLUMNS
+    text = (lambda value: f"{value:.0f}" if value >= 10 else f"{value:.2f}") if len(names) <= 28 else None
+    heat_map(axes, table, (colors, norm), (rows, [short(head, 14) for head in heads]), text, 8.5 if roomy else 6.5)
+    axes.set(xlabel="marker coordinate", ylabel="recording")
+    words = [f"{level:g} times the noise" for level in levels]
+    words = [f"{words[0]} or less", *words[1:-1], f"{words[-1]} or more"]
+    page.legend(
+        [Patch(facecolor=colors(norm(v)), edgecolor="#bbbbbb", label=w) for v, w in zip(levels, words, strict=True)]
+    )
+    return page.figure
+
+
+def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tuple[list[str], Array, Array]:
+    """Return names of the measured coordinates (C), RMS residuals over noise and numbers of values (R, C).
+
+    A marker's two coordinates are pooled where there are too many.
+    """
+    residuals = [each.simulated.marker_residual / each.noise[0] for each in comparisons if each.simulated is not None]
+    squares = np.stack([np.nansum(residual**2, axis=0) for residual in residuals])  # (R, k, 2)
+    counts = np.stack([np.isfinite(residual).sum(axis=0) for residual in residuals])
+    measured = np.argwhere(counts.any(axis=0))
+    names = [f"{marker_name(rig, marker)}.{'xy'[axis]}" for marker, axis in measured.tolist()]
+    table, count = squares[:, *measured.T], counts[:, *measured.T]
+    if len(names) > _MOST_MAP_COLUMNS:
+        markers = np.unique(measured[:, 0])
+        names = [marker_name(rig, marker) for marker in markers.tolist()]
+        table, count = squares.sum(axis=2)[:, markers], counts.sum(axis=2)[:, markers]
+    return names, np.sqrt(table / np.where(count > 0, count, np.nan)), count
+
+
+@styled
+def _residual_spectra(model: Model, spectra: Sequence[tuple[RecordingComparison, Spectrum]]) -> Figure:
+    """Draw amplitude spectra of the residuals, beside white noise and the model's natural frequencies."""
+    columns = min(2, len(spectra))
+    rows = -(-len(spectra) // columns)
+    comparison, spectrum = max(spectra, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].limit)))
+    title = "Spectrum of the residual: no frequency at which it is larger than noise"
+    if (where := _peak(model, comparison, spectrum)) is not None:
+        times = f"{float(f'{spectrum.amplitude.max() / spectrum.white:.2g}'):g} times white noise"
+        title = f"Spectrum of the residual: largest {where}, in {short(comparison.recording.file)}: {times}"
+    page = Page.of(title, [(2.3 if rows > 1 else 2.8, columns)] * rows)
+    for axes, (comparison, spectrum) in zip(page.panels(len(spectra)), spectra, strict=True):
+        other = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
+        drawn = [(other, "torque method", TORQUE)] if other is not None else []
+        modes = model.modes(comparison.recording.payload).frequencies
+        spectrum_panel(axes, [*drawn, (spectrum, "identified model", IDENTIFIED)], modes)
+        where = _peak(model, comparison, spectrum)
+        axes.set_title(
+            f"{recording_label(comparison.recording, 20)}: {'noise only' if where is None else f'largest {where}'}"
+        )
+    page.legend()
+    return page.figure
+
+
+def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum) -> str | None:
+    """Tell the frequency of the largest residual, and its mode; None where nothing is above the limit of noise."""
+    at = int(np.argmax(spectrum.amplitude))
+    if spectrum.amplitude[at] <= spectrum.limit:
+        return None
+    peak, line = float(spectrum.frequency[at]), float(spectrum.frequency[0])
+    if at < 2:  # not even two periods in the recording
+        return f"below {number(float(spectrum.frequency[2]), 2)} Hz (drift)"
+    modes = model.modes(comparison.recording.payload).frequencies
+    nearest = int(np.argmin(np.abs(modes - peak)))
+    mode = f" (mode {nearest + 1})" if abs(modes[nearest] - peak) < max(0.05 * peak, 2 * line) else ""
+    return f"at {number(peak, 3)} Hz{mode}"
+
+
+def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> Iterator[Picture]:
+    """Draw the correlation matrix of the estimates that have a finite standard error, where there are two."""
+    names = [each.name for each in estimates if each.std is not None]
+    if covariance.shape != (len(names), len(names)):
+        return
+    variance = np.diag(covariance)
+    kept = np.flatnonzero(np.isfinite(covariance).all(axis=1) & (variance > 0))
+    if kept.size > 1:
+        std = np.sqrt(variance[kept])
+        correlation = np.clip(covariance[np.ix_(kept, kept)] / np.outer(std, std), -1.0, 1.0)
+        caption = (
+            "Correlation of the estimates' errors. Near +1 or −1 the recordings determine only one combination of the "
+            "two parameters, however small the noise."
+        )
+        yield Picture("correlations", caption, _correlation_map([names[k] for k in kept], correlation))
+
+
+@styled
+def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
+    """Draw a correlation matrix; the title tells its strongest pair."""
+    count = min(len(names), 48)
+    roomy = count <= 16
+    page = Page.of(_correlation_title(names, matrix), [(0.6 + max(2, count) * min(0.28, 6.25 / count), 1)])
+    axes = page.axes[0][0]
+    if count < 8:
+        axes.set_box_aspect(0.35)
+        axes.set_anchor("W")
+    shown = np.where(np.eye(count, dtype=bool), np.nan, matrix[:count, :count])
+    rows = [f"{short(name, 30)}  {k + 1}" for k, name in enumerate(names[:count])]
+    columns = [str(k + 1) for k in range(count)]
+    colors, norm = colormaps["PuOr_r"], Normalize(-1.0, 1.0)
+    heat_map(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else 6.0)
+    axes.set(xlabel="parameter", ylabel="parameter")
+    words = ((1.0, "+1: rise together"), (0.0, "0: independent"), (-1.0, "−1: one for the other"))
+    page.legend([Patch(facecolor=colors(norm(value)), edgecolor="#bbbbbb", label=word) for value, word in words])
+    return page.figure
+
+
+def _correlation_title(names: Sequence[str], matrix: Array) -> str:
+    size = np.abs(matrix) - 2 * np.eye(len(names))
+    row, column = divmod(int(np.argmax(size)), len(names))
+    pair = f"{short(names[row], 30)} and {short(names[column], 30)} ({_signed(float(matrix[row, column]))})"
+    strong = int(np.count_nonzero(size > 0.9)) // 2
+    if strong > 1:
+        return f"{strong} pairs of parameters are correlated beyond 0.9, above all {pair}"
+    if strong == 1:
+        return f"The recordings hardly distinguish {pair}"
+    if size.max() < 0.5:
+        return f"The recordings distinguish all parameters; most correlated are {pair}"
+    return f"Correlation of the estimates: strongest between {pair}"
+
+
+def _signed(value: float) -> str:
+    return "0.00" if abs(value) < 5e-3 else f"{value:+.2f}".replace("-", "\N{MINUS SIGN}")

@@ -1,0 +1,284 @@
+"""What a model was identified from: markers, shapes of the links, joint angles and torque errors."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from vjm.chain.curve import link_poses, rotate
+from vjm.chain.virtual_links import Chain
+from vjm.identification.records import Identification, TorqueData
+from vjm.model.modes import linearise
+from vjm.records import Array, Indices, Recording, Rig
+from vjm.report.figures.selection import Signal, Window, liveliest_window, moving_axis, one_of_each_repeat
+from vjm.report.figures.style import (
+    AXIS,
+    BAND,
+    IDENTIFIED,
+    MEASURED,
+    NOMINAL,
+    Page,
+    Picture,
+    line_styles,
+    log_scale,
+    printable,
+    styled,
+)
+from vjm.report.text import counted, listed, millimetres, number, short
+
+_MOST_LINKS = 3  # beside each other
+
+
+def data_pictures(fit: Identification) -> Iterator[Picture]:
+    """Draw what an identification was made from."""
+    rig, chain, recordings = fit.model.rig, fit.model.chain, fit.experiment.recordings
+    moving = sorted(fit.torque_data, key=lambda data: (data.recording.kind == "quiet", -_motion(rig, data.recording)))
+    moving = one_of_each_repeat(moving, lambda data: data.recording)[:2]
+    if moving:
+        names = listed([short(data.recording.file) for data in moving])
+        caption = f"Shape function, virtual links and joints at several instants of {names}; lateral scale magnified."
+        yield Picture("shapes", caption, _link_shapes(rig, chain, moving))
+        caption = f"Angles from the markers of {short(moving[0].recording.file)}, with rates and accelerations."
+        yield Picture("angles", caption, _joint_angles(chain, moving[0]))
+        caption = (
+            "Residual of the equation of motion, joint by joint (eq. 14). Of a complete model, it is what the noise of "
+            "the accelerations explains."
+        )
+        yield Picture("torque_errors", caption, _torque_errors(chain, fit.torque_data))
+    shown = _spread_over(recordings, 8 // min(len(rig.links), _MOST_LINKS))
+    if shown:
+        part = "" if len(shown) == len(recordings) else f" ({len(shown)} of {len(recordings)})"
+        caption = f"Measured marker coordinates of the recordings{part}, where they move most."
+        yield Picture("markers", caption, _raw_markers(rig, shown))
+
+
+def _motion(rig: Rig, recording: Recording) -> float:
+    signal = Signal.of(rig, recording)
+    return 0.0 if signal is None else float(np.std(signal.value))
+
+
+def _spread_over(recordings: Sequence[Recording], most: int) -> list[Recording]:
+    """Return at most so many recordings, in order; one of each set of repeats and every role and kind come first."""
+    seen: Counter[tuple[str | None, ...]] = Counter()
+    ranks = []
+    for recording in recordings:
+        group = (recording.role, recording.kind, recording.repeat)
+        ranks.append(seen[group])
+        seen[group] += 1
+    return [recordings[k] for k in np.sort(np.argsort(ranks, kind="stable")[:most])]
+
+
+def _evenly(count: int, most: int) -> list[tuple[int, dict[str, Any]]]:
+    """Return all of a few indices, else some from first to last, with looks that differ in darkness and in dashes."""
+    chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return list(zip(chosen, line_styles(len(chosen)), strict=True))
+
+
+@styled
+def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
+    """Draw marker coordinates against time as measured; a row of panels for each recording of several links."""
+    links = range(min(len(rig.links), _MOST_LINKS))
+    panels = [(recording, link) for recording in recordings for link in links]
+    columns = len(links) if len(links) > 1 else min(2, len(panels))
+    markers = sum(len(link.markers) for link in rig.links)
+    title = f"Markers as measured: {counted(len(recordings), 'recording')}, {counted(markers, 'marker')}"
+    page = Page.of(title, [(1.9 if len(panels) > columns else 2.8, columns)] * -(-len(panels) // columns))
+    for axes, (recording, link) in zip(page.panels(len(panels)), panels, strict=True):
+        signal = Signal.of(rig, recording)
+        window = whole = float(recording.time[0]), float(recording.time[-1])
+        if signal is not None and recording.kind not in ("quiet", "static"):
+            window = liveliest_window(signal.time, signal.value)
+        _draw_markers(axes, recording, rig.marker_slices[link], window)
+        length, duration = window[1] - window[0], whole[1] - whole[0]
+        part = "" if length > 0.99 * duration else f", {length:.2g} s of {duration:.3g} s"
+        role = "held out" if recording.role == "holdout" else "train"
+        heading = f"{short(recording.file, 22)} ({recording.kind}, {role}{part})"
+        if len(links) > 1:
+            heading = f"{short(rig.links[link].name, 12)} ({rig.links[link].markers_frame} frame), {heading}"
+        axes.set_title(printable(heading))
+    page.legend()
+    return page.figure
+
+
+def _draw_markers(axes: Axes, recording: Recording, markers: slice, window: Window) -> None:
+    rows = recording.frames
+    rows = rows[(recording.time[rows] >= window[0]) & (recording.time[rows] <= window[1])]
+    own = 1e3 * recording.markers[rows][:, markers]
+    axis = moving_axis(own)
+    dots: Any = {"marker": "." if rows.size <= 40 else "none", "markersize": 4}  # single frames where there are few
+    for k, look in _evenly(own.shape[1], 6):  # a marker lost for a moment leaves a gap in its line
+        axes.plot(recording.time[rows], own[:, k, axis], linewidth=1.1, label=f"marker {k + 1}", **dots, **look)
+    axes.set(xlabel="time [s]", ylabel=f"{'xy'[axis]} [mm]")
+
+
+@styled
+def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[TorqueData]) -> Figure:
+    """Draw each link in its own frame at five instants, lateral deflection magnified; a column for each recording."""
+    residuals = np.concatenate([fit.residuals.ravel() for data in recordings for fit in data.angles.shapes])
+    rms = float(np.sqrt(np.nanmean(residuals**2))) if np.isfinite(residuals).any() else 0.0
+    title = f"Shape functions pass the markers of all links within {millimetres(rms)} RMS"
+    if all(fit.order == fit.residuals.shape[1] for fit in recordings[0].angles.shapes):
+        title = "Shape of the link: as many functions as markers, so the curve passes through them and is not tested"
+    page = Page.of(title, [(3.1, len(recordings))] * len(rig.links))
+    for i, row in enumerate(page.axes):
+        for axes, data in zip(row, recordings, strict=True):
+            _draw_shapes(axes, rig, chain, data, i)
+            axes.set_title(printable(short(data.recording.file)))
+    page.legend()
+    return page.figure
+
+
+def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: TorqueData, i: int) -> None:
+    fit, length = data.angles.shapes[i], chain.links[i].length
+    arcs = np.linspace(0.0, fit.length, 80)
+    lateral, slopes = fit.evaluate(arcs), fit.evaluate(arcs, 1)
+    frames, markers = _instants(data, lateral[:, -1]), _link_frame_markers(rig, chain, data, i)
+    joints: Any = {"marker": "s", "markersize": 4, "markerfacecolor": "white", "markevery": slice(1, -1)}
+    joints |= {"linestyle": (0, (4, 2)), "linewidth": 0.9, "label": "virtual links and joints"}
+    circles: Any = {"marker": "o", "markersize": 4.5, "markeredgecolor": "black", "linestyle": ""}
+    for k, look in _evenly(len(frames), len(frames)):
+        frame, color = frames[k], look["color"]
+        cosine = np.sqrt(np.clip(1 - slopes[frame] ** 2, 0.0, 1.0))
+        x = np.r_[0.0, np.cumsum((cosine[1:] + cosine[:-1]) / 2 * np.diff(arcs))]
+        axes.plot(x, 1e3 * lateral[frame], color=color, linewidth=2.2, alpha=0.6, label="shape function")
+        headings = np.r_[0.0, np.cumsum(data.angles.q[frame, chain.passive_slices[i]])]
+        steps = chain.links[i].lengths[:, None] * np.stack([np.cos(headings), 1e3 * np.sin(headings)], axis=-1)
+        axes.plot(*np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]).T, color=color, **joints)
+        axes.plot(*(markers[frame] * [1.0, 1e3]).T, color=color, label="measured markers", **circles)
+        tip, label = (x[-1], 1e3 * lateral[frame, -1]), f"{data.angles.time[frame]:.2f} s"
+        axes.annotate(label, tip, xytext=(5, 0), textcoords="offset points", va="center", fontsize=7.5)
+    name = printable(short(rig.links[i].name, 24))
+    axes.set(xlabel=f"along {name} [m]", ylabel="lateral [mm]", xlim=(-0.02 * length, 1.14 * length))
+
+
+def _instants(data: TorqueData, deflection: Array) -> Indices:
+    """Return five frames from one extreme of the tip's deflection (F,) to the other, where it moves most."""
+    time = data.angles.time
+    complete = np.flatnonzero(np.isfinite(data.angles.q).all(axis=1) & np.isfinite(deflection))
+    if complete.size <= 5:
+        return complete
+    start, stop = liveliest_window(time[complete], deflection[complete])
+    near = complete[(time[complete] >= start) & (time[complete] <= stop)]
+    levels = np.linspace(deflection[near].min(), deflection[near].max(), 5)
+    return np.unique([near[np.argmin(np.abs(deflection[near] - level))] for level in levels])
+
+
+def _link_frame_markers(rig: Rig, chain: Chain, data: TorqueData, i: int) -> Array:
+    """Return (F, k_i, 2) measured markers of link i in its own frame [m]; a missing x is the marker's arc length."""
+    markers, link = data.recording.markers[data.recording.frames][:, rig.marker_slices[i]], rig.links[i]
+    if link.markers_frame == "base":
+        origins, headings = link_poses(chain, data.angles.q)
+        markers = rotate(markers - origins[:, None, i], -headings[:, i, None])
+    along = np.where(np.isfinite(markers[..., 0]), markers[..., 0], np.array(link.markers))
+    return np.stack([along, markers[..., 1]], axis=-1)
+
+
+@styled
+def _joint_angles(chain: Chain, data: TorqueData) -> Figure:
+    """Draw angles, rates and accelerations of the virtual joints where a recording moves most, with 2-sigma bands."""
+    links, parts = range(min(len(chain.links), _MOST_LINKS)), chain.passive_slices
+    derivatives, inside = data.derivatives, data.derivatives.interior  # the noise is known there
+    noise = derivatives.noise(np.sqrt(np.diag(data.angles.covariance)))
+    signals = np.stack([derivatives.value, derivatives.rate, derivatives.acceleration])[:, inside][..., chain.passive]
+    std = np.std(signals, axis=1)
+    ratios = np.max(std / np.maximum(noise[:, chain.passive], 1e-300), axis=1)
+    times = listed([f"{ratio:.0f}" if ratio >= 2 else f"{ratio:.1f}" for ratio in ratios])
+    window = liveliest_window(derivatives.time[inside], signals[0][:, int(np.argmax(std[0]))])
+    title = f"Virtual joint angles of {short(data.recording.file)}: angle, rate and acceleration are {times} times "
+    page = Page.of(f"{title}their noise", [(1.75, len(links))] * 3)
+    # A camera may take no more than four frames a period: lines between frames are splines.
+    time, knots = np.linspace(*window, 800), derivatives.time
+    lines = (
+        CubicHermiteSpline(knots, derivatives.value, derivatives.rate)(time),
+        CubicHermiteSpline(knots, derivatives.rate, derivatives.acceleration)(time),
+        CubicSpline(knots, derivatives.acceleration)(time),
+    )
+    frames = (data.angles.time >= window[0]) & (data.angles.time <= window[1])
+    alike = len({parts[i].stop - parts[i].start for i in links}) == 1  # else a label would stand for several looks
+    for i in links:
+        joints = _evenly(parts[i].stop - parts[i].start, 4)
+        for kind, unit in enumerate(("angle [rad]", "rate [rad/s]", "acceleration [rad/s²]")):
+            axes = page.axes[kind][i]
+            axes.set(ylabel=unit, xlim=window)
+            axes.tick_params(labelbottom=kind == 2)
+            for joint, look in joints:
+                line, sigma = lines[kind][:, parts[i].start + joint], noise[kind, parts[i].start + joint]
+                axes.fill_between(time, line - 2 * sigma, line + 2 * sigma, color=BAND, linewidth=0, label="±2σ noise")
+                axes.plot(time, line, linewidth=1.2, label=f"joint {joint + 1}" if alike else None, **look)
+            for joint, look in reversed(joints) if kind == 0 else ():
+                angles, dots = data.angles.q[frames, parts[i].start + joint], {"color": look["color"], "markersize": 4}
+                axes.plot(data.angles.time[frames], angles, ".", label="single frame", **dots)
+        axes.set_xlabel("time [s]")
+        numbers = listed([str(joint + 1) for joint, _ in joints])
+        heading = f"{short(chain.links[i].name, 16)}: joint{'s'[: len(joints) - 1]} {numbers}, from the base outwards"
+        page.axes[0][i].set_title(printable(heading))
+    page.legend()
+    return page.figure
+
+
+@styled
+def _torque_errors(chain: Chain, recordings: Sequence[TorqueData]) -> Figure:
+    """Draw torque errors (eq. 14) by both models: over time where they are largest, and each joint's RMS."""
+    inside = [data.derivatives.interior for data in recordings]
+    largest = [np.nan_to_num(_rms([data.errors_before[rows]])) for data, rows in zip(recordings, inside, strict=True)]
+    worst = int(np.argmax([values.max() for values in largest]))
+    data, joint = recordings[worst], int(np.argmax(largest[worst]))
+    before = _rms([data.errors_before[rows] for data, rows in zip(recordings, inside, strict=True)])
+    after = _rms([data.errors_after[rows] for data, rows in zip(recordings, inside, strict=True)])
+    noise = _torque_noise(chain, recordings)
+    total = [f"{number(float(np.sqrt(np.nansum((1e3 * each) ** 2))), 2)} mN m" for each in (before, after, noise)]
+    title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, noise alone "
+    page = Page.of(f"{title}would give {total[2]} (RMS, all joints)", [(2.35, 1)] * (2 if chain.size > 1 else 1))
+    trace, time = page.axes[0][0], data.derivatives.time
+    start, stop = liveliest_window(time, np.nan_to_num(data.derivatives.value[:, joint]))
+    rows = (time >= start) & (time <= stop) & inside[worst]
+    trace.axhline(0.0, color=AXIS, linewidth=0.6)
+    trace.plot(time[rows], 1e3 * data.errors_after[rows, joint], color=IDENTIFIED, label="identified")
+    trace.plot(time[rows], 1e3 * data.errors_before[rows, joint], color=NOMINAL, ls=(0, (4, 2)), label="nominal")
+    name, file = printable(chain.joint_names[joint]), printable(short(data.recording.file))
+    trace.set(xlabel="time [s]", ylabel="error [mN m]", title=f"{name}, where the nominal model errs most, in {file}")
+    if chain.size > 1:
+        _draw_joint_errors(page.axes[1][0], chain, before, after, noise)
+    page.legend()
+    return page.figure
+
+
+def _draw_joint_errors(axes: Axes, chain: Chain, before: Array, after: Array, noise: Array) -> None:
+    places = np.arange(chain.size)
+    axes.plot(places, 1e3 * after, "o", color=IDENTIFIED, label="identified, RMS")
+    axes.plot(places, 1e3 * before, "s", color=NOMINAL, markerfacecolor="none", label="nominal, RMS")
+    axes.plot(places, 1e3 * noise, "_", color=MEASURED, markersize=26, markeredgewidth=2, label="expected from noise")
+    every = 1e3 * np.concatenate([before, after, noise])
+    every = every[np.isfinite(every) & (every > 0)]
+    log_scale(axes.yaxis, every.min() / 1.4, every.max() * 1.4)
+    names = [printable(short(name, 22).replace("_virtual_", "\nvirtual ")) for name in chain.joint_names]
+    narrow = chain.size > 10  # names do not fit beside each other
+    axes.set_xticks(places, [str(k + 1) for k in places] if narrow else names)
+    axes.grid(False, axis="x")
+    axes.set(xlim=(-0.6, chain.size - 0.4), xlabel="joint, from the base outwards", ylabel="RMS error [mN m]")
+    axes.set_title("Every joint, over all training recordings")
+
+
+def _rms(errors: Sequence[Array]) -> Array:
+    """Return (nv,) root mean squares over all samples; NaN where none was measured."""
+    squares = np.concatenate(errors) ** 2
+    known = np.isfinite(squares)
+    rms: Array = np.sqrt(np.sum(squares, axis=0, where=known) / np.where(known.any(axis=0), known.sum(axis=0), np.nan))
+    return rms
+
+
+def _torque_noise(chain: Chain, recordings: Sequence[TorqueData]) -> Array:
+    """Return (nv,) RMS torque errors that the noise of angles, rates and accelerations makes, the arm near rest."""
+    variance, samples = np.zeros(chain.size), 0
+    for data in recordings:
+        M, D, K, _ = linearise(chain, data.recording.payload, data.recording.gravity)
+        terms, gains, count = np.stack([K, D, M]), data.derivatives.gains, data.derivatives.time.size
+        variance += count * np.einsum("ij,iab,bc,jac->a", gains, terms, data.angles.covariance, terms)
+        samples += count
+    return np.sqrt(np.maximum(variance, 0.0) / max(samples, 1))
