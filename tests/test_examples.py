@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 import vjm
-from tests.model.chains import model_of
+from tests.model.chains import model_of, write_model
 from tests.model.urdf_contents import springs_from
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.experiment import Link
 from vjm.model.modes import modes
-from vjm.report.model_json import write_model
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PNG = b"\x89PNG"

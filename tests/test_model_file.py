@@ -18,12 +18,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vjm
-from tests.model.chains import HOSTILE, chains, contents, model_of, plain_chain, plain_link
+from tests.model.chains import HOSTILE, chains, contents, model_of, plain_chain, plain_link, write_model
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ModelFileError, ShapeError
 from vjm.files import encoded, json_text, write_text
 from vjm.records import Estimate
-from vjm.report.model_json import load_model, read_model, write_model
+from vjm.report.model_json import load_model, read_model
 
 
 @settings(deadline=None)

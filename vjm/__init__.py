@@ -45,27 +45,20 @@ __all__ = [
 
 # Imported when first used: `import vjm` and `vjm --help` stay quick.
 _HOMES = {
-    "Check": "vjm.identification.check",
-    "Comparison": "vjm.identification.comparison",
-    "Diagnosis": "vjm.diagnosis",
-    "Experiment": "vjm.experiment",
-    "Identification": "vjm.identification",
-    "InputError": "vjm.errors",
-    "Link": "vjm.experiment",
-    "Model": "vjm.simulation.model",
-    "Recording": "vjm.experiment",
-    "Rig": "vjm.experiment",
-    "VjmError": "vjm.errors",
-    "bootstrap": "vjm.identification",
-    "check": "vjm.identification.check",
-    "check_effect": "vjm.diagnosis.check_effect",
-    "compare": "vjm.identification.comparison",
-    "diagnose": "vjm.diagnosis",
-    "identify": "vjm.identification",
-    "load_experiment": "vjm.experiment",
-    "load_model": "vjm.report.model_json",
-    "profile_interval": "vjm.identification",
-    "save": "vjm.report.save",
+    name: module
+    for module, names in {
+        "vjm.diagnosis": "Diagnosis diagnose",
+        "vjm.diagnosis.check_effect": "check_effect",
+        "vjm.errors": "InputError VjmError",
+        "vjm.experiment": "Experiment Link Recording Rig load_experiment",
+        "vjm.identification": "Identification bootstrap identify profile_interval",
+        "vjm.identification.check": "Check check",
+        "vjm.identification.comparison": "Comparison compare",
+        "vjm.report.model_json": "load_model",
+        "vjm.report.save": "save",
+        "vjm.simulation.model": "Model",
+    }.items()
+    for name in names.split()
 }
 
 

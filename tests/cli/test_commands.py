@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from tests.model.chains import write_model
 from tests.model.urdf_contents import extension_from, robot_from, springs_from
 from tests.report.diagnoses import nothing, undecided
 from tests.report.fits import DEMO, demo_fit, elbow_fit
 from tests.report.schema import CheckResult, DemoResult, DiagnoseResult, IdentifyResult, SimulateResult, UrdfResult
 from vjm.cli import commands, main
-from vjm.cli.commands import progress
+from vjm.cli.commands import _progress
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.model.urdf import chain_to_urdf
 from vjm.report import save as saving
-from vjm.report.model_json import write_model
 
 Raise = Callable[[BaseException], None]
 
@@ -290,7 +290,7 @@ def test_progress_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     options = argparse.Namespace(quiet=False, no_progress=False)
     for stream, wanted in ((Terminal(), True), (io.StringIO(), False)):
         monkeypatch.setattr("sys.stderr", stream)
-        with progress(options) as report:
+        with _progress(options) as report:
             report("fitting [bold]", 1, 2)
         assert ("fitting [bold]" in stream.getvalue()) == wanted
     for silent in (
@@ -299,7 +299,7 @@ def test_progress_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     ):
         stream = Terminal()
         monkeypatch.setattr("sys.stderr", stream)
-        with progress(silent) as report:
+        with _progress(silent) as report:
             report("fitting", 1, 2)
         assert stream.getvalue() == ""
 

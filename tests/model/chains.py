@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from pathlib import Path
 
 import numpy as np
 from hypothesis import strategies as st
 
 from vjm.chain.virtual_links import Array, Chain, LinkChain
 from vjm.records import Link, Rig
+from vjm.report.model_json import model_text
 from vjm.simulation.model import Model
 
 HOSTILE = "<a&\"b'>]]> é世\U0001f9be --"
@@ -164,3 +166,8 @@ def model_of(chain: Chain) -> Model:
     """A model of an arm without markers that has this chain."""
     links = (Link(link.name, link.joint, link.length, float(link.masses.sum()), 1.9, ()) for link in chain.links)
     return Model(chain, Rig(chain.name, tuple(links), chain.gravity), 3e-4, 1e-4)
+
+
+def write_model(model: Model, file: Path, covariance: Array | None = None) -> None:
+    """Write a model.json."""
+    file.write_text(model_text(model, covariance), encoding="utf-8")

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.model.chains import model_of, plain_chain
+from tests.model.chains import model_of, plain_chain, write_model
 from vjm.model.urdf import chain_to_urdf
-from vjm.report.model_json import write_model
 
 REPOSITORY = Path(__file__).parents[2]
 WRITE = """

@@ -18,8 +18,8 @@ from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import report_page
 from vjm.report.tables import (
     Table,
+    _nominal_value,
     mode_table,
-    nominal_value,
     parameter_table,
     recording_table,
     remedy_table,
@@ -220,14 +220,14 @@ def test_report_page() -> None:
 def test_nominal_values_are_found_by_name() -> None:
     chain = elbow_fit().nominal.chain
     upper = chain.links[0]
-    assert nominal_value("upper.stiffness_2", chain) == upper.stiffness[1]
-    assert nominal_value("upper.length_0", chain) == upper.lengths[0]
-    assert nominal_value("upper.mass_center_1", chain) == upper.mass_centers[1]
-    assert nominal_value("upper.mass_1", chain) == upper.masses[1]
-    assert nominal_value("fore.hub_inertia", chain) == 2e-3
-    assert nominal_value("upper.bending_stiffness", chain) == pytest.approx(4.0)
+    assert _nominal_value("upper.stiffness_2", chain) == upper.stiffness[1]
+    assert _nominal_value("upper.length_0", chain) == upper.lengths[0]
+    assert _nominal_value("upper.mass_center_1", chain) == upper.mass_centers[1]
+    assert _nominal_value("upper.mass_1", chain) == upper.masses[1]
+    assert _nominal_value("fore.hub_inertia", chain) == 2e-3
+    assert _nominal_value("upper.bending_stiffness", chain) == pytest.approx(4.0)
     for unknown in ("upper.length_99", "upper.colour", "nobody.mass_0", "upper.mass_x"):
-        assert nominal_value(unknown, chain) is None
+        assert _nominal_value(unknown, chain) is None
 
 
 def test_parameter_table_survives_what_is_not_finite() -> None:

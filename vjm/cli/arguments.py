@@ -14,31 +14,57 @@ DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED = 3, 1, 0
 DEFAULT_DIRECTORY = Path("vjm-out")
 
 _FILES = "DIR gets result.json, model.json, model.urdf, report.html and figures/*.png."
-_STATUS = "Exit status: 0 done, 2 the input is unusable, 1 anything else."
+_STATUS = "Exit status: 0 done, 2 the input is unusable, 130 interrupted, 1 anything else."
 
 
 def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
-    """The arguments; ends the program on --help, --version and on arguments that make no sense (status 2)."""
+    """Return the arguments; end the program on --help, --version and arguments that make no sense (status 2)."""
     return _parser().parse_args(argv)
 
 
 def _parser() -> argparse.ArgumentParser:
+    description = (
+        "Identify a flexible robot arm from camera markers as a chain of rigid links and springs, and say what the "
+        "model lacks."
+    )
     parser = argparse.ArgumentParser(
-        prog="vjm",
-        description=(
-            "Identify a flexible robot arm from camera markers as a chain of rigid links and springs, and say what the "
-            "model lacks."
-        ),
-        epilog=f"{_STATUS} 'vjm COMMAND --help' tells more.",
+        prog="vjm", description=description, epilog=f"{_STATUS} 'vjm COMMAND --help' tells more."
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    _add_demo(commands)
-    _add_check(commands)
-    _add_identify(commands)
-    _add_simulate(commands)
-    _add_diagnose(commands)
-    _add_urdf(commands)
+
+    def command(name: str, text: str, more: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}. {more}", epilog=_STATUS)
+        added.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
+        added.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
+        added.add_argument("--no-progress", action="store_true", help="no progress bar on the terminal")
+        return added
+
+    more = f"Identifies a steel beam from simulated markers, then diagnoses it. {_FILES} DIR/diagnosis gets the same."
+    _add_directory(command("demo", "a worked example on the data that comes with the package", more))
+
+    more = "Also says what the recordings can identify, and what they cannot tell apart."
+    check = command("check", "read an experiment and say what is wrong with it", more)
+    _add_experiment(check)
+    text = "folder for result.json; without it nothing is written"
+    check.add_argument("-o", "--out", metavar="DIR", type=Path, default=None, help=text)
+
+    _add_identification(command("identify", "identify the virtual-joint model of an arm", _FILES))
+
+    simulate = command("simulate", "replay every recording with an identified model, and compare", _FILES)
+    _add_experiment(simulate)
+    text = "the model.json of an identification or a diagnosis"
+    simulate.add_argument("model", metavar="MODEL", type=Path, help=text)
+    _add_directory(simulate)
+
+    more = f"{_FILES} model.json holds the model with what was found."
+    _add_diagnosis(command("diagnose", "find what a model of the arm lacks, why, and what adding it gains", more))
+
+    more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
+    urdf = command("urdf", "write the virtual-joint chain as URDF", more)
+    urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
+    text = "the URDF file (default: standard output; with --json, inside the result object)"
+    urdf.add_argument("-o", "--out", metavar="FILE", type=Path, default=None, help=text)
     return parser
 
 
@@ -52,17 +78,6 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-_Commands = argparse._SubParsersAction  # argparse has no public name for it
-
-
-def _command(commands: _Commands[argparse.ArgumentParser], name: str, text: str, more: str) -> argparse.ArgumentParser:
-    command = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}. {more}", epilog=_STATUS)
-    command.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
-    command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
-    command.add_argument("--no-progress", action="store_true", help="no progress bar on the terminal")
-    return command
-
-
 def _add_experiment(command: argparse.ArgumentParser) -> None:
     command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
 
@@ -72,22 +87,7 @@ def _add_directory(command: argparse.ArgumentParser) -> None:
     command.add_argument("-o", "--out", metavar="DIR", type=Path, default=DEFAULT_DIRECTORY, help=text)
 
 
-def _add_demo(commands: _Commands[argparse.ArgumentParser]) -> None:
-    text = "a worked example on the data that comes with the package"
-    more = f"Identifies a steel beam from simulated markers, then diagnoses it. {_FILES} DIR/diagnosis gets the same."
-    _add_directory(_command(commands, "demo", text, more))
-
-
-def _add_check(commands: _Commands[argparse.ArgumentParser]) -> None:
-    more = "Also says what the recordings can identify, and what they cannot tell apart."
-    command = _command(commands, "check", "read an experiment and say what is wrong with it", more)
-    _add_experiment(command)
-    text = "folder for result.json; without it nothing is written"
-    command.add_argument("-o", "--out", metavar="DIR", type=Path, default=None, help=text)
-
-
-def _add_identify(commands: _Commands[argparse.ArgumentParser]) -> None:
-    command = _command(commands, "identify", "identify the virtual-joint model of an arm", _FILES)
+def _add_identification(command: argparse.ArgumentParser) -> None:
     _add_experiment(command)
     _add_directory(command)
     text = (
@@ -104,35 +104,18 @@ def _add_identify(commands: _Commands[argparse.ArgumentParser]) -> None:
     command.add_argument("--parameters", choices=PARAMETERS, default=PARAMETERS[0], help=text)
 
 
-def _add_simulate(commands: _Commands[argparse.ArgumentParser]) -> None:
-    text = "replay every recording with an identified model, and compare"
-    command = _command(commands, "simulate", text, _FILES)
-    _add_experiment(command)
-    command.add_argument("model", metavar="MODEL", type=Path, help="the model.json of an identification or a diagnosis")
-    _add_directory(command)
-
-
-def _add_diagnose(commands: _Commands[argparse.ArgumentParser]) -> None:
-    text = "find what a model of the arm lacks, why, and what adding it gains"
-    command = _command(commands, "diagnose", text, f"{_FILES} model.json holds the model with what was found.")
+def _add_diagnosis(command: argparse.ArgumentParser) -> None:
     _add_experiment(command)
     _add_directory(command)
     text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
     command.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
-    text = f"number of causes at most (default: {DEFAULT_MAX_EFFECTS})"
-    command.add_argument("--max-effects", metavar="M", type=_positive, default=DEFAULT_MAX_EFFECTS, help=text)
-    text = f"number of processes (default: {DEFAULT_JOBS})"
-    command.add_argument("--jobs", metavar="J", type=_positive, default=DEFAULT_JOBS, help=text)
-    text = f"of everything that is drawn at random (default: {DEFAULT_SEED})"
-    command.add_argument("--seed", metavar="S", type=_not_negative, default=DEFAULT_SEED, help=text)
-
-
-def _add_urdf(commands: _Commands[argparse.ArgumentParser]) -> None:
-    more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
-    command = _command(commands, "urdf", "write the virtual-joint chain as URDF", more)
-    command.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
-    text = "the URDF file (default: standard output; with --json, inside the result object)"
-    command.add_argument("-o", "--out", metavar="FILE", type=Path, default=None, help=text)
+    for option, metavar, kind, default, words in (
+        ("--max-effects", "M", _positive, DEFAULT_MAX_EFFECTS, "number of causes at most"),
+        ("--jobs", "J", _positive, DEFAULT_JOBS, "number of processes"),
+        ("--seed", "S", _not_negative, DEFAULT_SEED, "seed of all random numbers"),
+    ):
+        text = f"{words} (default: {default})"
+        command.add_argument(option, metavar=metavar, type=kind, default=default, help=text)
 
 
 def _positive(text: str) -> int:

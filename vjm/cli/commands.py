@@ -38,7 +38,7 @@ Saved = Identification | Comparison | Diagnosis
 
 
 @contextmanager
-def progress(arguments: argparse.Namespace) -> Iterator[Progress]:
+def _progress(arguments: argparse.Namespace) -> Iterator[Progress]:
     """Give a function (text, done, total) that moves the bar; one that does nothing where no bar is wanted."""
     if arguments.quiet or arguments.no_progress or not sys.stderr.isatty():
         yield lambda text, done, total: None
@@ -52,7 +52,7 @@ def progress(arguments: argparse.Namespace) -> Iterator[Progress]:
 def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], Saved]) -> Saved:
     """Compute a result and write it into a folder, which is checked before."""
     check_folder(folder)
-    with progress(arguments) as report:
+    with _progress(arguments) as report:
         result = compute(report)
         report("drawing the report", 0, 1)
         save(result, folder)
@@ -111,7 +111,7 @@ def _demo(arguments: argparse.Namespace) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is not None:
         check_folder(arguments.out)
-    with progress(arguments):
+    with _progress(arguments):
         found = check(load_experiment(arguments.experiment))
     result = result_object(found)
     if arguments.out is not None:

@@ -17,7 +17,7 @@ from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import ExperimentError, ModelFileError, ShapeError
 from vjm.experiment.noise import sensor_noise
-from vjm.files import json_text, write_text
+from vjm.files import json_text
 from vjm.records import Array, Estimate, Experiment, Recording, Rig
 from vjm.simulation.model import Model
 
@@ -89,26 +89,12 @@ class _ModelEntry(_Entry):
     covariance: list[_Numbers]
 
 
-def write_model(model: Model, path: Path | str, covariance: Array | None = None) -> None:
-    """Write a model as model.json, whole or not at all; every number comes back exactly.
+def model_text(model: Model, covariance: Array | None = None) -> str:
+    """Return the content of model.json; every number comes back exactly.
 
     Args:
         model: chain, effects, estimates, and the rig with its sensors' noise.
-        path: the file.
         covariance: (p, p) of the estimates that have a standard error; None or empty where unknown.
-
-    Raises:
-        ShapeError: a number that is not finite, or a value out of range.
-        OSError: the file cannot be written.
-    """
-    write_text(path, model_text(model, covariance))
-
-
-def model_text(model: Model, covariance: Array | None = None) -> str:
-    """Return the content of a model's model.json.
-
-    Args:
-        model, covariance: as of `write_model`.
 
     Raises:
         ShapeError: a number that is not finite, or a value out of range.

@@ -57,7 +57,7 @@ _DIAGNOSIS_METHOD = (
 
 
 @dataclass(frozen=True)
-class Section:
+class _Section:
     """Part of a page: a heading, sentences, tables, pictures, terms with their descriptions, a paragraph."""
 
     heading: str
@@ -76,7 +76,7 @@ class Page:
     kind: str
     verdict: Verdict
     warnings: tuple[str, ...]
-    sections: tuple[Section, ...]
+    sections: tuple[_Section, ...]
 
 
 def summary_page(result: Check | Identification | Comparison | Diagnosis) -> Page:
@@ -85,18 +85,18 @@ def summary_page(result: Check | Identification | Comparison | Diagnosis) -> Pag
         parameters, modes = parameter_table(result.parameters, result.nominal.chain), mode_table(result.modes)
         fits = recording_table(result.recordings, "identified", "nominal", "torque method")
         notes = tuple(note for note in result.notes if note not in result.warnings)
-        return _page(result, Section("", (parameters, modes, fits)), Section("Notes", points=notes))
+        return _page(result, _Section("", (parameters, modes, fits)), _Section("Notes", points=notes))
     if isinstance(result, Comparison):
         table = recording_table(result.recordings, "given", "nominal")
-        return _page(result, Section("", (table,)), Section("", points=carried_points(result.model)))
+        return _page(result, _Section("", (table,)), _Section("", points=carried_points(result.model)))
     if isinstance(result, Check):
         return _page(result)
     tables = (candidate_table(result, 6), diagnosed_table(result))
     return _page(
         result,
-        Section("Symptoms of the model without effects", points=_symptoms(result, 4)),
-        Section("", (cause_table(result), *tables) if result.causes else tables),
-        Section("", points=carried_points(result.model)),
+        _Section("Symptoms of the model without effects", points=_symptoms(result, 4)),
+        _Section("", (cause_table(result), *tables) if result.causes else tables),
+        _Section("", points=carried_points(result.model)),
     )
 
 
@@ -114,7 +114,7 @@ def report_page(result: Identification | Comparison | Diagnosis, pictures: Seque
     else:
         table = recording_table(result.recordings, "given", "nominal")
         points = carried_points(result.model)
-        sections = [Section("Fit per recording", (table,), tuple(pictures)), Section("Effects", points=points)]
+        sections = [_Section("Fit per recording", (table,), tuple(pictures)), _Section("Effects", points=points)]
     return _template().render(page=_page(result, *sections), vjm=version("vjm"), embedded=_embedded)
 
 
@@ -125,7 +125,7 @@ def notebook_html(result: Check | Identification | Comparison | Diagnosis) -> st
     return "".join(template.blocks["page"](context))
 
 
-def _page(result: Check | Identification | Comparison | Diagnosis, *sections: Section) -> Page:
+def _page(result: Check | Identification | Comparison | Diagnosis, *sections: _Section) -> Page:
     kinds = {Identification: "identification", Comparison: "simulation", Diagnosis: "diagnosis", Check: "check"}
     return Page(result.experiment.rig.name, kinds[type(result)], verdict(result), result.warnings, sections)
 
@@ -145,7 +145,7 @@ def _named(pictures: Sequence[Picture], *beginnings: str) -> tuple[Picture, ...]
     return tuple(picture for picture in pictures if picture.name.startswith(beginnings))
 
 
-def _identification_sections(fit: Identification, pictures: Sequence[Picture]) -> list[Section]:
+def _identification_sections(fit: Identification, pictures: Sequence[Picture]) -> list[_Section]:
     missing, summary = remedy_table(fit.parameters), fit.trajectory
     white = () if summary is None or not summary.whiteness else (whiteness_table(summary.whiteness),)
     names = ("fit", "tip"), ("residual",), ("correlations",)
@@ -153,16 +153,16 @@ def _identification_sections(fit: Identification, pictures: Sequence[Picture]) -
     data = tuple(picture for picture in pictures if picture not in (*simulated, *residuals, *correlated))
     fits = recording_table(fit.recordings, "identified", "nominal", "torque method")
     return [
-        Section("Parameters", (parameter_table(fit.parameters, fit.nominal.chain), mode_table(fit.modes))),
-        Section("Fit per recording", (fits,), simulated),
-        Section("Residuals", white, residuals),
-        Section("Identifiability", () if missing is None else (missing,), correlated, points=fit.notes),
-        Section("Data", (), data),
-        Section("Settings", terms=tuple(_settings(fit)), text=_TRAJECTORY_METHOD if summary else _TORQUE_METHOD),
+        _Section("Parameters", (parameter_table(fit.parameters, fit.nominal.chain), mode_table(fit.modes))),
+        _Section("Fit per recording", (fits,), simulated),
+        _Section("Residuals", white, residuals),
+        _Section("Identifiability", () if missing is None else (missing,), correlated, points=fit.notes),
+        _Section("Data", (), data),
+        _Section("Settings", terms=tuple(_settings(fit)), text=_TRAJECTORY_METHOD if summary else _TORQUE_METHOD),
     ]
 
 
-def _diagnosis_sections(diagnosis: Diagnosis, pictures: Sequence[Picture]) -> list[Section]:
+def _diagnosis_sections(diagnosis: Diagnosis, pictures: Sequence[Picture]) -> list[_Section]:
     wrong, evidence = _named(pictures, "symptom"), _named(pictures, "cause")
     gained = tuple(picture for picture in pictures if picture not in (*wrong, *evidence))
     noise = (("Noise", diagnosis.noise),) if diagnosis.noise else ()
@@ -170,13 +170,13 @@ def _diagnosis_sections(diagnosis: Diagnosis, pictures: Sequence[Picture]) -> li
     symptoms = _symptoms(diagnosis, 8) or (nothing_wrong if diagnosis.symptoms else ())
     parameters = parameter_table(diagnosis.parameters, diagnosis.base.chain, "without the causes")
     return [
-        Section("Symptoms of the model without effects", pictures=wrong, points=symptoms),
-        Section("Causes", (cause_table(diagnosis),) if diagnosis.causes else (), evidence),
-        Section("Causes that cannot be distinguished", points=tuple(alternative_points(diagnosis))),
-        Section("Gain" if diagnosis.causes else "Fit per recording", (diagnosed_table(diagnosis),), gained),
-        Section("Candidates", (candidate_table(diagnosis),)),
-        Section("Model", (parameters,), points=carried_points(diagnosis.model)),
-        Section("Method", terms=(*noise, *(("Note", note) for note in diagnosis.notes)), text=_DIAGNOSIS_METHOD),
+        _Section("Symptoms of the model without effects", pictures=wrong, points=symptoms),
+        _Section("Causes", (cause_table(diagnosis),) if diagnosis.causes else (), evidence),
+        _Section("Causes that cannot be distinguished", points=tuple(alternative_points(diagnosis))),
+        _Section("Gain" if diagnosis.causes else "Fit per recording", (diagnosed_table(diagnosis),), gained),
+        _Section("Candidates", (candidate_table(diagnosis),)),
+        _Section("Model", (parameters,), points=carried_points(diagnosis.model)),
+        _Section("Method", terms=(*noise, *(("Note", note) for note in diagnosis.notes)), text=_DIAGNOSIS_METHOD),
     ]
 
 

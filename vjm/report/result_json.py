@@ -11,21 +11,16 @@ import numpy as np
 import uncertainties
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.diagnosis.records import Candidate, Cause, Diagnosis, Gain
+from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.effects.effect import Effect
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification, ModeComparison
-from vjm.records import Array, Estimate, RecordingComparison
+from vjm.identification.records import Identification
+from vjm.records import Array, Estimate, RecordingComparison, SimulatedRecording
 from vjm.simulation.model import Model
 
 Result = dict[str, Any]
 Uncertain = Any  # a float, or a ufloat of the package uncertainties
-
-
-def finite(value: float | None) -> float | None:
-    """Return the number; None if it is not finite."""
-    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def model_result(chain: Chain, estimates: Sequence[Estimate] = (), covariance: Array | None = None) -> Result:
@@ -58,7 +53,7 @@ def bending_stiffness(
 
 def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, Uncertain]:
     """Return the estimates that have a standard error by name, correlated as their covariance says."""
-    estimated = [estimate for estimate in estimates if finite(estimate.std) is not None]
+    estimated = [estimate for estimate in estimates if estimate.std is not None and math.isfinite(estimate.std)]
     stds = np.array([estimate.std for estimate in estimated], dtype=float)
     if covariance is None or covariance.shape != (stds.size, stds.size) or not np.isfinite(covariance).all():
         covariance = np.diag(stds**2)
@@ -75,20 +70,17 @@ def _bending_stiffness(link: LinkChain, known: Mapping[str, Uncertain]) -> Uncer
 
 def _std(value: Uncertain) -> float | None:
     """Return the standard error; None where the value rests on nothing that was estimated."""
-    return finite(value.std_dev) if isinstance(value, uncertainties.UFloat) else None
+    return float(value.std_dev) if isinstance(value, uncertainties.UFloat) else None
 
 
 def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
     bending = _bending_stiffness(link, known)
-    fields = zip(link.lengths, link.mass_centers, link.masses, link.inertias, strict=True)
+    fields = {"length": link.lengths, "mass_center": link.mass_centers, "mass": link.masses, "inertia": link.inertias}
     return {
         "name": link.name,
-        "bending_stiffness": {"value": finite(uncertainties.nominal_value(bending)), "std": _std(bending)},
-        "hub_inertia": finite(link.hub_inertia),
-        "virtual_links": [
-            {"length": finite(length), "mass_center": finite(center), "mass": finite(mass), "inertia": finite(inertia)}
-            for length, center, mass, inertia in fields
-        ],
+        "bending_stiffness": {"value": uncertainties.nominal_value(bending), "std": _std(bending)},
+        "hub_inertia": link.hub_inertia,
+        "virtual_links": [{name: values[i] for name, values in fields.items()} for i in range(link.lengths.size)],
         "virtual_joints": [_joint(link, j, known) for j in range(link.virtual_joints)],
     }
 
@@ -100,99 +92,181 @@ def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
     time = known.get(f"{link.name}.kelvin_voigt_time", damping / stiffness if stiffness > 0 else 0.0)
     uniform = bending / float(link.cells[j])
     return {
-        "stiffness": {"value": finite(stiffness), "std": _std(known.get(f"{link.name}.stiffness_{j + 1}", uniform))},
-        "damping": {"value": finite(damping), "std": _std(known.get(f"{link.name}.damping_{j + 1}", time * uniform))},
+        "stiffness": {"value": stiffness, "std": _std(known.get(f"{link.name}.stiffness_{j + 1}", uniform))},
+        "damping": {"value": damping, "std": _std(known.get(f"{link.name}.damping_{j + 1}", time * uniform))},
     }
 
 
 def result_object(result: Check | Identification | Comparison | Diagnosis) -> Result:
-    """Return the result object of a command, as result.json holds it."""
+    """Return the result object of a command, as result.json holds it: every number finite or None."""
     if isinstance(result, Identification):
-        return _identification(result)
-    if isinstance(result, Comparison):
-        return _comparison(result)
-    return _check(result) if isinstance(result, Check) else _diagnosis(result)
+        content = _identification(result)
+    elif isinstance(result, Comparison):
+        content = _comparison(result)
+    else:
+        content = _check(result) if isinstance(result, Check) else _diagnosis(result)
+    command = {Identification: "identify", Comparison: "simulate", Check: "check", Diagnosis: "diagnose"}[type(result)]
+    plain: Result = _plain({**_common(command, result.experiment.rig.name, result.warnings), **content})
+    return plain
+
+
+def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
+    """Return the result object of `vjm urdf`; it holds the text itself where no file was asked for."""
+    content = {"file": file, "joints": list(chain.joint_names), "urdf": text if file is None else None}
+    return {**_common("urdf", chain.name, ()), **content}
+
+
+def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
+    names = {"command": command, "vjm": version("vjm"), "experiment": experiment}
+    return {"schema": 1, **names, "warnings": list(warnings)}
+
+
+def _plain(value: Any) -> Any:
+    """Return a value in JSON's own types, with None for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _identification(fit: Identification) -> Result:
     summary = fit.trajectory
+    misfit = {"torque": fit.objective, "trajectory_chi2_per_sample": summary.chi2_per_sample if summary else None}
+    frequencies = [(mode.frequency_model, mode.frequency_measured, mode.frequency_std) for mode in fit.modes]
     return {
-        **_common("identify", fit.experiment.rig.name, fit.warnings),
-        "notes": list(fit.notes),
+        "notes": fit.notes,
         "method": fit.method,
         "parameters": fit.parametrisation,
         "model": model_result(fit.model.chain, fit.parameters, fit.covariance),
-        "frequencies_hz": [_frequency(mode) for mode in fit.modes],
-        "damping_ratios": [
-            {"model": finite(mode.damping_model), "measured": finite(mode.damping_measured)} for mode in fit.modes
-        ],
-        "mode_shape_mac": [finite(mode.mac) for mode in fit.modes],
-        "objective": {
-            "torque": finite(fit.objective),
-            "trajectory_chi2_per_sample": finite(None if summary is None else summary.chi2_per_sample),
-        },
-        "recordings": [{**_recording(each), "whiteness": _whiteness(fit, each)} for each in fit.recordings],
+        "frequencies_hz": [dict(zip(("model", "measured", "measured_std"), row, strict=True)) for row in frequencies],
+        "damping_ratios": [{"model": mode.damping_model, "measured": mode.damping_measured} for mode in fit.modes],
+        "mode_shape_mac": [mode.mac for mode in fit.modes],
+        "objective": misfit,
+        "recordings": [{**_recording(item), "whiteness": _whiteness(fit, item)} for item in fit.recordings],
         "status": fit.status,
         "remedy": fit.remedy,
-        "identifiable": [_identifiable(estimate) for estimate in fit.parameters],
-        "estimates": [_estimate(estimate) for estimate in fit.parameters],
+        "identifiable": _identifiable(fit.parameters),
+        "estimates": _estimates(fit.parameters),
     }
 
 
 def _comparison(comparison: Comparison) -> Result:
     model = comparison.model
     return {
-        **_common("simulate", comparison.experiment.rig.name, comparison.warnings),
         "model": model_result(model.chain, model.estimates, comparison.covariance),
-        "frequencies_hz": [{"model": finite(each), "measured": None} for each in model.modes().frequencies],
-        "effects": [_effect(each, model) for each in model.effects],
-        "recordings": [_recording(each) for each in comparison.recordings],
+        "frequencies_hz": [{"model": frequency, "measured": None} for frequency in model.modes().frequencies],
+        "effects": [{**_place(effect, model), "parameters": effect.values} for effect in model.effects],
+        "recordings": [_recording(item) for item in comparison.recordings],
+    }
+
+
+def _recording(item: RecordingComparison) -> Result:
+    return {
+        "file": item.recording.file,
+        "role": item.recording.role,
+        "marker_rms_m": _rms(item.simulated),
+        "theta_rms_rad": item.simulated.theta_rms if item.simulated else None,
+        "noise_m": item.noise[0],
+        "nominal_marker_rms_m": _rms(item.reference),
+        "torque_marker_rms_m": _rms(item.alternative),
+        "left_out": item.left_out,
+        "problem": item.problem,
+    }
+
+
+def _rms(simulated: SimulatedRecording | None) -> float | None:
+    return simulated.marker_rms if simulated else None
+
+
+def _whiteness(fit: Identification, item: RecordingComparison) -> Result | None:
+    """Return whether a recording's residual is noise; None for one that whole trajectories were not fitted to."""
+    for test in fit.trajectory.whiteness if fit.trajectory else ():
+        if test.file == item.recording.file:
+            numbers = {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation}
+            return {**numbers, "coloured": bool(test.coloured)}
+    return None
+
+
+def _identifiable(estimates: Sequence[Estimate]) -> list[Result]:
+    names = ("identifiable", "reason", "remedy")
+    return [{"parameter": item.name, **{name: getattr(item, name) for name in names}} for item in estimates]
+
+
+def _estimates(estimates: Sequence[Estimate]) -> list[Result]:
+    names = ("value", "std", "unit")
+    return [{"parameter": item.name, **{name: getattr(item, name) for name in names}} for item in estimates]
+
+
+def _check(check: Check) -> Result:
+    rig = check.experiment.rig
+    joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
+    recordings = [
+        {"file": item.file, "kind": item.kind, "role": item.role, "duration_s": float(item.time[-1] - item.time[0])}
+        for item in check.experiment.recordings
+    ]
+    return {
+        "problem": check.problem,
+        "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
+        "frequencies_hz": [{"model": frequency, "measured": None} for frequency in check.modes],
+        "recordings": recordings,
+        "identifiable": {kind: _identifiable(estimates) for kind, estimates in check.identifiable.items()},
     }
 
 
 def _diagnosis(diagnosis: Diagnosis) -> Result:
-    model, symptoms = diagnosis.model, diagnosis.symptoms
+    model, symptoms, gain = diagnosis.model, diagnosis.symptoms, diagnosis.gain
     return {
-        **_common("diagnose", diagnosis.experiment.rig.name, diagnosis.warnings),
-        "notes": list(diagnosis.notes),
+        "notes": diagnosis.notes,
         "verdict": diagnosis.verdict,
         "causes": [_cause(cause, model) for cause in diagnosis.causes],
-        "recordings": [_diagnosed_recording(each) for each in diagnosis.recordings],
-        "gain": None if diagnosis.gain is None else _gain(diagnosis.gain),
-        "candidates": [_candidate(each, model) for each in diagnosis.candidates],
-        "remaining": {
-            "p_value": finite(diagnosis.remaining.p_value),
-            "description": diagnosis.remaining.description,
+        "recordings": [
+            {
+                "file": item.recording.file,
+                "role": item.recording.role,
+                "marker_rms_before_m": _rms(item.reference),
+                "marker_rms_after_m": _rms(item.simulated),
+                "marker_rms_next_best_m": _rms(item.alternative),
+                "noise_m": item.noise[0],
+            }
+            for item in diagnosis.recordings
+        ],
+        "gain": gain
+        and {
+            "holdout_rms_before_m": gain.before,
+            "holdout_rms_after_m": gain.after,
+            "holdout_rms_next_best_m": gain.next_best,
+            "noise_m": gain.noise,
+            "reduction": gain.reduction,
+            "ci95": gain.interval,
         },
+        "candidates": [_candidate(candidate, model) for candidate in diagnosis.candidates],
+        "remaining": vars(diagnosis.remaining),
         "next_experiment": diagnosis.next_experiment,
-        "symptoms": [] if symptoms is None else [each.sentence for each in symptoms.headlines()],
+        "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
         "noise": diagnosis.noise,
         "model": model_result(model.chain, diagnosis.parameters),
-        "estimates": [_estimate(each) for each in diagnosis.parameters],
+        "estimates": _estimates(diagnosis.parameters),
     }
 
 
 def _place(effect: Effect, model: Model) -> Result:
-    """Which effect, and the name of the link where it acts."""
     return {"effect": effect.id, "link": None if effect.link is None else model.chain.links[effect.link].name}
 
 
-def _effect(effect: Effect, model: Model) -> Result:
-    return {**_place(effect, model), "parameters": {name: finite(value) for name, value in effect.values.items()}}
-
-
 def _cause(cause: Cause, model: Model) -> Result:
+    sizes = cause.parameters.items()
+    others = [(item.effect, item.worse) for item in cause.alternatives]
     return {
         **_place(cause.effect, model),
-        "parameters": {
-            name: {"value": finite(size.value), "std": finite(size.std), "unit": size.unit}
-            for name, size in cause.parameters.items()
-        },
-        "p_value": finite(cause.p_value),
-        "chi2_gain": finite(cause.gain),
-        "indistinguishable_from": list(dict.fromkeys(alternative.effect.id for alternative in cause.alternatives)),
+        "parameters": {name: {"value": size.value, "std": size.std, "unit": size.unit} for name, size in sizes},
+        "p_value": cause.p_value,
+        "chi2_gain": cause.gain,
+        "indistinguishable_from": list(dict.fromkeys(effect.id for effect, _ in others)),
         "alternatives": [
-            {**_effect(each.effect, model), "chi2_increase": finite(each.worse)} for each in cause.alternatives
+            {**_place(effect, model), "parameters": effect.values, "chi2_increase": worse} for effect, worse in others
         ],
         "evidence": cause.evidence,
     }
@@ -201,119 +275,10 @@ def _cause(cause: Cause, model: Model) -> Result:
 def _candidate(candidate: Candidate, model: Model) -> Result:
     return {
         **_place(candidate.effect, model),
-        "z": finite(candidate.z),
-        "p_value": finite(candidate.p_value),
-        "size": {name: finite(value) for name, value in candidate.sizes.items()},
-        "smallest_detectable": {name: finite(value) for name, value in candidate.smallest_detectable.items()},
+        "z": candidate.z,
+        "p_value": candidate.p_value,
+        "size": candidate.sizes,
+        "smallest_detectable": candidate.smallest_detectable,
         "testable": candidate.testable,
         "reason": candidate.reason,
     }
-
-
-def _diagnosed_recording(fit: RecordingComparison) -> Result:
-    replays = fit.reference, fit.simulated, fit.alternative
-    before, after, next_best = (finite(None if each is None else each.marker_rms) for each in replays)
-    return {
-        "file": fit.recording.file,
-        "role": fit.recording.role,
-        "marker_rms_before_m": before,
-        "marker_rms_after_m": after,
-        "marker_rms_next_best_m": next_best,
-        "noise_m": finite(fit.noise[0]),
-    }
-
-
-def _gain(gain: Gain) -> Result:
-    return {
-        "holdout_rms_before_m": finite(gain.before),
-        "holdout_rms_after_m": finite(gain.after),
-        "holdout_rms_next_best_m": finite(gain.next_best),
-        "noise_m": finite(gain.noise),
-        "reduction": finite(gain.reduction),
-        "ci95": [finite(each) for each in gain.interval],
-    }
-
-
-def _check(check: Check) -> Result:
-    rig = check.experiment.rig
-    joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
-    return {
-        **_common("check", rig.name, check.warnings),
-        "problem": check.problem,
-        "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
-        "frequencies_hz": [{"model": finite(each), "measured": None} for each in check.modes],
-        "recordings": [
-            {"file": each.file, "kind": each.kind, "role": each.role, "duration_s": float(each.time[-1] - each.time[0])}
-            for each in check.experiment.recordings
-        ],
-        "identifiable": {kind: [_identifiable(each) for each in found] for kind, found in check.identifiable.items()},
-    }
-
-
-def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
-    """Return the result object of `vjm urdf`; it holds the text itself where no file was asked for."""
-    return {
-        **_common("urdf", chain.name, ()),
-        "file": file,
-        "joints": list(chain.joint_names),
-        "urdf": text if file is None else None,
-    }
-
-
-def _recording(fit: RecordingComparison) -> Result:
-    replay, nominal = fit.simulated, fit.reference
-    return {
-        "file": fit.recording.file,
-        "role": fit.recording.role,
-        "marker_rms_m": finite(replay.marker_rms if replay else None),
-        "theta_rms_rad": finite(replay.theta_rms if replay else None),
-        "noise_m": finite(fit.noise[0]),
-        "nominal_marker_rms_m": finite(nominal.marker_rms if nominal else None),
-        "torque_marker_rms_m": finite(fit.alternative.marker_rms if fit.alternative else None),
-        "left_out": fit.left_out,
-        "problem": fit.problem,
-    }
-
-
-def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
-    return {
-        "schema": 1,
-        "command": command,
-        "vjm": version("vjm"),
-        "experiment": experiment,
-        "warnings": list(warnings),
-    }
-
-
-def _frequency(mode: ModeComparison) -> Result:
-    return {
-        "model": finite(mode.frequency_model),
-        "measured": finite(mode.frequency_measured),
-        "measured_std": finite(mode.frequency_std),
-    }
-
-
-def _whiteness(fit: Identification, recording: RecordingComparison) -> Result | None:
-    """Return whether a recording's residual is noise; None for one that whole trajectories were not fitted to."""
-    for whiteness in () if fit.trajectory is None else fit.trajectory.whiteness:
-        if whiteness.file == recording.recording.file:
-            return {
-                "chi2_per_sample": finite(whiteness.chi2),
-                "largest_correlation": finite(whiteness.correlation),
-                "coloured": bool(whiteness.coloured),
-            }
-    return None
-
-
-def _identifiable(estimate: Estimate) -> Result:
-    return {
-        "parameter": estimate.name,
-        "identifiable": bool(estimate.identifiable),
-        "reason": estimate.reason,
-        "remedy": estimate.remedy,
-    }
-
-
-def _estimate(estimate: Estimate) -> Result:
-    value, std = finite(estimate.value), finite(estimate.std)
-    return {"parameter": estimate.name, "value": value, "std": std, "unit": estimate.unit}

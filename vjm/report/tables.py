@@ -76,7 +76,7 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str =
         value, std = estimate.value, estimate.std
         state = "no" if not estimate.identifiable else "yes" if std is not None else "fixed"
         relative = None if std is None or value == 0 else abs(100 * std / value)
-        compared = number(nominal_value(estimate.name, nominal), 4)
+        compared = number(_nominal_value(estimate.name, nominal), 4)
         uncertain = with_error(value, std), interval(value, std), number(relative, 2)
         rows.append((estimate.name, state, compared, *uncertain, unit(estimate.unit)))
     uncertain_headers = ("identified ± standard error", "95 % interval", "error [%]")
@@ -84,7 +84,7 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str =
     return Table("Table 1. Parameters", headers, tuple(rows), words=2)
 
 
-def nominal_value(name: str, chain: Chain) -> float | None:
+def _nominal_value(name: str, chain: Chain) -> float | None:
     """Return the value that an estimate's parameter has in a chain; None for a name that the chain does not know."""
     link_name, _, text = name.partition(".")
     for link in chain.links:
