@@ -194,6 +194,7 @@ def test_the_gain_is_of_changed_held_out_recordings() -> None:
     part = estimate_gain([compared(seen_in(200), 3e-3, 1e-3)], 0)
     assert part is not None
     assert part.before == pytest.approx(3e-3)
+    assert estimate_gain([compared(seen_in(200), 3e-3, 1e-3), compared(seen_in(0), 3e-3, 1e-3)], 0) == part
 
 
 def autoregression(random: np.random.Generator, count: int, correlation: float, channels: int = 4) -> Array:

@@ -1,0 +1,74 @@
+"""A cause's parameters and standard errors, from the covariance of its coordinates; its p-value and its evidence."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from vjm.diagnosis.causes import _with_errors, estimate_causes
+from vjm.diagnosis.records import Alternative
+from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
+from vjm.identification.uncertainty import Information
+
+
+def test_standard_errors_follow_each_parameters_scale() -> None:
+    """A size is proportional to its coordinate, a time constant exponential, a gear's stiffness reciprocal."""
+    creep = ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.12)
+    parameters = _with_errors(creep, np.diag([0.01, 0.04]))
+    unit = {parameter.name: parameter.typical_magnitude for parameter in creep.parameters()}
+    assert parameters["ratio"].value == pytest.approx(0.04)
+    assert parameters["ratio"].std == pytest.approx(0.1 * unit["ratio"], rel=1e-4)
+    assert parameters["time_constant"].std == pytest.approx(0.2 * 0.12, rel=1e-4)
+    assert parameters["time_constant"].unit == "s"
+    gear = GearElasticity(link=0, stiffness=56.0)
+    (coordinate,) = gear.coordinates
+    assert _with_errors(gear, np.array([[1e-4]]))["stiffness"].std == pytest.approx(56.0 * 0.01 / coordinate, rel=1e-3)
+
+
+def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() -> None:
+    marker = MarkerOffset(marker=2, along=-0.003)
+    parameters = _with_errors(marker, np.eye(marker.coordinates.size))
+    assert parameters["marker"].std is None
+    assert parameters["along"].std is not None
+    unknown = _with_errors(marker, np.full((marker.coordinates.size,) * 2, np.nan))
+    assert all(parameter.std is None for parameter in unknown.values())
+
+
+def model(effects: tuple[Any, ...], chi2: float) -> Any:
+    """A fit of effects that are one coordinate each, whose residuals have a mean square of chi2 / 1000."""
+    x = np.concatenate([np.zeros(0), *(effect.coordinates for effect in effects)])
+    extension = SimpleNamespace(present=lambda x: effects, parts=tuple(slice(k, k + 1) for k in range(len(effects))))
+    return SimpleNamespace(
+        effects=effects,
+        names=frozenset(effect.key for effect in effects),
+        reference_effects=0,
+        estimate=x,
+        extension=extension,
+        information=Information(np.eye(len(effects)), np.eye(len(effects))),
+        chi2=chi2,
+        misfit=float(np.sqrt(chi2 / 1000)),
+    )
+
+
+@pytest.mark.parametrize("reference_misfit", [1.0, 3.0])
+def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: float) -> None:
+    payload, offset = TipPayload(link=0, mass=0.01), EncoderOffset(link=0, column=0, offset=0.01)
+    best, alternative = model((payload, offset), 1000.0), Alternative(MarkerOffset(), 3.0)
+    start = model((), 50_000.0)
+    tried = {frozenset({offset.key}): model((offset,), 9000.0)}
+    trials = SimpleNamespace(tried=tried, without=lambda best, effect, record: model((payload,), 30_000.0))
+    family = SimpleNamespace(p_of_fit=lambda effect, decrease: {8000.0: 1e-9, 29_000.0: 0.5}[decrease])
+    search = SimpleNamespace(
+        trials=trials, start=start, search_start=SimpleNamespace(reference_misfit=reference_misfit)
+    )
+    result = SimpleNamespace(best=best, first=family, p_values={payload.key: 1e-3, offset.key: 1e-5})
+    causes = estimate_causes(cast(Any, result), cast(Any, search), {payload.key: (alternative,)})
+    assert [cause.effect for cause in causes] == [offset, payload]
+    assert [cause.gain for cause in causes] == [29_000.0, 8000.0]
+    assert [cause.p_value for cause in causes] == [1e-5, 1e-9]
+    assert [cause.alternatives for cause in causes] == [(), (alternative,)]
+    assert causes[1].evidence.startswith("without it the model misses the training recordings by 3 times ")
+    assert ("missing before the change" in causes[1].evidence) == (reference_misfit > 1)
