@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tests.diagnosis.trajectories import (
     ARCS,
+    CLAMPED,
     FREQUENCIES,
     INERTIA,
     MOTION,
@@ -300,3 +301,25 @@ def test_two_faults_are_both_told_and_the_larger_first() -> None:
     assert order.index("frequency") < order.index("camera_lag")
     assert the(result, "camera_lag").value == pytest.approx(2e-3, rel=0.1)
     assert [each.share for each in result.found] == sorted((each.share for each in result.found), reverse=True)
+
+
+@seeds
+def test_a_payload_is_not_taken_for_softening(seed: int) -> None:
+    """A recording with a payload is off in frequency and larger; neither recording changes with amplitude."""
+    light = replace(MOTION, amplitudes=(0.02, 0.01))
+    heavy = replace(MOTION, frequencies=(0.99 * 1.2, 7.5))
+    both = [
+        simulated(2 * seed, light, light, clamped=True, kind="decay", duration=10, file="light.csv"),
+        simulated(2 * seed + 1, heavy, MOTION, clamped=True, kind="decay", duration=10, file="heavy.csv"),
+    ]
+    both[1] = replace(both[1], recording=replace(both[1].recording, payload=0.05))
+    result = symptoms(CLAMPED, both, {0.0: FREQUENCIES, 0.05: FREQUENCIES})
+    assert the(result, "frequency", mode=0).value == pytest.approx(-0.01, rel=0.05)
+    assert "frequency_with_amplitude" not in kinds(result)
+    trend = the(result, "frequency_with_amplitude", mode=0)
+    assert abs(trend.value) < 2e-3
+
+
+def test_a_delay_of_many_frames_is_found_by_correlation() -> None:
+    result = found(simulated(0, lag=0.06))
+    assert the(result, "delay", "camera").value == pytest.approx(0.06, rel=0.02)

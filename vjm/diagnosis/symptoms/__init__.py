@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal, stats
+from scipy import stats
 
 from vjm.diagnosis.symptoms.channels import (
     UNKNOWN,
@@ -20,6 +20,7 @@ from vjm.diagnosis.symptoms.channels import (
     channels_of,
     coefficient,
     regress,
+    sensor_delay,
     strongest_tone,
 )
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles, pooled
@@ -88,7 +89,6 @@ class Symptoms:
         recordings: each of them, in the order given.
         profiles: torques that are missing, against the joints' motion, over all recordings.
         lag: of the camera behind the encoders, over all recordings [s].
-        frequencies: natural frequencies of the model without payload [Hz].
     """
 
     rig: Rig
@@ -96,7 +96,6 @@ class Symptoms:
     recordings: tuple[RecordingSymptoms, ...]
     profiles: tuple[JointProfile, ...]
     lag: Coefficient
-    frequencies: tuple[float, ...]
 
     @property
     def significant(self) -> tuple[Symptom, ...]:
@@ -169,8 +168,7 @@ def symptoms(
         words = f"{_percent(clock.value)} {_either(clock, 'more', 'less')} time than the encoders'"
         found.append(source.symptom("camera_clock", clock, "1", described[1], f"the camera's clock counts {words}"))
     found.sort(key=lambda symptom: -symptom.share)
-    natural = tuple(frequencies.get(0.0, next(iter(frequencies.values()), ())))
-    return Symptoms(rig, tuple(found), recordings, together, lag, natural)
+    return Symptoms(rig, tuple(found), recordings, together, lag)
 
 
 def _look_at(index: int, rig: Rig, simulated: SimulatedRecording, natural: Sequence[float]) -> RecordingSymptoms:
@@ -182,7 +180,7 @@ def _look_at(index: int, rig: Rig, simulated: SimulatedRecording, natural: Seque
         return found
     return replace(
         found,
-        delays=tuple(_delay(sensor) for sensor in sensors),
+        delays=tuple(sensor_delay(sensor) for sensor in sensors),
         modes=compare_modes(simulated.recording, sensors, natural),
         profiles=tuple(joint_profiles(index, rig, simulated, sensors)),
     )
@@ -207,9 +205,8 @@ class _Source(NamedTuple):
     ) -> Symptom:
         sentence = f"{words[:1].upper()}{words[1:]}." if self.file is None else f"{self.file}: {words}."
         share, local = (float(np.clip(described / max(m, 1e-300), 0.0, 1.0)) for m in (self.total, self.own))
-        return Symptom(
-            kind, self.file, sensor, mode, found.value, found.std, unit, found.p_value, share, local, sentence
-        )  # fmt: skip
+        where = (kind, self.file, sensor, mode)
+        return Symptom(*where, *found[:2], unit, found.p_value, share, local, sentence)
 
 
 def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
@@ -239,7 +236,7 @@ def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
 
 
 def _aligned(source: _Source, sensor: Channels, delay: Coefficient) -> Iterator[Symptom]:
-    """Offset, gain, delay and drift of each coordinate, and the delay of the whole sensor."""
+    """Yield offset, gain, delay and drift of each coordinate, and the delay of the whole sensor."""
     for c, name in enumerate(sensor.names):
         rows = sensor.known[:, c]
         time, residual = sensor.time[rows], sensor.residual[rows, c]
@@ -275,36 +272,6 @@ def _late(who: str, delay: Coefficient) -> str:
     return f"the motion {who} comes {_quantity(delay.value, 's')} {when} than in the model"
 
 
-def _delay(sensor: Channels) -> Coefficient:
-    """Delay of a sensor against the simulation: the peak of their cross-correlation, then linear regression."""
-    if not sensor.moving.any() or sensor.step <= 0:
-        return UNKNOWN
-    even = np.arange(sensor.time[0], sensor.time[-1], sensor.step)
-    simulated = sensor.centred(sensor.simulated) * sensor.moving
-    measured = (simulated + sensor.noise * sensor.residual) * sensor.moving
-    both = [np.stack([np.interp(even, sensor.time, v) for v in values.T], axis=1) for values in (measured, simulated)]
-    correlation = sum(signal.correlate(m, s, method="fft") for m, s in zip(both[0].T, both[1].T, strict=True))
-    start = sensor.step * float(int(np.argmax(correlation)) - (even.size - 1))
-    shifted = sensor.path(sensor.time - start)
-    motion = sensor.centred(shifted) * sensor.moving
-    power = np.maximum(np.sum(motion**2, axis=0), 1e-300)
-
-    def without_gain(values: Array) -> Array:
-        inner = sensor.centred(values * sensor.moving)
-        return sensor.stacked(inner - motion * (np.sum(motion * inner, axis=0) / power)) / sensor.noise
-
-    rate = -sensor.path(sensor.time - start, 1)
-    since = (sensor.time - sensor.time.mean())[:, None]
-    residual = without_gain(sensor.simulated + sensor.noise * sensor.residual - shifted)
-    columns = np.stack([without_gain(rate), without_gain(rate * since)], axis=1)
-    found, _ = regress(columns, residual, sensor.stacked(sensor.groups), 2 * len(sensor.names))
-    if not found[0].known:
-        return UNKNOWN
-    value = found[0].value + start
-    # A whole step or more is beyond chance wherever the correlation's peak is off zero.
-    return coefficient(value, found[0].std, found[0].std, 11)
-
-
 def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iterator[Symptom]:
     gain, phase, relative, at = mode.gain, mode.phase, mode.frequency, f"at {_plain(mode.simulated)} Hz"
     wide = f"{_percent(math.expm1(gain.value))} {_either(gain, 'wider', 'less wide')}"
@@ -338,7 +305,7 @@ def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iter
 
 
 def _against(source: _Source, profile: JointProfile, seen: Sequence[RecordingSymptoms]) -> Iterator[Symptom]:
-    """A residual that goes with a joint's motion."""
+    """Yield what goes with a joint's position, velocity and direction."""
     sensors = [sensor for one in seen for sensor in one.sensors if profile.sensor in sensor.names]
     misfit = sum(float(np.sum(s.residual[:, s.names.index(profile.sensor)] ** 2)) for s in sensors)
     residual = profile.quantity == "residual"
@@ -358,7 +325,7 @@ def _against(source: _Source, profile: JointProfile, seen: Sequence[RecordingSym
 
 
 def _slow_drift(source: _Source, sensor: Channels, remaining: Array, present: Sequence[float]) -> Iterator[Symptom]:
-    """The part of a residual that is slower than half the lowest natural frequency."""
+    """Yield the part of a residual that is slower than half the lowest natural frequency."""
     limit = SLOW * min(present, default=0.0)
     columns = slow_columns(sensor.time, sensor.time[0], sensor.duration, limit)
     count = columns.shape[1] - 1
@@ -381,7 +348,7 @@ def _slow_drift(source: _Source, sensor: Channels, remaining: Array, present: Se
 
 
 def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
-    """Growth of the residual from the first to the last fifth of a recording."""
+    """Yield the growth of the residual from the first to the last fifth of a recording."""
     start, stop = (end(sensor.time[k] for sensor in one.sensors) for end, k in ((min, 0), (max, -1)))
     total, count = np.zeros(5), np.zeros(5)
     for sensor in one.sensors:
@@ -410,7 +377,7 @@ def condition_of(recording: Recording) -> str:
 
 
 def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> Iterator[Symptom]:
-    """Change of frequency and damping with amplitude; recordings of different conditions are kept apart."""
+    """Yield changes of frequency and damping with amplitude, separately for recordings of different conditions."""
     groups: dict[tuple[int, str, str], list[tuple[RecordingSymptoms, FreeMotion]]] = {}
     for one in recordings:
         for free in one.modes.free:
@@ -445,7 +412,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
 
 
 def _bent(one: RecordingSymptoms, free: FreeMotion, rate: complex, largest: float, power: int) -> float:
-    """Squared misfit of a speed (imaginary) or decay (real) that goes with amplitude, beyond a constant one."""
+    """Return the squared misfit of a rate (imaginary: speed, real: decay) that goes with amplitude."""
     camera = one.sensors[0]
     size = np.interp(camera.time, free.time, free.amplitude / largest) ** power
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (size[1:] + size[:-1]) * np.diff(camera.time))])
@@ -478,7 +445,7 @@ def _tone(source: _Source, sensor: Channels, tone: Tone | None, kind: str = "ton
 
 
 def _mean(found: Sequence[Coefficient]) -> Coefficient:
-    """Weighted mean of several recordings' values, with an error that their scatter does not belie."""
+    """Average several recordings' values, with an error that their scatter does not belie."""
     known = [one for one in found if one.known and one.std > 0]
     if not known:
         return UNKNOWN
@@ -493,7 +460,7 @@ def _either(found: Coefficient, positive: str, negative: str) -> str:
 
 
 def _plain(value: float, digits: int = 2) -> str:
-    """A number's size with so many significant digits, without a power of ten: `0.40`, `1200`."""
+    """Write a number's size with so many significant digits, without a power of ten: `0.40`, `1200`."""
     size = abs(value)
     if size == 0 or not math.isfinite(size):
         return "0"
@@ -506,7 +473,7 @@ def _percent(value: float) -> str:
 
 
 def _quantity(value: float, unit: str) -> str:
-    """The size of a number in a unit that suits it: `2.0 mm`, `11 deg`, `4.0 ms`, `290 mm/s²`."""
+    """Write a number's size in a unit that suits it: `2.0 mm`, `11 deg`, `4.0 ms`, `290 mm/s²`."""
     size = abs(value)
     scale, name = 1.0, unit
     if unit in ("m", "s"):

@@ -180,7 +180,7 @@ def channels_of(rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]
 
 
 def _turns(rig: Rig, simulated: SimulatedRecording) -> Array:
-    """(T, k) angles by which the axes of each marker turn [rad]; zero for one of which one coordinate is measured."""
+    """Return (T, k) angles by which the axes of markers turn [rad]; zero where one coordinate alone is measured."""
     markers = simulated.recording.markers
     turns = np.zeros(markers.shape[:2])
     both = np.isfinite(markers.sum(axis=2)).any(axis=0)
@@ -192,7 +192,7 @@ def _turns(rig: Rig, simulated: SimulatedRecording) -> Array:
 
 
 def _turned(vectors: Array, turns: Array) -> Array:
-    """(T, k, 2) vectors in axes that have turned by (T, k) angles [rad]."""
+    """Resolve (T, k, 2) vectors in axes that have turned by (T, k) angles [rad]."""
     x, y = vectors[..., 0], vectors[..., 1]
     cosine, sine = np.cos(turns), np.sin(turns)
     still = np.all(turns == 0, axis=0)  # NaN in one coordinate must not spoil the other
@@ -218,6 +218,35 @@ def _channels(
     names, places = [names[c] for c in kept], [places[c] for c in kept]
     path, own, known = PPoly(path.c[:, :, kept], path.x), np.nan_to_num(own) / noise, np.isfinite(own)
     return Channels(sensor, tuple(names), tuple(places), time[rows], path, own, known, noise, groups)
+
+
+def sensor_delay(sensor: Channels) -> Coefficient:
+    """Estimate the delay of a sensor against the simulation: peak of their cross-correlation, then regression."""
+    if not sensor.moving.any() or sensor.step <= 0:
+        return UNKNOWN
+    even = np.arange(sensor.time[0], sensor.time[-1], sensor.step)
+    simulated = sensor.centred(sensor.simulated) * sensor.moving
+    measured = (simulated + sensor.noise * sensor.residual) * sensor.moving
+    both = [np.stack([np.interp(even, sensor.time, v) for v in values.T], axis=1) for values in (measured, simulated)]
+    correlation = sum(signal.correlate(m, s, method="fft") for m, s in zip(both[0].T, both[1].T, strict=True))
+    start = sensor.step * float(int(np.argmax(correlation)) - (even.size - 1))
+    since = (sensor.time - sensor.time.mean())[:, None]
+    found = [UNKNOWN]
+    for _ in range(3):  # the motion is not linear in a delay
+        shifted, rate = (sensor.path(sensor.time - start, order) for order in (0, 1))
+        motion = sensor.centred(shifted) * sensor.moving
+        power = np.maximum(np.sum(motion**2, axis=0), 1e-300)
+        parts = []
+        for values in (sensor.simulated + sensor.noise * sensor.residual - shifted, -rate, -rate * since):
+            inner = sensor.centred(values * sensor.moving)
+            own = inner - motion * (np.sum(motion * inner, axis=0) / power)  # each coordinate has a gain of its own
+            parts.append(sensor.stacked(own) / sensor.noise)
+        groups = sensor.stacked(sensor.groups)
+        found, _ = regress(np.stack(parts[1:], axis=1), parts[0], groups, 2 * len(sensor.names))
+        if not found[0].known:
+            return UNKNOWN
+        start += found[0].value
+    return coefficient(start, found[0].std, found[0].std, int(sensor.groups[-1]))
 
 
 class Tone(NamedTuple):
@@ -271,7 +300,7 @@ def at_rest(sensor: Channels) -> SensorAtRest | None:
 
 
 def _spectrum(sensor: Channels, residual: Array, oversampling: int) -> tuple[Array, Array]:
-    """Frequencies (L,) [Hz], and mean power (L,) of the coordinates, that of white noise being one."""
+    """Return frequencies (L,) [Hz], and mean power (L,) of the coordinates, that of white noise being one."""
     place = np.round((sensor.time - sensor.time[0]) / sensor.step).astype(np.intp)
     even = np.zeros((int(place[-1]) + 1, residual.shape[1]))
     even[place] = residual / np.sqrt(np.maximum(sensor.known.sum(axis=0), 1))

@@ -140,7 +140,7 @@ _Motion = tuple[str, str, CubicSpline]  # name, unit and path of what moves
 
 
 def _tip(sensor: Channels) -> int:
-    """The channel of the outermost marker that moves most."""
+    """Return the channel of the outermost marker that moves most."""
     last = max(marker for marker, _ in sensor.places)
     power = np.sum(sensor.centred(sensor.simulated) ** 2, axis=0)
     return max((c for c, (marker, _) in enumerate(sensor.places) if marker == last), key=lambda c: float(power[c]))
@@ -152,7 +152,7 @@ def _moves(motion: _Motion, position: Array, sensor: Channels) -> bool:
 
 
 def _direction(velocity: Array) -> Array:
-    """One forwards, minus one backwards, in between where it is slower than a twentieth of its root mean square."""
+    """Return 1 forwards, -1 backwards, in between where slower than a twentieth of the root mean square."""
     slow = max(0.05 * float(np.sqrt(np.mean(velocity**2))), 1e-300)
     return np.asarray(np.clip(velocity / slow, -1.0, 1.0))
 
@@ -179,7 +179,7 @@ def _missing_torque(
     motion: _Motion,
     camera: Channels | None,
 ) -> JointProfile | None:
-    """Of a joint: what its hub's equation of motion leaves.
+    """Return the torque that the equation of motion of a joint's hub leaves.
 
     What goes with the residuals of the link's own markers is the link's pull; what goes with the torque, the simulated
     pull and its rate is a wrong inertia, stiffness or damping of the link, of which other symptoms tell.
@@ -214,7 +214,7 @@ def _acceleration(
     inertia: float,
     others: Sequence[Array],
 ) -> JointProfile | None:
-    """Accelerations of a residual times an inertia, beside other residuals (F,); None without motion."""
+    """Return accelerations of a residual times an inertia, beside other residuals (F,); None without motion."""
     rows = sensor.known[:, c]
     time = sensor.time[rows]
     if time.size < 5 * _LEAST_POINTS:

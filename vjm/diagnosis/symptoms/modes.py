@@ -87,7 +87,7 @@ def compare_modes(recording: Recording, sensors: Sequence[Channels], natural: Se
         sensors: of the recording, at least one.
         natural: natural frequencies of the model [Hz].
     """
-    fit = _Fit.of(recording, sensors, natural)
+    fit = _Fit.to_simulation(recording, sensors, natural)
     x, jacobian = fit.solve()
     residual = fit.stacked([s.centred(s.residual) for s in sensors])
     left = residual - fit.change(x)
@@ -162,8 +162,9 @@ class _Fit:
     weights: tuple[tuple[Complex, ...], ...]  # (m, sensors) (1 + inputs, C) free and driven amplitudes [m or rad]
     middle: float  # mean time of the motion [s], where lag and clock are nearly independent
 
-    @staticmethod
-    def of(recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> _Fit:
+    @classmethod
+    def to_simulation(cls, recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> _Fit:
+        """Fit the oscillators to the simulated motion, near natural frequencies [Hz]."""
         camera = sensors[0]
         power = np.sum((camera.rate * camera.known) ** 2, axis=1)
         middle = float(np.average(camera.time, weights=power)) if power.any() else float(camera.time.mean())
@@ -171,7 +172,7 @@ class _Fit:
         modes = [k for k, f in enumerate(natural) if f * camera.duration >= 3 and 2.2 * f * camera.step <= 1]
         still = tuple(Oscillators(sensor.time, None) for sensor in sensors)
         if not modes:
-            return _Fit(tuple(sensors), still, (), (), (), middle)
+            return cls(tuple(sensors), still, (), (), (), middle)
         lowest = SLOW * min(natural)
         thin = max(1, camera.time.size // _MOST_ROWS)
         while thin > 1 and 4 * thin * camera.step * max(natural[k] for k in modes) > 1:
@@ -188,24 +189,24 @@ class _Fit:
                 torque, own, before = trial, found, misfit
         modes, poles = list(own), list(own.values())
         if not modes:
-            return _Fit(tuple(sensors), still, (), (), (), middle)
+            return cls(tuple(sensors), still, (), (), (), middle)
         oscillators = still if torque is None else tuple(Oscillators(sensor.time, torque) for sensor in sensors)
-        weights = []
-        for sensor, each in zip(sensors, oscillators, strict=True):
-            weights.append(_weights(each, _slow(each, sensor.time, sensor, lowest), sensor.simulated, poles))
+        pairs = list(zip(sensors, oscillators, strict=True))
+        weights = [_weights(each, _slow(each, s.time, s, lowest), s.simulated, poles) for s, each in pairs]
         kept = []
-        for k in range(len(modes)):
-            waves = [(o.responses(poles[k]) @ w[k]).real * s.known / s.noise
-                     for o, w, s in zip(oscillators, weights, sensors, strict=True)]  # fmt: skip
+        for k, pole in enumerate(poles):
+            waves = [
+                (o.responses(pole) @ w[k]).real * s.known / s.noise for (s, o), w in zip(pairs, weights, strict=True)
+            ]
             if max(float(np.linalg.norm(wave)) for wave in waves) > _LEAST_SIGNAL:
                 kept.append(k)
-        return _Fit(
+        return cls(
             tuple(sensors), oscillators, tuple(modes[k] for k in kept), tuple(poles[k] for k in kept),
             tuple(tuple(w[k] for w in weights) for k in kept), middle,
         )  # fmt: skip
 
     def waves(self, k: int, change: Array | None = None) -> list[Complex]:
-        """Of a mode, (F, C) complex motion in each sensor, changed by its four parameters [m or rad]."""
+        """Return the (F, C) complex motion of a mode in each sensor, changed by its four parameters [m or rad]."""
         gain, phase, decay, speed = np.zeros(_TERMS) if change is None else change
         factor = np.exp(np.clip(gain, -3, 3) + 1j * phase)
         pole = complex(min(self.poles[k].real - decay, 3 / self.sensors[0].duration), self.poles[k].imag + speed)
@@ -217,7 +218,7 @@ class _Fit:
 
     @cached_property
     def _rest(self) -> list[tuple[Array, Array]]:
-        """Of each sensor, what gain and delay of the motion outside the modes do (F, C) [m or rad]."""
+        """Effect of gain and delay of the motion outside the modes, (F, C) in each sensor [m or rad]."""
         pairs = []
         for s, sensor in enumerate(self.sensors):
             rest = sensor.simulated - sum((own[s].real for own in self._unchanged), np.zeros(1))
@@ -226,7 +227,7 @@ class _Fit:
         return pairs
 
     def change(self, x: Array) -> Array:
-        """(N,) change of the simulation by the parameters, each coordinate minus its mean, in units of the noise."""
+        """Return the (N,) change of the simulation, each coordinate minus its mean, in units of the noise."""
         gain, delay, lag, clock = (*x[_TERMS * len(self.modes) :], 0.0, 0.0)[:4]
         changes = [gain * shape + delay * rate for shape, rate in self._rest]
         for k, own in enumerate(self._unchanged):
@@ -241,15 +242,14 @@ class _Fit:
         return self.stacked([s.centred(c) / s.noise for s, c in zip(self.sensors, changes, strict=True)])
 
     def stacked(self, values: Sequence[Array]) -> Array:
-        """(N,) of values (F, C), one array a sensor."""
+        """Join values (F, C) of each sensor, (N,)."""
         return np.concatenate([s.stacked(v) for s, v in zip(self.sensors, values, strict=True)])
 
     def solve(self) -> tuple[Array, Array]:
-        """The best parameters, and the Jacobian (N, p) of the change."""
+        """Return the best parameters, and the Jacobian (N, p) of the change."""
         residual = self.stacked([s.centred(s.residual) for s in self.sensors])
         size = _TERMS * len(self.modes) + (4 if len(self.sensors) > 1 else 2)
-        starts = [np.zeros(size)]
-        best = self._least_squares(residual, starts[0])
+        best = self._least_squares(residual, np.zeros(size))
         # Where that leaves a residual, a frequency may be off by more than half a period over the recording.
         if self.modes and np.mean((residual - self.change(best)) ** 2) > 2:
             start = np.zeros(size)
@@ -270,7 +270,7 @@ class _Fit:
         return found
 
     def _peaks(self) -> list[float]:
-        """Of each mode, the strongest measured frequency within 50 % of the simulated one, minus it [rad/s]."""
+        """Return the strongest measured frequency within 50 % of each mode's, minus it [rad/s]."""
         camera = self.sensors[0]
         measured = camera.centred(camera.simulated + camera.noise * camera.residual)
         peaks = []
@@ -281,7 +281,7 @@ class _Fit:
         return peaks
 
     def shapes(self, k: int, x: Array, remaining: Array) -> tuple[tuple[str, Coefficient, float], ...]:
-        """Of each camera coordinate, its gain in a mode against that of all."""
+        """Return the gain of each camera coordinate in a mode against that of all."""
         camera = self.sensors[0]
         if camera.sensor != "camera":
             return ()
@@ -297,7 +297,7 @@ class _Fit:
         return tuple(found)
 
     def free_motion(self, k: int, x: Array, interval: tuple[float, float] | None) -> FreeMotion | None:
-        """Frequency and damping of a mode in overlapping windows of two periods and more, at most 24 in a recording."""
+        """Measure a mode in overlapping windows of two periods and more, at most 24 in a recording."""
         camera, frequency = self.sensors[0], self.poles[k].imag / (2 * np.pi)
         if interval is None:
             return None
@@ -352,7 +352,7 @@ class _Fit:
 
 
 def _slow(oscillators: Oscillators, time: Array, sensor: Channels, highest: float) -> Array:
-    """(T, k) motion slower than a frequency [Hz], and the double integrals of the torques (rigid motion).
+    """Return (T, k) motion slower than a frequency [Hz], and the double integrals of the torques (rigid motion).
 
     Cosines have no slope at the ends; a polynomial makes up for that.
     """
@@ -368,7 +368,7 @@ _Poles = tuple[dict[int, complex], float]
 
 
 def _poles(oscillators: Oscillators, slow: Array, motion: Array, natural: dict[int, float]) -> _Poles:
-    """Poles [1/s] of those modes that show theirs in a motion (T, C) in units of the noise, and what is not explained.
+    """Fit poles [1/s] to a motion (T, C) in units of the noise, and return the RMS that they do not explain.
 
     All that is linear is projected out. Modes are left out until the noise would leave each frequency certain to a
     twentieth of its half-power bandwidth, or to 0.2 %: what is driven far from its resonance shows no pole.
@@ -405,7 +405,7 @@ def _poles(oscillators: Oscillators, slow: Array, motion: Array, natural: dict[i
 
 
 def _weights(oscillators: Oscillators, slow: Array, motion: Array, poles: Sequence[complex]) -> list[Complex]:
-    """For each pole, (1 + inputs, C) complex amplitudes of its free and driven motion in a motion (T, C)."""
+    """Return for each pole the (1 + inputs, C) complex amplitudes of its free and driven part of a motion (T, C)."""
     waves = np.hstack([oscillators.responses(pole) for pole in poles])
     scale = np.maximum(np.abs(waves).max(axis=0), 1e-300)
     columns = np.hstack([waves.real / scale, -waves.imag / scale, slow])

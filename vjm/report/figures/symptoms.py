@@ -69,7 +69,7 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
 
 
 def _page(found: Symptoms, kinds: Sequence[str], otherwise: str, rows: Sequence[tuple[float, int]]) -> Page:
-    """Make a page under the largest symptom of some kinds (none: of any), or under what to say where there is none."""
+    """Make a page titled by the largest symptom of some kinds (none: of any), or by other words without any."""
     symptoms = found.headlines(len(found.found))
     first = next((one.sentence for one in symptoms if one.kind in kinds or not kinds), otherwise)
     return Page.of(first.removesuffix("."), rows)
@@ -80,7 +80,7 @@ def _file(one: RecordingSymptoms, most: int) -> str:
 
 
 def _worst(found: Symptoms) -> list[RecordingSymptoms]:
-    """The recording of the first symptom, then those with motion and the largest residuals; one of each repeat."""
+    """Return the recording of the first symptom, then those with the largest residuals; one of each repeat."""
     moving = [one for one in found.recordings if one.delays]
     moving.sort(key=lambda one: -one.misfit / max(sum(int(s.known.sum()) for s in one.sensors), 1))
     first = next((one.recording for one in found.headlines(len(found.found)) if one.recording is not None), None)
@@ -94,7 +94,7 @@ def _worst(found: Symptoms) -> list[RecordingSymptoms]:
 
 @styled
 def _overview(found: Symptoms) -> Figure:
-    """Measured and simulated tip where it is worst, and the residual of the whole recording below."""
+    """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below."""
     shown = _worst(found)
     rows = [(2.4, len(shown)), (1.8, len(shown))]
     page = _page(found, (), "The model follows every recording to within what noise explains", rows)
@@ -118,7 +118,7 @@ def _overview(found: Symptoms) -> Figure:
 
 @styled
 def _modes(found: Symptoms) -> Figure:
-    """Frequency, damping, amplitude and phase of every mode in every recording, measured against simulated."""
+    """Draw frequency, damping, amplitude and phase of every mode and recording, measured against simulated."""
     rows = [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:_MOST_MODES]
     nothing = "Frequency, damping, amplitude and phase of all modes are as simulated"
@@ -139,7 +139,7 @@ def _modes(found: Symptoms) -> Figure:
                     table[r, modes.index(mode.mode)] = value(mode)
             if title[:3] == "amp" and one.modes.rest[0][0].known:
                 table[r, -1] = 100 * _sure(one.modes.rest[0][0])
-        names = [number(found.frequencies[mode], 2) for mode in modes] + ["rest"] * (title[:3] == "amp")
+        names = [_frequency(found, mode, 2) for mode in modes] + ["rest"] * (title[:3] == "amp")
         _draw_table(axes, start, table[:, -len(names) :] if len(modes) > 1 else table[:, [0, -1][: len(names)]])
         axes.text(start, -0.12, title, va="bottom", fontsize=8.5, color="#333333")
         ticks.update({start + 0.5 + k: name for k, name in enumerate(names)})
@@ -159,12 +159,19 @@ def _modes(found: Symptoms) -> Figure:
     return page.figure
 
 
+def _frequency(found: Symptoms, mode: int, digits: int) -> str:
+    """Write the frequency of a mode in the simulated motion, that of most recordings where it differs."""
+    values = [each.simulated for one in found.recordings for each in one.modes.modes if each.mode == mode]
+    values = values or [float(f) for one in found.recordings for each in one.modes.free for f in each.frequencies[:, 1]]
+    return number(float(np.median(values)), digits)
+
+
 def _sure(value: Coefficient) -> float:
     return value.value if abs(value.value) > 3 * value.std else 0.0
 
 
 def _draw_table(axes: Axes, start: float, table: Array) -> None:
-    """Coloured numbers, on a colour scale of their own."""
+    """Draw coloured numbers, on a colour scale of their own."""
     largest = float(np.nanmax(np.abs(table), initial=1e-12))
     shade = np.sign(table) * np.sqrt(np.abs(table) / largest)  # small ones show as well
     columns, rows = np.arange(table.shape[1] + 1) + start, np.arange(len(table) + 1)
@@ -185,7 +192,7 @@ def _signed(value: float) -> str:
 
 
 def _free_motion(found: Symptoms) -> dict[int, dict[str, list[FreeMotion]]]:
-    """Free motion in one unit, by mode and by condition; of the modes with most points, at most three."""
+    """Return free motion in one unit, by mode and condition; of the modes with most points, at most three."""
     modes: dict[int, dict[str, list[FreeMotion]]] = {}
     for one in found.recordings:
         for free in one.modes.free:
@@ -199,7 +206,7 @@ def _free_motion(found: Symptoms) -> dict[int, dict[str, list[FreeMotion]]]:
 
 @styled
 def _with_amplitude(found: Symptoms) -> Figure:
-    """Frequency and damping ratio of every mode against amplitude, while nothing drives the arm."""
+    """Draw frequency and damping ratio of every mode against amplitude, while nothing drives the arm."""
     modes = _free_motion(found)
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
     looks = dict(zip(conditions, line_styles(len(conditions)), strict=True))
@@ -233,7 +240,7 @@ def _with_amplitude(found: Symptoms) -> Figure:
         lower.set_ylabel("damping ratio [1]")
         upper.tick_params(labelbottom=False)
         lower.set_xlabel(f"amplitude [{unit}]")
-        upper.set_title(printable(f"mode at {number(found.frequencies[mode], 3)} Hz"))
+        upper.set_title(printable(f"mode at {_frequency(found, mode, 3)} Hz"))
     handles = [
         Line2D([], [], color=MEASURED, linestyle="", marker="o", markerfacecolor="white", label="measured, with error"),
         Line2D([], [], color=MEASURED, label="model"),
@@ -247,7 +254,7 @@ def _with_amplitude(found: Symptoms) -> Figure:
 
 
 def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: int, look: dict[str, Any]) -> None:
-    """Measured and simulated values (P, 2): the model's trend, and what is measured beside it.
+    """Draw measured and simulated values (P, 2): the model's trend, and what is measured beside it.
 
     What other motion leaks into the windows is the same in both, and goes with their difference. Neighbours in
     amplitude are averaged by their errors.
@@ -270,7 +277,7 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
 
 
 def _profiles_shown(found: Symptoms) -> list[JointProfile]:
-    """What all recordings show of a missing torque or acceleration, and the residual that goes most with a motion."""
+    """Return the missing torque or acceleration in all recordings, and the residual that goes most with a motion."""
 
     def surest(profiles: Sequence[JointProfile]) -> list[JointProfile]:
         return sorted(profiles, key=lambda profile: min(one.p_value for one in profile.fit.changes))[:1]
@@ -282,7 +289,7 @@ def _profiles_shown(found: Symptoms) -> list[JointProfile]:
 
 @styled
 def _profiles(found: Symptoms) -> Figure:
-    """Residuals against position, velocity and direction, each without what the two others explain."""
+    """Draw residuals against position, velocity and direction, each without what the two others explain."""
     shown = _profiles_shown(found)
     nothing = "What the model misses depends neither on where the arm is nor on how fast or which way it moves"
     kinds = ("against_angle", "against_velocity", "against_sign")
@@ -334,7 +341,7 @@ def _draw_profile(row: Sequence[Axes], found: Symptoms, profile: JointProfile) -
 
 
 def _draw_means(axes: Axes, place: Array, values: Array) -> None:
-    """Single values, and means over about as many each; on the third panel, over the two directions."""
+    """Draw single values, and means over about as many each; on the third panel, over the two directions."""
     thin = slice(None, None, max(1, place.size // 600))
     axes.plot(place[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1)
     axes.axhline(0.0, color=AXIS, linewidth=0.6, zorder=1)
@@ -360,7 +367,7 @@ def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
 
 @styled
 def _lags(found: Symptoms) -> Figure:
-    """Delay of the camera and of the encoders against the model, and of the one against the other."""
+    """Draw the delay of camera and encoders against the model, and of the one against the other."""
     shown, lag = _with_lag(found), found.lag
     within = number(1e3 * (abs(lag.value) + 2 * lag.std), 2)
     nothing = f"Camera and encoders tell the same time, to within {within} ms"
@@ -395,13 +402,13 @@ def _lags(found: Symptoms) -> Figure:
 
 
 def _at_rest(found: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest]]:
-    """Sensors at rest, at most four."""
+    """Return the sensors at rest, at most four."""
     return [(one, rest) for one in found.recordings for rest in one.at_rest][:4]
 
 
 @styled
 def _quiet(found: Symptoms) -> Figure:
-    """Amplitude spectra of the sensors at rest, beside the noise that was supposed."""
+    """Draw amplitude spectra of the sensors at rest, beside the noise that was supposed."""
     panels = _at_rest(found)
     columns = min(2, len(panels))
     rows = [(2.5, columns)] * -(-len(panels) // columns)
