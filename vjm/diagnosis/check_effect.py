@@ -119,7 +119,7 @@ class _Bench:
         return simulate_trajectories([arm] * len(self.states), self.recordings, q, v, step=step)
 
     def simulate(self, arm: Arm, step: float | None = None) -> list[Simulation]:
-        """The same at the recordings' instants, as the sensors show them."""
+        """Sensor readings of these trajectories at the recordings' instants."""
         pairs = zip(self.recordings, self.steps(arm, step), strict=True)
         return [sensor_readings(arm, MarkerArcs.of(self.rig), *pair) for pair in pairs]
 
@@ -212,7 +212,7 @@ def _form(effect: Effect) -> _Law:
     own, sensing = _overridden(effect, _HOOKS), _overridden(effect, _SENSING)
     yield sized or not own, f"it defines {own} but no size, so that it is always absent", "a magnitude(...)"
     yield own or not sized, "a size but no hook that uses it", f"one of {', '.join(_HOOKS)}"
-    yield effect.sensor or not sensing, f"it defines {sensing} but `sensor` is False", "sensor = True, to be asked"
+    yield effect.sensor or not sensing, f"it defines {sensing} but `sensor` is False", "sensor = True"
 
 
 def _variants(effect: Effect) -> list[tuple[_Bench, Effect]]:
@@ -273,7 +273,7 @@ def _calls(bench: _Bench, seed: int) -> dict[str, tuple[Any, ...]]:
 
 
 def _fixed(values: Array) -> Array:
-    """The same array, no longer writeable."""
+    """Make an array read-only and return it."""
     values.setflags(write=False)
     return values
 
@@ -499,7 +499,7 @@ def _values(effect: Effect) -> str:
 
 
 def _problem(bench: _Bench, true: Effect, seed: int) -> TrajectoryProblem:
-    """What is measured with the effect present; at either end a late camera would show the arm outside."""
+    """Measurements with the effect present; none at either end, where a late camera would show the arm outside."""
     random, observed = np.random.default_rng(seed), []
     for recording, shown in zip(bench.recordings, bench.simulate(Arm.of(bench.chain, (true,))), strict=True):
         inside = (recording.time >= recording.time[0] + 0.1) & (recording.time <= recording.time[-1] - 0.1)

@@ -1,4 +1,4 @@
-"""What a model may lack: candidate physics and sensor faults, one small class each."""
+"""Effects that a model may lack: candidate physics and sensor faults, one small class each."""
 
 from vjm.effects import bending, joint, loads, sensors
 from vjm.effects.bending import CubicStiffness as CubicStiffness

@@ -1,4 +1,4 @@
-"""How a link's bending differs from a linear spring and damper."""
+"""Effects on bending, beyond a linear spring and damper."""
 
 from __future__ import annotations
 

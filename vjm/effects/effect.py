@@ -1,4 +1,4 @@
-"""What an effect is: parameters with null values, and hooks that default to nothing.
+"""The base of effects: parameters with null values, and hooks that default to nothing.
 
 An effect is something that a model of an arm may lack: a mass on its tip, friction, a clock that runs ahead. It is a
 frozen dataclass whose fields are its parameters; the instance with the default values changes nothing, exactly. The

@@ -265,7 +265,7 @@ class Backlash(JointEffect):
         return rest
 
     def _contact(self, beyond: Array) -> tuple[Array, Array]:
-        """How deep a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
+        """Depth to which a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
         return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
 
     @property
