@@ -36,7 +36,7 @@ from vjm.effects import (
     ViscousFriction,
 )
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
-from vjm.identification.uncertainty import covariance, of_trajectory
+from vjm.identification.uncertainty import trajectory_information
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations
@@ -60,7 +60,7 @@ def test_a_right_model_leaves_noise_held_and_free(seed: int) -> None:
     assert found.uses_feedback
     assert not free.uses_feedback
     assert found.point.misfit == pytest.approx(free.point.misfit, abs=0.02)
-    spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
+    spread = np.sqrt(np.diag(trajectory_information(found.fit, True)[0].covariance))
     assert (np.abs(found.point.x - free.point.x) < 4 * spread).all()
     again = without_feedback(found, free)
     assert not again.uses_feedback
@@ -79,7 +79,7 @@ def test_friction_and_drag_have_their_sizes(seed: int) -> None:
     found = refit(start, (CoulombFriction(link=0, torque=0.005), QuadraticDrag(link=0, coefficient=0.02)))
     assert found is not None
     assert found.point.misfit == pytest.approx(1.0, abs=0.03)
-    spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
+    spread = np.sqrt(np.diag(trajectory_information(found.fit, True)[0].covariance))
     off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, *(e.coordinates for e in truth)])
     assert np.abs(off / spread).max() < 4
     assert (spread[-2:] < 0.3).all()  # of everyday sizes
@@ -96,7 +96,7 @@ def test_play_has_its_size_beside_a_hub_that_rests_on_a_flank() -> None:
     assert start is not None
     found = refit(start, (Backlash(link=0, gap=0.005),), StoppingRule(np.inf, nonsmooth=True, enough=0.998))
     assert found is not None
-    spread = np.sqrt(np.diag(covariance(of_trajectory(found.fit, True)[0])))
+    spread = np.sqrt(np.diag(trajectory_information(found.fit, True)[0].covariance))
     off = found.point.x - np.concatenate([found.point.problem.parametrisation.start, truth.coordinates])
     assert np.abs(off / spread).max() < 4
     assert found.effects[0].values["gap"] == pytest.approx(0.006, rel=0.02)

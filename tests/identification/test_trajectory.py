@@ -17,11 +17,12 @@ from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
 from tests.identification.test_recovery import SHARED, chain_recordings, demo
 from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
 from vjm.identification import Identification, identify
+from vjm.identification.measured_modes import _modal_assurance, _model_shapes
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.resampling import Resampled, resample
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
-from vjm.identification.trajectory_method import _coarsest
-from vjm.identification.uncertainty import to_physical
+from vjm.identification.trajectory_method import _largest_step_multiple
+from vjm.identification.uncertainty import trajectory_information
 from vjm.records import Experiment, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations
@@ -89,8 +90,8 @@ def truth_point(joint: str, n: int, kind: str) -> Point:
 
 def bound_of(point: Point) -> Array:
     """Cramer and Rao's: no unbiased estimate has a smaller standard deviation."""
-    R = point.gathered()[0].R[:-1, :-1]
-    return np.sqrt(np.diag(to_physical(point.problem.parametrisation, point.x, np.linalg.inv(R.T @ R))))
+    R = point.reduced()[0].R[:-1, :-1]
+    return np.sqrt(np.diag(point.problem.parametrisation.physical_covariance(point.x, np.linalg.inv(R.T @ R))))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,7 @@ def test_a_hundred_fits_scatter_as_little_as_any_can(joint: str, n: int, kind: s
     bound = bound_of(point)
     inside = np.abs(found.values - found.truth) < 1.96 * found.std
     assert found.failed == 0
-    assert (found.spread < 1.15 * bound).all(), found.spread / bound
+    assert (found.sample_std < 1.15 * bound).all(), found.sample_std / bound
     assert 0.91 <= inside.mean() <= 0.98
     assert (inside.mean(axis=0) > 0.88).all(), inside.mean(axis=0)
 
@@ -173,12 +174,10 @@ def _coloured(rng: np.random.Generator, count: int, size: int) -> Array:
 
 
 def _std(fit: object) -> Array:
-    from vjm.identification.uncertainty import covariance, of_trajectory
-
-    information, whiteness = of_trajectory(fit, noise_known=True)  # type: ignore[arg-type]
+    information, whiteness = trajectory_information(fit, noise_known=True)  # type: ignore[arg-type]
     assert all(one.coloured for one in whiteness)
     point = fit.point  # type: ignore[attr-defined]
-    return np.sqrt(np.diag(to_physical(point.problem.parametrisation, point.x, covariance(information))))
+    return np.sqrt(np.diag(point.problem.parametrisation.physical_covariance(point.x, information.covariance)))
 
 
 # On an executor
@@ -199,8 +198,8 @@ def test_blocks_of_residuals_scatter_the_estimates_as_the_noise_does(hub: Callab
     found = vjm.bootstrap(fit, 12, seed=3, progress=lambda _, done, total: calls.append(total - done))
     std = np.array([estimate.std for estimate in fit.parameters])
     assert calls == list(range(11, -1, -1))
-    assert (found.spread > 0.4 * std).all()
-    assert (found.spread < 2.0 * std).all()
+    assert (found.sample_std > 0.4 * std).all()
+    assert (found.sample_std < 2.0 * std).all()
     assert np.abs(found.bias / std).max() < 1.5
 
 
@@ -282,12 +281,10 @@ def test_demo_comes_out_as_it_was_put_in() -> None:
 
 def test_measured_shapes_tell_modes_apart() -> None:
     """MAC of the first mode with the second's shape is small."""
-    from vjm.identification.assess import assurance, model_shapes
-
     model = identify(demo(), "torque").model
-    first, second = model_shapes(model.chain, model.rig, 0.0)[:2]
-    assert assurance(first, second.astype(complex)) < 0.3
-    assert assurance(first, (2 - 1j) * first) == pytest.approx(1.0)
+    first, second = _model_shapes(model.chain, model.rig, 0.0)[:2]
+    assert _modal_assurance(first, second.astype(complex)) < 0.3
+    assert _modal_assurance(first, (2 - 1j) * first) == pytest.approx(1.0)
 
 
 @pytest.mark.skipif(not (SHARED / "hub_rig").exists(), reason="the shared recordings are absent")
@@ -366,7 +363,7 @@ def test_resampled_intervals_and_correlations() -> None:
     found = Resampled(("a", "b"), np.array([1.0, 2.0]), values, np.ones((4000, 2)), 0)
     assert found.interval(0.95) == pytest.approx(np.array([[0.608, 1.392], [1.412, 2.588]]), abs=0.03)
     assert found.correlation[0, 1] == pytest.approx(0.5, abs=0.05)
-    assert found.spread == pytest.approx([0.2, 0.3], rel=0.05)
+    assert found.sample_std == pytest.approx([0.2, 0.3], rel=0.05)
     with pytest.raises(vjm.InputError, match="confidence"):
         found.interval(1.5)
 
@@ -419,7 +416,7 @@ def test_steps_are_as_long_as_no_estimate_minds(noise: float) -> None:
     point = truth_point("revolute", 3, "uniform")
     states = [run.state for run in point.runs]
     observed = [replace(run.observed, noise=(noise, noise)) for run in point.runs]
-    step_multiple = _coarsest(point.chain, observed, states, 1.0)
+    step_multiple = _largest_step_multiple(point.chain, observed, states, 1.0)
     starts = [run.prior for run in point.runs]
     exact, found = (
         simulate_runs([Arm(point.chain)] * len(observed), observed, starts, states, c) for c in (0.25, step_multiple)

@@ -16,7 +16,7 @@ from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.records import Identification, ModeComparison, TorqueData, TrajectorySummary
+from vjm.identification.records import Identification, ModeComparison, TorqueData
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
 from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import ShapeSettings, estimate_angles
@@ -58,12 +58,14 @@ def _first_state(model: Model, recording: Recording) -> tuple[Array, Array]:
     return data.derivatives.value[at], data.derivatives.rate[at]
 
 
+def _shape(rig: Rig) -> ShapeSettings:
+    return ShapeSettings("cantilever", tuple(min(3, max(1, len(link.markers) - 2)) for link in rig.links))
+
+
 def _torque_data(model: Model, nominal: Model, recording: Recording) -> TorqueData:
     rig = model.rig
     cuts = [Layout(link.lengths, link.cells, link.distal) for link in model.chain.links]
-    orders = tuple(min(3, max(1, len(link.markers) - 2)) for link in rig.links)
-    settings = ShapeSettings("cantilever", orders)
-    angles = estimate_angles(rig, cuts, recording, settings, model.marker_noise, model.encoder_noise)
+    angles = estimate_angles(rig, cuts, recording, _shape(rig), model.marker_noise, model.encoder_noise)
     rows = np.isfinite(angles.q).all(axis=1)
     derivatives = Smoother.of(angles.time[rows]).derivatives(angles.q[rows], angles.covariance)
     torque = angles.torque[rows]
@@ -108,9 +110,11 @@ def make_fit(
         parameters=estimates,
         covariance=_covariance(estimates),
         modes=_modes(model),
+        shape=_shape(rig),
         objective=1.2e-3,
         objective_nominal=2.3e-2,
-        trajectory=None if before is None else _summary(model, train),
+        trajectory=None if before is None else _trajectory(model, train),
+        whiteness=() if before is None else _whiteness(train),
         torque_data=tuple(_torque_data(model, nominal, recording) for recording in train),
         recordings=tuple(_fit(model, nominal, before, recording, replayer) for recording in experiment.recordings),
         status="converged",
@@ -126,8 +130,8 @@ def _covariance(estimates: tuple[Estimate, ...], correlation: float = -0.6) -> A
     return result
 
 
-def _summary(model: Model, train: list[Recording]) -> TrajectorySummary:
-    """A summary of the training recordings simulated from rest, which is no minimum."""
+def _trajectory(model: Model, train: list[Recording]) -> TrajectoryFit:
+    """The training recordings simulated from rest, which is no minimum."""
     parametrisation = Parametrisation(model.chain, "uniform", ())
     noise = (model.marker_noise, model.encoder_noise)
     simulated = [each for each in train if not each.tau.size or np.isfinite(each.tau).any()]
@@ -135,8 +139,11 @@ def _summary(model: Model, train: list[Recording]) -> TrajectorySummary:
     starts = [InitialStatePrior.of(model.arm, each.recording) for each in observed]
     runs = simulate_runs([model.arm] * len(observed), observed, starts, [start.rest for start in starts], 2.0)
     point = Point(TrajectoryProblem(parametrisation, observed), parametrisation.start, tuple(runs))
-    whiteness = tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0) for k, each in enumerate(train))
-    return TrajectorySummary(whiteness, TrajectoryFit(point, True, 7))
+    return TrajectoryFit(point, True, 7)
+
+
+def _whiteness(train: list[Recording]) -> tuple[Whiteness, ...]:
+    return tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0) for k, each in enumerate(train))
 
 
 def _chain(rig: Rig, joints: int, bending: float, time_constant: float) -> Chain:

@@ -49,7 +49,7 @@ def test_trajectory_fit_beside_the_torque_method() -> None:
     result = IdentifyResult.model_validate_json(json_text(result_object(replace(fit, recordings=fitted))))
     assert result.method == "trajectory"
     assert fit.trajectory is not None
-    point = fit.trajectory.fit.point
+    point = fit.trajectory.point
     squares = sum(float(np.sum(run.residual**2)) for run in point.runs)
     assert result.objective.trajectory_chi2_per_sample == pytest.approx(
         squares / sum(run.residual.size for run in point.runs)

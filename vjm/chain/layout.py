@@ -21,7 +21,7 @@ from vjm.records import Array, Link, Rig
 
 LayoutName = Literal["fourth-order", "end-corrected", "half-ends", "equal"]
 LAYOUTS: tuple[str, ...] = get_args(LayoutName)
-DEFAULT_LAYOUT = "fourth-order"
+DEFAULT_LAYOUT: LayoutName = "fourth-order"
 
 # Lengths of the two virtual links, and compliances of the two joints, next to an end that carries a moment, in units of
 # Delta and Delta / EI. Exact curvature and slope of curvature leave one number free, where the second joint is: 1.4

@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 # Written out here so that --help need not import the identification; a test holds them equal.
 METHODS = ("torque", "torque+frequency", "trajectory")
 PARAMETERS = ("uniform", "joints", "lengths", "full")
-DEFAULT_METHOD = "trajectory"
+DEFAULT_METHOD: Final = "trajectory"
 DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED = 3, 1, 0
 DEFAULT_DIRECTORY = Path("vjm-out")
 

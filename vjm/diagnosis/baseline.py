@@ -12,15 +12,14 @@ from typing import Self
 
 import numpy as np
 
-from vjm.chain.layout import DEFAULT_LAYOUT
 from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, refit
 from vjm.diagnosis.discretization import CLOSE, DiscretizationBias
 from vjm.diagnosis.noise import Noise
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
-from vjm.identification.prepare import Options, read_data
+from vjm.identification.training_data import read_training_data
 from vjm.identification.trajectory_fit import Point
-from vjm.identification.trajectory_method import Search, first_fit, simulated
+from vjm.identification.trajectory_method import TrajectorySearch, first_fit, simulatable
 from vjm.records import REFERENCE, Experiment, Progress
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
@@ -59,8 +58,8 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
         InsufficientDataError: recordings that cannot determine a model.
         SimulationDivergedError: no start can be simulated.
     """
-    data = read_data(experiment, Options("uniform", None, DEFAULT_LAYOUT, "cantilever", None, "smoothing"))
-    search, fit, _, problems = first_fit(experiment, data, progress=progress, rough=True)
+    data = read_training_data(experiment)
+    search, fit = first_fit(data, progress=progress, rough=True)
     resting, changed, unused = _further_recordings(experiment, search)
     runs = [*fit.point.runs, *_simulated(fit.point, resting)]
     noise = Noise.of(runs)
@@ -76,11 +75,11 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     bias = DiscretizationBias.of(fit.point, experiment.rig) if model.misfit < CLOSE else None
     outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
     others = tuple(_prepared(one, size, noise) for one in outlier_free)
-    return Baseline(bias.corrected(model) if bias else model, noise, others, (*problems, *unused))
+    return Baseline(bias.corrected(model) if bias else model, noise, others, (*search.problems, *unused))
 
 
 def _further_recordings(
-    experiment: Experiment, search: Search
+    experiment: Experiment, search: TrajectorySearch
 ) -> tuple[list[Observations], list[Observations], tuple[str, ...]]:
     """Training recordings not yet fitted: those at rest, those that may have changed; and why others are not usable."""
     train = [recording for recording in experiment.cleaned_recordings if recording.role == "train"]
@@ -93,7 +92,7 @@ def _further_recordings(
         if recording.file in fitted:
             continue
         try:
-            usable = simulated([recording])[0]
+            usable = simulatable([recording])[0]
         except InsufficientDataError as error:
             problems.append(str(error))
             continue

@@ -18,7 +18,7 @@ from vjm.effects.effect import Effect, Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
-from vjm.identification.uncertainty import Information, covariance, estimates, of_trajectory, to_physical
+from vjm.identification.uncertainty import Information, estimates, trajectory_information
 from vjm.records import REFERENCE, Array, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import Model
@@ -71,12 +71,12 @@ class Extension:
         return lower, upper
 
     @cached_property
-    def reach(self) -> Array:
+    def max_step(self) -> Array:
         """(p,) largest change of each coordinate in one step: shape parameters mean little while sizes are wrong."""
         effects = [np.full(effect.coordinates.size, np.inf) for effect in self.effects]
         for effect, reach in zip(self.effects, effects, strict=True):
             reach[effect.magnitude_count :] = _SHAPE_STEP
-        return np.concatenate([self.base.reach, *effects])
+        return np.concatenate([self.base.max_step, *effects])
 
     @cached_property
     def parts(self) -> tuple[slice, ...]:
@@ -156,14 +156,15 @@ class CandidateFit:
     @cached_property
     def information(self) -> Information:
         """Fisher information of the coordinates, and the covariance of their scores."""
-        return of_trajectory(self.fit, True)[0]
+        return trajectory_information(self.fit, True)[0]
 
     def model(self, rig: Rig, noise: tuple[float, float]) -> Model:
         """Return the model with the estimates of its chain's parameters, for a rig and its sensors' noise [m, rad]."""
         parametrisation, information = self.point.problem.parametrisation, self.information
         own = slice(len(parametrisation.coordinates))
-        estimate, kept = self.estimate[own], Information(information.normal[own, own], information.spread[own, own])
-        physical = to_physical(parametrisation, estimate, covariance(information)[own, own])
+        estimate, scores = self.estimate[own], information.score_covariance[own, own]
+        kept = Information(information.normal[own, own], scores)
+        physical = parametrisation.physical_covariance(estimate, information.covariance[own, own])
         parameters = estimates(parametrisation, estimate, kept, physical)
         chain = parametrisation.chain(self.point.x[own])
         return Model(chain, rig, *noise, parameters, self.effects, self.reference_effects)
@@ -215,7 +216,7 @@ def refit(
     states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
     known = _followed_for(start, extension.effects) if whole is None else start.point.problem.longest
     try:
-        return CandidateFit(fit_trajectory(problem, x, None, states, known=known, hopeless=hopeless))
+        return CandidateFit(fit_trajectory(problem, x, None, states, known_duration=known, stop=hopeless))
     except (SimulationDivergedError, InsufficientDataError):
         if problem.step_multiple == 1.0:
             return None

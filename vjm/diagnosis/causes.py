@@ -10,7 +10,6 @@ from vjm.diagnosis.records import Alternative, Cause
 from vjm.diagnosis.selection import Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
-from vjm.identification.uncertainty import covariance
 from vjm.records import Array, Estimate
 
 
@@ -25,7 +24,7 @@ def estimate_causes(
         alternatives: effects that explain the recordings as well, by the cause in whose place.
     """
     best, causes = result.best, []
-    spread = covariance(best.information)
+    spread = best.information.covariance
     estimated = best.extension.present(best.estimate)
     for effect, estimate, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][
         best.reference_effects :

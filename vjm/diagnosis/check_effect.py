@@ -462,13 +462,13 @@ def _recovery(effect: Effect, seed: int) -> _Law:
     bench = bench.beginning(1.5) if effect.nonsmooth else bench  # enough for what takes short steps
     true = bench.typical(effect)
     problem = _problem(bench, true, seed)
-    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, hopeless=StoppingRule(4))
+    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(4))
     # Standard errors of the magnitudes at their true values, everything else being free.
     base = problem.parametrisation
     extended, x = replace(problem, extension=Extension(base, (true,))), np.r_[base.start, true.coordinates]
     states = [transfer_state(bench.chain, extended.arms(x)[0].chain, state) for state in bench.states]
-    point = fit_trajectory(extended, x, None, states, hopeless=StoppingRule(0)).point
-    R, free = point.gathered()[0].R[:, :-1], base.start.size
+    point = fit_trajectory(extended, x, None, states, stop=StoppingRule(0)).point
+    R, free = point.reduced()[0].R[:, :-1], base.start.size
     lengths, own = np.maximum(np.linalg.norm(R, axis=0), 1e-300), slice(free, free + true.magnitude_count)
     names = [f"`{name}`" for name in true.values]
     silent = [names[k % len(names)] for k in np.flatnonzero(lengths[free:] <= 1e-12 * lengths.max()).tolist()]

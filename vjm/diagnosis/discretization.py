@@ -18,7 +18,7 @@ from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
 from vjm.diagnosis.candidate_fit import CandidateFit, Extension
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.torque_method import START_DAMPING
+from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
 from vjm.model import dynamics
 from vjm.records import Array, Rig
@@ -97,7 +97,7 @@ def _finer(point: Point, rig: Rig) -> Coordinates:
     """Coordinates of a chain with more joints."""
     own = point.problem.parametrisation
     joints = [_REFINEMENT * link.virtual_joints for link in own.template.links]
-    template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_DAMPING)
+    template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_KELVIN_VOIGT)
     finer = Parametrisation(template, own.kind, own.hubs)
     extension = point.problem.extension
     return replace(extension, base=finer) if isinstance(extension, Extension) else finer

@@ -179,7 +179,7 @@ def _is_hopeless(partial_fit: CandidateFit, record: float) -> bool:
 
     A fit that does not follow the recordings begins again with their first periods, where more may be promised.
     """
-    return partial_fit.follows and StoppingRule(np.inf, record)(partial_fit.point, partial_fit.fit.promised)
+    return partial_fit.follows and StoppingRule(np.inf, record)(partial_fit.point, partial_fit.fit.predicted_decrease)
 
 
 class StoppingRule:

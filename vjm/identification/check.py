@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import InsufficientDataError
 from vjm.identification.parameters import PARAMETRISATIONS
-from vjm.identification.prepare import Data, Options, read_data
-from vjm.identification.torque_method import evaluate, fit_uniform, refined
-from vjm.identification.uncertainty import covariance, estimates, of_torque, to_physical
+from vjm.identification.torque_method import fit_uniform_torque
+from vjm.identification.training_data import TrainingData, read_training_data
+from vjm.identification.uncertainty import estimates, torque_information
 from vjm.identification.warn import data_warnings, marker_warnings
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment, Result
-
-_NOMINAL_JOINTS = 6
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,28 +45,25 @@ def check(experiment: Experiment) -> Check:
         experiment: as loaded.
     """
     rig = experiment.rig
-    nominal = nominal_chain(rig, rig_layouts(rig, [link.virtual_joints or _NOMINAL_JOINTS for link in rig.links]))
-    expected = modes(nominal).frequencies
+    joints = [link.virtual_joints or 6 for link in rig.links]  # enough for the slowest few frequencies
+    expected = modes(nominal_chain(rig, rig_layouts(rig, joints))).frequencies
     try:
-        data = {kind: read_data(experiment, Options(kind)) for kind in PARAMETRISATIONS}
-        identifiable = {kind: _identifiable(experiment, one, kind) for kind, one in data.items()}
+        data = {kind: read_training_data(experiment, kind) for kind in PARAMETRISATIONS}
+        identifiable = {kind: _identifiable(each) for kind, each in data.items()}
     except InsufficientDataError as error:
         problem = str(error)
         about_markers = [text for link in rig.links for text in marker_warnings(link, link.virtual_joints)]
         return Check(experiment, (*experiment.warnings, *about_markers, problem), expected, (), {}, problem)
-    plain = data["uniform"]
-    warnings = data_warnings(
-        experiment, plain.prepared, plain.plan.shape.orders, plain.plan.joints, plain.seen, "uniform"
-    )
-    joints = tuple(choice.joints for choice in plain.plan.joints)
-    return Check(experiment, (*experiment.warnings, *warnings), expected, joints, identifiable)
+    choices = data["uniform"].joints
+    warnings = (*experiment.warnings, *data_warnings(data["uniform"], choices))
+    return Check(experiment, warnings, expected, tuple(choice.joints for choice in choices), identifiable)
 
 
-def _identifiable(experiment: Experiment, data: Data, kind: str) -> tuple[Estimate, ...]:
-    problem, fit = fit_uniform(experiment, data)
-    if kind != "uniform":
-        problem = refined(problem, fit, kind)
-        fit = evaluate(problem, problem.parametrisation.start)
-    information = of_torque(fit)
-    physical = to_physical(problem.parametrisation, fit.x, covariance(information))
-    return estimates(problem.parametrisation, fit.x, information, physical)
+def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
+    fit = fit_uniform_torque(data)
+    if data.parameters != "uniform":
+        problem = fit.refined(data.parameters)
+        fit = problem.evaluate(problem.parametrisation.start)
+    parametrisation, information = fit.problem.parametrisation, torque_information(fit)
+    covariance = parametrisation.physical_covariance(fit.x, information.covariance)
+    return estimates(parametrisation, fit.x, information, covariance)

@@ -1,19 +1,18 @@
-"""A given model against the recordings of an experiment."""
+"""Models beside the recordings of an experiment: open-loop simulations of every recording."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from vjm.chain.layout import chain_layouts, nominal_chain
-from vjm.errors import ShapeError
-from vjm.identification.assess import fit_recordings
-from vjm.identification.warn import result_warnings
-from vjm.records import Array, Experiment, Progress, RecordingComparison, SimulatedResult
+from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
+from vjm.identification.outliers import without_outliers
+from vjm.identification.warn import fit_warnings
+from vjm.records import Array, Experiment, Progress, Recording, RecordingComparison, SimulatedRecording, SimulatedResult
 from vjm.simulation.model import Model
-
-_SAME_LENGTH = 1e-3  # relative
 
 
 @dataclass(frozen=True, repr=False)
@@ -23,9 +22,9 @@ class Comparison(SimulatedResult):
     Attributes:
         experiment: the recordings.
         model: the given model.
-        nominal: what the experiment file's nominal values give, cut at the same places.
+        nominal: of the experiment file's nominal values, with the same virtual links.
         covariance: (p, p) of the model's estimated parameters; empty where unknown.
-        recordings: fit of every recording, in the experiment's order.
+        recordings: comparison of every recording, in the experiment's order.
         warnings: what a user should know.
     """
 
@@ -43,7 +42,7 @@ def compare(
     covariance: Array | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Simulate every recording with a model, and with the nominal one.
+    """Simulate every recording of an experiment with a model, and with the nominal one.
 
     Args:
         experiment: the recordings.
@@ -55,10 +54,75 @@ def compare(
         ShapeError: a model whose links are longer or shorter than the rig's.
     """
     for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
-        if abs(link.length - own.length) > _SAME_LENGTH * own.length:
+        if abs(link.length - own.length) > 1e-3 * own.length:  # more than rounding in either file
             raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
     nominal = replace(model, chain=nominal_chain(experiment.rig, chain_layouts(model.chain)), estimates=(), effects=())
-    fits = fit_recordings(experiment, model, (nominal, None), progress)
+    recordings = compare_recordings(experiment, model, (nominal, None), progress)
     known = np.empty((0, 0)) if covariance is None else covariance
-    warnings = (*experiment.warnings, *result_warnings(fits, ()))
-    return Comparison(experiment, model, nominal, known, fits, warnings)
+    warnings = (*experiment.warnings, *fit_warnings(recordings))
+    return Comparison(experiment, model, nominal, known, recordings, warnings)
+
+
+def compare_recordings(
+    experiment: Experiment,
+    model: Model,
+    others: Sequence[Model | None],
+    progress: Progress | None = None,
+    states: Mapping[str, Array] | None = None,
+) -> tuple[RecordingComparison, ...]:
+    """Simulate every recording open loop with a model and with two others.
+
+    Coordinates that cannot be right, and outliers, are left out of the recordings and counted.
+
+    Args:
+        experiment: the recordings.
+        model: the identified one.
+        others: the nominal one, and the torque method's; None where there is none.
+        progress: told (text, done, total) while it runs.
+        states: (2 nv,) most likely initial states, as far as they are known, by recording file.
+    """
+    report, known = progress or (lambda *_: None), states or {}
+    report("replaying recordings", 0, 2)
+    recordings = list(experiment.cleaned_recordings)
+    simulated = _simulated(model, recordings, known)
+    report("replaying recordings", 1, 2)
+    trimmed = []
+    for k, (recording, (fit, _)) in enumerate(zip(recordings, simulated, strict=True)):
+        if fit is not None:
+            recordings[k], count = without_outliers(recording, fit.simulation.markers, model.marker_noise)
+            trimmed += [k] if count else []
+    for k, again in zip(trimmed, _simulated(model, [recordings[k] for k in trimmed], known), strict=True):
+        simulated[k] = again
+    report("replaying recordings", 2, 2)
+    # Others miss by more than the error of steps twice as long.
+    columns = [
+        [None] * len(recordings) if other is None else [fit for fit, _ in _simulated(other, recordings, {}, 2.0)]
+        for other in others
+    ]
+    return tuple(
+        RecordingComparison(
+            recording=recording,
+            noise=(model.marker_noise, model.encoder_noise),
+            simulated=fit,
+            reference=columns[0][k],
+            alternative=columns[1][k],
+            left_out=int(np.isfinite(experiment.recordings[k].markers).sum() - np.isfinite(recording.markers).sum()),
+            problem=problem,
+        )
+        for k, (recording, (fit, problem)) in enumerate(zip(recordings, simulated, strict=True))
+    )
+
+
+def _simulated(
+    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array], step_multiple: float = 1.0
+) -> list[tuple[SimulatedRecording | None, str]]:
+    """Each recording's simulation, or why there is none."""
+    if not recordings:
+        return []
+    try:
+        known = [states.get(recording.file) for recording in recordings]
+        return [(fit, "") for fit in model.replays(recordings, known, step_multiple)]
+    except (InsufficientDataError, SimulationDivergedError) as error:
+        if len(recordings) == 1:
+            return [(None, str(error))]
+    return [_simulated(model, [recording], states, step_multiple)[0] for recording in recordings]

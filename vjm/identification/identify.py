@@ -4,53 +4,57 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
+from typing import Literal, get_args
 
 import numpy as np
 
-from vjm.chain.layout import DEFAULT_LAYOUT, chain_layouts, nominal_chain
+from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, chain_layouts, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.identification.assess import compare_modes, fit_recordings, objective_of, prepared_for, torque_data
-from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
-from vjm.identification.prepare import (
-    Data,
-    Options,
-    read_data,
+from vjm.identification.comparison import compare_recordings
+from vjm.identification.measured_modes import compare_modes
+from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
+from vjm.identification.records import METHODS, Identification, Method, TorqueData
+from vjm.identification.torque_method import fit_torque, weighted_torque_errors
+from vjm.identification.training_data import (
+    DERIVATIVE_METHODS,
+    DerivativeMethod,
+    PreparedRecording,
+    TrainingData,
+    read_training_data,
 )
-from vjm.identification.records import METHODS, Identification, TrajectorySummary
-from vjm.identification.torque_method import by_torque
-from vjm.identification.trajectory_method import by_trajectory
-from vjm.identification.uncertainty import Information, covariance, estimates, of_torque, of_trajectory, to_physical
+from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.trajectory_method import first_fit
+from vjm.identification.uncertainty import (
+    Information,
+    Whiteness,
+    estimates,
+    torque_information,
+    trajectory_information,
+)
 from vjm.identification.virtual_joints import JointChoice
-from vjm.identification.warn import (
-    data_warnings,
-    joint_notes,
-    mode_warnings,
-    repeat_warnings,
-    residual_warnings,
-    result_warnings,
-    scale_notes,
-)
-from vjm.markers.angles import ANGLE_METHODS, AngleMethod
+from vjm.identification.warn import data_warnings, fit_warnings, identification_notes, repeat_warnings
+from vjm.markers.angles import AngleMethod
+from vjm.markers.shape import FamilyName
+from vjm.model.torque import objective, torque_errors
 from vjm.records import Array, Experiment, Progress
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.model import Model
 
-_STOPPED_EARLY = "the search stopped early: ask for fewer parameters, or give recordings that move more"
+LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 
 
 def identify(
     experiment: Experiment,
-    method: str = "trajectory",
+    method: Method = "trajectory",
     virtual_joints: int | None = None,
-    parameters: str = "uniform",
+    parameters: Parameters = "uniform",
     *,
-    layout: str = DEFAULT_LAYOUT,
-    family: str = "cantilever",
-    angles: str | None = None,
-    derivatives: str = "smoothing",
-    loss: str = "linear",
+    layout: LayoutName = DEFAULT_LAYOUT,
+    family: FamilyName = "cantilever",
+    angles: AngleMethod | None = None,
+    derivatives: DerivativeMethod = "smoothing",
+    loss: LossName = "linear",
     progress: Progress | None = None,
 ) -> Identification:
     """Identify an arm's virtual-joint model from its training recordings.
@@ -63,8 +67,9 @@ def identify(
         parameters: `uniform`, one bending stiffness and Kelvin-Voigt time a link; `joints`, every joint's K and D;
             `lengths`, those and the virtual links' lengths; `full`, all of alpha (eq. 13).
         layout: where the links are cut: `fourth-order`, `end-corrected`, `half-ends` or `equal`.
-        family: of the shape functions.
-        angles: `curvature`, `curve` or, as in the paper, `points`; chosen by the parametrisation when None.
+        family: of the shape functions: `cantilever`, `polynomial`, `clamped-polynomial` or `trigonometric`.
+        angles: how angles are read off them: `curvature`, `curve` or, as in the paper, `points`; chosen by the
+            parametrisation when None.
         derivatives: `smoothing` or, as in the paper, `interpolating`.
         loss: of the trajectories' residuals: `linear`, `huber`, `soft_l1` or `cauchy`. Single outliers are left out
             whatever the loss.
@@ -72,117 +77,127 @@ def identify(
 
     Raises:
         ChoiceError: an unknown method or option.
+        ShapeError: a number of virtual joints below 1 or above 60.
         InsufficientDataError: recordings that cannot determine the model.
         SimulationDivergedError: no start can be simulated.
     """
-    _check_choices(method, parameters, angles, virtual_joints, loss)
-    options = Options(parameters, virtual_joints, layout, family, cast(AngleMethod | None, angles), derivatives)
-    data = read_data(experiment, options)
-    if method == "trajectory":
-        found = _trajectory(experiment, data, loss, progress)
-    else:
-        found = _torque(experiment, data, method == "torque+frequency", progress)
-    return _result(experiment, method, data, found, progress)
-
-
-def _check_choices(method: str, parameters: str, angles: str | None, virtual_joints: int | None, loss: str) -> None:
-    for what, given, choices in (
+    for option, given, choices in (
         ("method", method, METHODS),
         ("parameters", parameters, PARAMETRISATIONS),
-        ("angles", angles, (None, *ANGLE_METHODS)),
+        ("layout", layout, LAYOUTS),
+        ("family", family, get_args(FamilyName)),
+        ("angles", angles, (None, *get_args(AngleMethod))),
+        ("derivatives", derivatives, DERIVATIVE_METHODS),
         ("loss", loss, LOSSES),
     ):
         if given not in choices:
-            raise ChoiceError(what, given, choices)
+            raise ChoiceError(option, given, choices)
     if virtual_joints is not None and not 1 <= virtual_joints <= 60:
         raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
+    data = read_training_data(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
+    if method == "trajectory":
+        solution = _by_trajectory(data, loss, progress)
+    else:
+        fit = fit_torque(data, method == "torque+frequency", progress)
+        parametrisation, information = fit.problem.parametrisation, torque_information(fit)
+        solution = _Solution(parametrisation, fit.x, information, data.joints, fit.converged, data.problems)
+    return _result(experiment, method, data, solution, progress)
 
 
 @dataclass(frozen=True)
-class _Found:
-    """What either method found."""
+class _Solution:
+    """What either method identified, and how it got there."""
 
     parametrisation: Parametrisation
     x: Array
     information: Information
     joints: tuple[JointChoice, ...]
     converged: bool
-    warnings: tuple[str, ...] = ()
+    problems: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    before: Chain | None = None
-    states: Mapping[str, Array] | None = None
-    trajectory: TrajectorySummary | None = None
+    trajectory: TrajectoryFit | None = None
+    whiteness: tuple[Whiteness, ...] = ()
+    torque_chain: Chain | None = None
+
+    @property
+    def states(self) -> Mapping[str, Array]:
+        """(2 nv,) most likely initial states by recording file."""
+        runs = () if self.trajectory is None else self.trajectory.point.runs
+        return {run.observed.recording.file: run.state for run in runs}
 
 
-def _torque(experiment: Experiment, data: Data, frequencies: bool, progress: Progress | None) -> _Found:
-    problem, fit = by_torque(experiment, data, progress, frequencies)
-    return _Found(
-        problem.parametrisation, fit.x, of_torque(fit), data.plan.joints, fit.converged, warnings=data.problems
-    )
-
-
-def _trajectory(experiment: Experiment, data: Data, loss: str, progress: Progress | None) -> _Found:
-    found = by_trajectory(experiment, data, loss, progress)
-    point = found.fit.point
-    information, whiteness = of_trajectory(found.fit, experiment.rig.marker_noise is not None)
-    return _Found(
-        point.problem.parametrisation,
-        point.x,
+def _by_trajectory(data: TrainingData, loss: str, progress: Progress | None) -> _Solution:
+    search, fit = first_fit(data, loss, progress)
+    fit, notes = search.enough_joints(fit)
+    information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
+    return _Solution(
+        fit.point.problem.parametrisation,
+        fit.point.x,
         information,
-        found.joints,
-        found.fit.converged,
-        warnings=(*found.problems, *residual_warnings(whiteness)),
-        notes=found.notes,
-        before=None if found.torque is None else found.torque[0].parametrisation.chain(found.torque[1].x),
-        states={run.observed.recording.file: run.state for run in point.runs},
-        trajectory=TrajectorySummary(whiteness, found.fit),
+        search.joint_choices(fit),
+        fit.converged,
+        search.problems,
+        notes,
+        fit,
+        whiteness,
+        None if search.torque is None else search.torque.chain,
     )
 
 
 def _result(
-    experiment: Experiment, method: str, data: Data, found: _Found, progress: Progress | None
+    experiment: Experiment, method: str, data: TrainingData, solution: _Solution, progress: Progress | None
 ) -> Identification:
-    orders, noise = data.plan.shape.orders, (data.settings.marker_noise, data.settings.encoder_noise)
-    parametrisation, information = found.parametrisation, found.information
-    chain = parametrisation.chain(found.x)
-    physical = to_physical(parametrisation, found.x, covariance(information))
-    parameters = estimates(parametrisation, found.x, information, physical)
-    model = Model(chain, experiment.rig, *noise, parameters)
-    nominal = Model(nominal_chain(experiment.rig, chain_layouts(chain)), experiment.rig, *noise)
-    before = None if found.before is None else Model(found.before, experiment.rig, *noise)
-    recordings = fit_recordings(experiment, model, (nominal, before), progress, found.states)
-    comparison = compare_modes(model, data.payload, data.prepared, data.seen, max(orders))
-    prepared = prepared_for(chain, experiment.rig, data)
-    kind = parametrisation.kind
+    rig, parametrisation, information = data.rig, solution.parametrisation, solution.information
+    chain = parametrisation.chain(solution.x)
+    covariance = parametrisation.physical_covariance(solution.x, information.covariance)
+    parameters = estimates(parametrisation, solution.x, information, covariance)
     known = [k for k, estimate in enumerate(parameters) if estimate.std is not None]
+    model = Model(chain, rig, *data.noise, parameters)
+    nominal = Model(nominal_chain(rig, chain_layouts(chain)), rig, *data.noise)
+    torque_model = None if solution.torque_chain is None else Model(solution.torque_chain, rig, *data.noise)
+    recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, solution.states)
+    modes = compare_modes(chain, data)
+    prepared = data.prepared_for(chain)
+    objectives = [
+        objective(weighted_torque_errors(each, prepared, chain)) if prepared else None
+        for each in (chain, nominal.chain)
+    ]
     return Identification(
         experiment=experiment,
         model=model,
         nominal=nominal,
-        torque_model=before,
+        torque_model=torque_model,
         method=method,
-        parametrisation=kind,
+        parametrisation=parametrisation.kind,
         parameters=parameters,
-        covariance=physical[np.ix_(known, known)],
-        modes=comparison,
-        objective=objective_of(chain, prepared, chain),
-        objective_nominal=objective_of(nominal.chain, prepared, chain),
-        trajectory=found.trajectory,
-        torque_data=tuple(torque_data(one, nominal.chain, chain) for one in prepared),
+        covariance=covariance[np.ix_(known, known)],
+        modes=modes,
+        shape=data.shape,
+        objective=objectives[0],
+        objective_nominal=objectives[1],
+        trajectory=solution.trajectory,
+        whiteness=solution.whiteness,
+        torque_data=tuple(_torque_data(one, nominal.chain, chain) for one in prepared),
         recordings=recordings,
-        status="converged" if found.converged else "not converged",
-        remedy="" if found.converged else _STOPPED_EARLY,
+        status="converged" if solution.converged else "not converged",
+        remedy=""
+        if solution.converged
+        else "the search stopped early: ask for fewer parameters, or give recordings that move more",
         warnings=(
             *experiment.warnings,
-            *data_warnings(experiment, data.prepared, orders, found.joints, data.seen, kind),
-            *repeat_warnings(data.recordings, noise[0]),
-            *found.warnings,
-            *mode_warnings(comparison if method == "torque" else ()),
-            *result_warnings(recordings, parameters),
+            *data_warnings(data, solution.joints),
+            *repeat_warnings(data),
+            *solution.problems,
+            *fit_warnings(recordings, parameters, solution.whiteness, modes if method == "torque" else ()),
         ),
-        notes=(
-            *joint_notes(experiment, orders, found.joints, kind),
-            *found.notes,
-            *scale_notes(experiment.rig, data.recordings),
-        ),
+        notes=tuple(identification_notes(data, solution.joints, solution.notes)),
     )
+
+
+def _torque_data(prepared: PreparedRecording, nominal: Chain, identified: Chain) -> TorqueData:
+    recording, d = prepared.recording, prepared.derivatives
+    before, after = (
+        torque_errors(chain, d.value, d.rate, d.acceleration, prepared.torque, recording.payload, recording.gravity)
+        for chain in (nominal, identified)
+    )
+    return TorqueData(recording, prepared.angles, d, prepared.torque, before, after)

@@ -10,22 +10,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.chain.layout import Layout, layout_of_lengths
+from vjm.chain.layout import layout_of_lengths
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ChoiceError
-from vjm.records import Array, Recording
+from vjm.records import Array, Mask, Recording
 from vjm.simulation.arm import Arm
 
-PARAMETRISATIONS = ("uniform", "joints", "lengths", "full")
+Parameters = Literal["uniform", "joints", "lengths", "full"]
+PARAMETRISATIONS: tuple[str, ...] = get_args(Parameters)
+
+_LINEAR = ("stiffness", "damping", "hub")  # groups in which the torque errors are linear
+_MAX_LOGARITHM = 12.0  # e^12 = 1.6e5: no ratio of lengths or masses of one link is larger, no fraction nearer to 0 or 1
+_DAMPING_UNIT = 1e-2  # s; scales the coordinate, of order one for Kelvin-Voigt times of metal to polymer
+_MIN_MAGNITUDE = 1e-2  # of a linear coordinate's unit; keeps the preference's width away from zero at zero damping
+# Widths of the preference for the template: relative for stiffness, damping and hub, in logarithms and logits for the
+# others. Recordings usually tell these to a few per cent; what they do not tell stays within a factor of two or so.
+_WIDTHS = {"stiffness": 0.5, "damping": 1.0, "hub": 1.0, "length": 0.5, "mass": 0.5, "center": 1.0, "inertia": 1.0}
+_FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "inertia": "inertias"}
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One number the optimiser turns.
+    """One number that the optimiser varies.
 
     Attributes:
         name: of the physical parameter.
@@ -44,7 +54,7 @@ class Coordinate:
 
 @dataclass(frozen=True)
 class Parametrisation:
-    """The free numbers of a chain.
+    """The free parameters of a chain, as an optimiser's coordinates.
 
     Stiffness, damping and hub inertia are multiples of the template's scale, in which the torque errors are linear.
     Lengths and masses are logarithms of ratios to the last one, so that they stay positive and keep their total;
@@ -66,201 +76,171 @@ class Parametrisation:
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
-        """The free numbers, in the optimiser's order."""
+        """The coordinates, in the optimiser's order."""
         result: list[Coordinate] = []
         for i, link in enumerate(self.template.links):
+            joints = range(link.virtual_joints)
             if self.kind == "uniform":
                 result.append(Coordinate(f"{link.name}.bending_stiffness", "N m^2", i, "stiffness", -1))
                 result.append(Coordinate(f"{link.name}.kelvin_voigt_time", "s", i, "damping", -1))
             else:
-                joints = range(link.virtual_joints)
                 result += [Coordinate(f"{link.name}.stiffness_{j + 1}", "N m/rad", i, "stiffness", j) for j in joints]
                 result += [Coordinate(f"{link.name}.damping_{j + 1}", "N m s/rad", i, "damping", j) for j in joints]
             if i in self.hubs:
                 result.append(Coordinate(f"{link.name}.hub_inertia", "kg m^2", i, "hub", -1))
-            if self.kind in ("lengths", "full"):
-                names = range(link.virtual_joints)  # the last one follows from the total
-                result += [Coordinate(f"{link.name}.length_{j}", "m", i, "length", j) for j in names]
+            if self.kind in ("lengths", "full"):  # the last length follows from the total
+                result += [Coordinate(f"{link.name}.length_{j}", "m", i, "length", j) for j in joints]
             if self.kind == "full":
-                result += self._masses(i, link)
+                moving = range(_first_moving(i), link.virtual_joints + 1)
+                result += [Coordinate(f"{link.name}.mass_{j}", "kg", i, "mass", j) for j in moving[:-1]]
+                result += [Coordinate(f"{link.name}.mass_center_{j}", "m", i, "center", j) for j in moving]
+                # Behind an active joint, virtual link 0 only turns: its inertia is the hub's.
+                result += [Coordinate(f"{link.name}.inertia_{j}", "kg m^2", i, "inertia", j) for j in moving if j > 0]
         return tuple(result)
 
-    def _masses(self, i: int, link: LinkChain) -> list[Coordinate]:
-        moving = range(self._first_moving(i), link.virtual_joints + 1)
-        masses = [Coordinate(f"{link.name}.mass_{j}", "kg", i, "mass", j) for j in moving[:-1]]
-        centers = [Coordinate(f"{link.name}.mass_center_{j}", "m", i, "center", j) for j in moving]
-        # Behind an active joint, virtual link 0 only turns: its inertia is the hub's.
-        turning = [j for j in moving if j > 0]
-        inertias = [Coordinate(f"{link.name}.inertia_{j}", "kg m^2", i, "inertia", j) for j in turning]
-        return masses + centers + inertias
-
-    def _first_moving(self, i: int) -> int:
-        """First virtual link of flexible link i whose mass the motion can show."""
-        return 1 if i == 0 else 0
-
     @property
-    def linear(self) -> NDArray[np.bool_]:
-        """(p,) whether the torque errors are linear in the coordinate at given lengths and masses."""
-        return np.array([c.group in ("stiffness", "damping", "hub") for c in self.coordinates])
+    def linear(self) -> Mask:
+        """(p,) True where the torque errors are linear in the coordinate at given lengths and masses."""
+        return np.array([c.group in _LINEAR for c in self.coordinates])
 
     @property
     def start(self) -> Array:
         """(p,) coordinates of the template."""
-        values = []
-        for coordinate in self.coordinates:
-            link = self.template.links[coordinate.link]
-            values.append(_read(coordinate, link, self))
-        return np.array(values)
+        return np.array([_template_value(self, coordinate) for coordinate in self.coordinates])
 
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,) of the coordinates."""
-        lower = np.array(
-            [{"stiffness": 1e-6, "damping": 0.0, "hub": 0.0}.get(c.group, -12.0) for c in self.coordinates]
-        )
-        upper = np.where(self.linear, np.inf, 12.0)
-        return lower, upper
+        lowest = {"stiffness": 1e-6, "damping": 0.0, "hub": 0.0}  # K stays positive (eq. 19)
+        lower = np.array([lowest.get(c.group, -_MAX_LOGARITHM) for c in self.coordinates])
+        return lower, np.where(self.linear, np.inf, _MAX_LOGARITHM)
 
     @property
-    def reach(self) -> Array:
-        """(p,) by how much a step of a search may change each coordinate: the step's own damping is enough."""
+    def max_step(self) -> Array:
+        """(p,) largest change of each coordinate in one step of a search; infinite: its damping is enough."""
         return np.full(len(self.coordinates), np.inf)
 
     @property
     def preference(self) -> tuple[Array, Array]:
-        """Centre and width (p,) of a weak preference for the template where the data are silent.
-
-        Wide against what recordings usually tell, narrow enough that what they do not tell stays near the template.
-        """
+        """Centre and width (p,) of a weak preference for the template where the data are silent."""
         centre = self.start
         width = np.array([_WIDTHS[c.group] for c in self.coordinates])
-        relative = self.linear
-        return centre, np.where(relative, width * np.maximum(np.abs(centre), _LEAST_SIZE), width)
+        return centre, np.where(self.linear, width * np.maximum(np.abs(centre), _MIN_MAGNITUDE), width)
 
     def scale(self, coordinate: Coordinate) -> float:
-        """Physical size of one unit of a linear coordinate."""
+        """Return the physical size of one unit of a linear coordinate."""
         link = self.template.links[coordinate.link]
-        if coordinate.group == "hub":
+        if coordinate.group == "hub":  # a hub without inertia: in units of the rigid link's own
             return link.hub_inertia or float(link.masses.sum() * link.length**2) / 3
-        stiffness = link.bending_stiffness / (1.0 if coordinate.index < 0 else float(link.cells[coordinate.index]))
-        return stiffness if coordinate.group == "stiffness" else DAMPING_SCALE * stiffness
+        stiffness = link.bending_stiffness
+        if coordinate.index >= 0:
+            stiffness /= float(link.cells[coordinate.index])
+        return stiffness if coordinate.group == "stiffness" else _DAMPING_UNIT * stiffness
 
     def chain(self, x: Array) -> Chain:
-        """The chain at coordinates x (p,)."""
-        links = []
-        for i, link in enumerate(self.template.links):
-            links.append(self._link(i, link, x))
-        return replace(self.template, links=tuple(links))
+        """Build the chain at coordinates x (p,)."""
+        return replace(self.template, links=tuple(self._link(i, link, x) for i, link in enumerate(self.template.links)))
 
     def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
-        """What moves in each of the recordings, at coordinates x (p,)."""
+        """Return the arm that moves in each of the recordings, at coordinates x (p,)."""
         return (Arm(self.chain(x)),) * len(recordings)
 
-    def _values(self, i: int, group: str, x: Array) -> tuple[list[int], Array]:
-        rows = [k for k, c in enumerate(self.coordinates) if c.link == i and c.group == group]
-        return [self.coordinates[k].index for k in rows], x[rows]
-
-    def _link(self, i: int, link: LinkChain, x: Array) -> LinkChain:
-        changes: dict[str, Array | float] = {}
-        cells = link.cells
-        if self.kind in ("lengths", "full"):
-            cuts = self._cuts(i, link, x)
-            cells = cuts.cells
-            masses = link.masses.sum() * cuts.lengths / link.length
-            changes = {"lengths": cuts.lengths, "cells": cells, "masses": masses, "mass_centers": cuts.lengths / 2}
-            changes["inertias"] = masses * cuts.lengths**2 / 12
-        if self.kind == "full":
-            changes |= self._inertial(i, link, np.asarray(changes["lengths"]), x)
-        stiffness_scale, damping_scale = self._scales(i)
-        stiffness, damping = self._values(i, "stiffness", x)[1], self._values(i, "damping", x)[1]
-        if self.kind == "uniform":
-            changes["stiffness"] = stiffness[0] * stiffness_scale[0] / cells
-            changes["damping"] = damping[0] * damping_scale[0] / cells
-        else:
-            changes["stiffness"], changes["damping"] = stiffness * stiffness_scale, damping * damping_scale
-        hub = self._values(i, "hub", x)[1]
-        if hub.size:
-            changes["hub_inertia"] = float(hub[0]) * self.scale(self._one(i, "hub"))
-        return replace(link, **changes)  # type: ignore[arg-type]
-
-    def _one(self, i: int, group: str) -> Coordinate:
-        return next(c for c in self.coordinates if c.link == i and c.group == group)
-
-    def _scales(self, i: int) -> tuple[Array, Array]:
-        """Physical sizes of the link's stiffness and damping coordinates."""
-        mine = [c for c in self.coordinates if c.link == i]
-        return (
-            np.array([self.scale(c) for c in mine if c.group == "stiffness"]),
-            np.array([self.scale(c) for c in mine if c.group == "damping"]),
-        )
-
-    def _cuts(self, i: int, link: LinkChain, x: Array) -> Layout:
-        ratios = np.exp(np.r_[self._values(i, "length", x)[1], 0.0])
-        return layout_of_lengths(link.length * ratios / ratios.sum(), link.distal)
-
-    def _inertial(self, i: int, link: LinkChain, lengths: Array, x: Array) -> dict[str, Array]:
-        first = self._first_moving(i)
-        masses = link.masses.sum() * lengths / link.length  # what does not move keeps its uniform share
-        ratios = np.exp(np.r_[self._values(i, "mass", x)[1], 0.0])
-        masses[first:] = masses[first:].sum() * ratios / ratios.sum()
-        centers = lengths / 2
-        indices, values = self._values(i, "center", x)
-        centers[indices] = lengths[indices] * _logistic(values)
-        spread = np.full(lengths.size, 1 / 3)  # a uniform rod has a third of the largest inertia its centre allows
-        indices, values = self._values(i, "inertia", x)
-        spread[indices] = _logistic(values)
-        return {"masses": masses, "mass_centers": centers, "inertias": spread * masses * centers * (lengths - centers)}
-
     def physical(self, x: Array) -> Array:
-        """(p,) the parameters in their units."""
+        """Return the parameters (p,) at coordinates x (p,), in their units."""
         chain = self.chain(x)
         result = []
-        for k, coordinate in enumerate(self.coordinates):
+        for value, coordinate in zip(x, self.coordinates, strict=True):
             link = chain.links[coordinate.link]
             if coordinate.group == "damping" and coordinate.index < 0:
                 result.append(float(link.damping[0] / link.stiffness[0]))
-            elif self.linear[k]:
-                result.append(x[k] * self.scale(coordinate))
+            elif coordinate.group in _LINEAR:
+                result.append(value * self.scale(coordinate))
             else:
                 result.append(float(getattr(link, _FIELDS[coordinate.group])[coordinate.index]))
         return np.array(result)
 
     def jacobian(self, x: Array) -> Array:
-        """(p, p) derivative of the physical parameters by the coordinates."""
+        """Return the derivative (p, p) of the physical parameters by the coordinates."""
         base = self.physical(x)
-        steps = 1e-6 * np.maximum(np.abs(x), 1e-3)
-        moved = [
+        steps = 1e-6 * np.maximum(np.abs(x), 1e-3)  # forward differences, 1e-8 the root of the rounding error
+        columns = [
             (self.physical(x + step * unit) - base) / step for step, unit in zip(steps, np.eye(x.size), strict=True)
         ]
-        return np.stack(moved, axis=1)
+        return np.stack(columns, axis=1)
+
+    def physical_covariance(self, x: Array, covariance: Array) -> Array:
+        """Return the covariance (p, p) of the physical parameters at x (p,), from that of the coordinates."""
+        slope = self.jacobian(x)
+        result: Array = slope @ covariance @ slope.T
+        return result
+
+    def _values(self, i: int, group: str, x: Array) -> tuple[list[int], Array]:
+        """Indices within link i, and coordinates, of one group."""
+        rows = [k for k, c in enumerate(self.coordinates) if c.link == i and c.group == group]
+        return [self.coordinates[k].index for k in rows], x[rows]
+
+    def _scaled(self, i: int, group: str, x: Array) -> Array:
+        """Physical values of one linear group of link i."""
+        scales = [self.scale(c) for c in self.coordinates if c.link == i and c.group == group]
+        scaled: Array = self._values(i, group, x)[1] * np.array(scales)
+        return scaled
+
+    def _link(self, i: int, link: LinkChain, x: Array) -> LinkChain:
+        if self.kind in ("lengths", "full"):
+            ratios = np.exp(np.r_[self._values(i, "length", x)[1], 0.0])
+            cuts = layout_of_lengths(link.length * ratios / ratios.sum(), link.distal)
+            masses = link.masses.sum() * cuts.lengths / link.length
+            link = replace(
+                link,
+                lengths=cuts.lengths,
+                cells=cuts.cells,
+                masses=masses,
+                mass_centers=cuts.lengths / 2,
+                inertias=masses * cuts.lengths**2 / 12,
+            )
+        if self.kind == "full":
+            link = self._with_inertial(i, link, x)
+        stiffness, damping = (self._scaled(i, group, x) for group in ("stiffness", "damping"))
+        if self.kind == "uniform":
+            stiffness, damping = stiffness[0] / link.cells, damping[0] / link.cells
+        hub = self._scaled(i, "hub", x)
+        hub_inertia = float(hub[0]) if hub.size else link.hub_inertia
+        return replace(link, stiffness=stiffness, damping=damping, hub_inertia=hub_inertia)
+
+    def _with_inertial(self, i: int, link: LinkChain, x: Array) -> LinkChain:
+        """The link with masses, centres and inertias of its own; what does not move keeps its uniform share."""
+        masses, first = link.masses.copy(), _first_moving(i)
+        ratios = np.exp(np.r_[self._values(i, "mass", x)[1], 0.0])
+        masses[first:] = masses[first:].sum() * ratios / ratios.sum()
+        centers = link.lengths / 2
+        indices, values = self._values(i, "center", x)
+        centers[indices] = link.lengths[indices] * _logistic(values)
+        fraction = np.full(link.lengths.size, 1 / 3)  # of the largest inertia that the centre allows: a uniform rod's
+        indices, values = self._values(i, "inertia", x)
+        fraction[indices] = _logistic(values)
+        inertias = fraction * masses * centers * (link.lengths - centers)
+        return replace(link, masses=masses, mass_centers=centers, inertias=inertias)
 
 
-# Widths of the preference: relative for stiffness, damping and hub, in logarithms and logits for the others.
-_WIDTHS = {"stiffness": 0.5, "damping": 1.0, "hub": 1.0, "length": 0.5, "mass": 0.5, "center": 1.0, "inertia": 1.0}
-_LEAST_SIZE = 1e-2
-DAMPING_SCALE = 1e-2  # s; a Kelvin-Voigt time of ten milliseconds is one unit
-_FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "inertia": "inertias"}
+def _first_moving(i: int) -> int:
+    """First virtual link of flexible link i whose mass the motion can show."""
+    return 1 if i == 0 else 0
 
 
-def _read(coordinate: Coordinate, link: LinkChain, parametrisation: Parametrisation) -> float:
-    """The template's value of one coordinate."""
-    j = coordinate.index
-    if coordinate.group == "stiffness":
-        physical = link.bending_stiffness if j < 0 else float(link.stiffness[j])
-        return physical / parametrisation.scale(coordinate)
-    if coordinate.group == "damping":
-        physical = float(np.mean(link.damping * link.cells)) if j < 0 else float(link.damping[j])
-        return physical / parametrisation.scale(coordinate)
+def _template_value(parametrisation: Parametrisation, coordinate: Coordinate) -> float:
+    link, j = parametrisation.template.links[coordinate.link], coordinate.index
     if coordinate.group == "hub":
         return link.hub_inertia / parametrisation.scale(coordinate)
+    if coordinate.group in _LINEAR:
+        values = link.stiffness if coordinate.group == "stiffness" else link.damping
+        return float(np.mean(values * link.cells) if j < 0 else values[j]) / parametrisation.scale(coordinate)
     if coordinate.group in ("length", "mass"):
         values = link.lengths if coordinate.group == "length" else link.masses
         return float(np.log(values[j] / values[-1]))
     length, center = float(link.lengths[j]), float(link.mass_centers[j])
     if coordinate.group == "center":
         return _logit(center / length)
-    largest = float(link.masses[j]) * center * (length - center)
-    return _logit(float(link.inertias[j]) / largest)
+    return _logit(float(link.inertias[j]) / (float(link.masses[j]) * center * (length - center)))
 
 
 def _logit(fraction: float) -> float:

@@ -5,9 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
+
+from vjm.chain.layout import chain_layouts
+from vjm.errors import ChoiceError
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.uncertainty import Whiteness
-from vjm.markers.angles import Angles
+from vjm.markers.angles import Angles, ShapeSettings, estimate_angles
 from vjm.markers.smoothing import Derivatives
 from vjm.records import Array, Estimate, Experiment, Record, Recording, RecordingComparison, SimulatedResult
 from vjm.simulation.model import Model
@@ -43,11 +47,11 @@ class TorqueData(Record):
 
     Attributes:
         recording: its source.
-        angles: as read off the markers, at the camera's frames.
+        angles: of the markers, at the camera's frames.
         derivatives: (S, nv) angles, rates and accelerations.
         torque: (S, n_a) active joint torques, through the same filter [N m]; NaN where none was measured.
         errors_before: (S, nv) torque errors (eq. 14) of the nominal model [N m]; NaN on rows without measured torque.
-        errors_after: the same of the identified model.
+        errors_after: those of the identified model.
     """
 
     recording: Recording
@@ -59,21 +63,18 @@ class TorqueData(Record):
 
 
 @dataclass(frozen=True, repr=False)
-class TrajectorySummary(Record):
-    """How well whole trajectories fit.
+class VirtualJointAngles(Record):
+    """Angles phi of the virtual joints in one recording, all links' one after another from the base outwards.
 
     Attributes:
-        whiteness: of each recording's residuals.
-        fit: the minimum.
+        time: (T,) the recording's instants [s].
+        measured: (T, n) from the markers [rad]; NaN where the camera did not show them.
+        simulated: (T, n) of the identified model, open loop [rad]; NaN if it cannot be simulated.
     """
 
-    whiteness: tuple[Whiteness, ...]
-    fit: TrajectoryFit
-
-    @property
-    def chi2_per_sample(self) -> float:
-        """Mean square of the weighted residuals of all training recordings."""
-        return self.fit.point.misfit**2
+    time: Array
+    measured: Array
+    simulated: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -84,18 +85,20 @@ class Identification(SimulatedResult):
         experiment: what it was identified from.
         model: the identified chain, ready to simulate and to write as URDF.
         nominal: the chain that the experiment file's nominal values give.
-        torque_model: what the torque method found, where the trajectory method started from it; else None.
+        torque_model: the torque method's, where the trajectory method started from it; else None.
         method: `torque`, `torque+frequency` or `trajectory`.
         parametrisation: `uniform`, `joints`, `lengths` or `full`.
         parameters: every parameter of the parametrisation, estimated or fixed.
         covariance: (p, p) of the estimated parameters, in the order of those in `parameters` with a standard error.
         modes: model and measurement side by side, slowest first.
-        objective: J of eq. (15): the noise-weighted mean square of the torque errors at the found parameters; None
+        shape: the shape functions, and how angles are read off them.
+        objective: J of eq. (15): the noise-weighted mean square of the torque errors at the identified parameters; None
             where no recording has what torque errors need.
         objective_nominal: J of the nominal model.
-        trajectory: how well whole trajectories fit; None for the torque methods.
-        torque_data: the training recordings as the method saw them.
-        recordings: fit of every recording, in the experiment's order.
+        trajectory: the fit of whole trajectories; None for the torque methods.
+        whiteness: of the trajectories' residuals, one a fitted recording.
+        torque_data: the training recordings as the torque method sees them.
+        recordings: comparison of every recording, in the experiment's order.
         status: `converged` or `not converged`.
         remedy: what to do when it has not converged; empty otherwise.
         warnings: what a user should know before trusting the result.
@@ -111,12 +114,47 @@ class Identification(SimulatedResult):
     parameters: tuple[Estimate, ...]
     covariance: Array
     modes: tuple[ModeComparison, ...]
+    shape: ShapeSettings
     objective: float | None
     objective_nominal: float | None
-    trajectory: TrajectorySummary | None
+    trajectory: TrajectoryFit | None
+    whiteness: tuple[Whiteness, ...]
     torque_data: tuple[TorqueData, ...]
     recordings: tuple[RecordingComparison, ...]
     status: Literal["converged", "not converged"]
     remedy: str
     warnings: tuple[str, ...]
     notes: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> Estimate:
+        """Return a parameter's estimate by its name, such as `beam.bending_stiffness`.
+
+        Raises:
+            ChoiceError: no parameter of that name; the message lists those there are.
+        """
+        by_name = {estimate.name: estimate for estimate in self.parameters}
+        if name not in by_name:
+            raise ChoiceError("parameter", name, by_name)
+        return by_name[name]
+
+    def phi(self, recording: Recording | str) -> VirtualJointAngles:
+        """Return the virtual joints' angles in a recording, measured and simulated.
+
+        Args:
+            recording: one of the experiment's, or its file name.
+
+        Raises:
+            ChoiceError: no recording of that name; the message lists those there are.
+        """
+        name = recording.file if isinstance(recording, Recording) else recording
+        by_name = {each.recording.file: each for each in self.recordings}
+        if name not in by_name:
+            raise ChoiceError("recording", name, by_name)
+        comparison, chain, rig = by_name[name], self.model.chain, self.model.rig
+        angles = estimate_angles(rig, chain_layouts(chain), comparison.recording, self.shape, *comparison.noise)
+        time = comparison.recording.time
+        measured, simulated = np.full((2, time.size, chain.passive.size), np.nan)
+        measured[comparison.recording.frames] = angles.q[:, chain.passive]
+        if comparison.simulated is not None:
+            simulated = comparison.simulated.simulation.q[:, chain.passive]
+        return VirtualJointAngles(time, measured, simulated)

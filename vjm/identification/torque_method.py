@@ -4,36 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import least_squares, lsq_linear
 
-from vjm.chain.layout import chain_layouts, nominal_chain
+from vjm.chain.layout import nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
-from vjm.experiment.spectrum import MeasuredModes, match
+from vjm.experiment.spectrum import match
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.prepare import Data, Prepared, Settings, prepare
+from vjm.identification.training_data import PreparedRecording, TrainingData
 from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.model.torque import torque_errors
-from vjm.records import Array, Experiment, Progress, Recording, Rig
+from vjm.records import Array, Progress
 
-_RIDGE = 1e-12  # of the mean variance; keeps exact data's covariance invertible
+START_KELVIN_VOIGT = 1e-3  # s; searches start here, within a decade or two of metals' and polymers'
+MODE_TOLERANCE = 0.15  # relative; consecutive bending modes are a factor of 2.8 or more apart, nominal values are not
+_MODEL_ACCURACY = 5e-4  # relative, of a small chain's frequencies, however sharp the measured ones are
 _MOST_EVALUATIONS = 100
-_TOLERANCE = 1e-10
 
 
-@dataclass(frozen=True)
-class FrequencyTarget:
-    """A measured natural frequency for section 6.5's term.
-
-    Attributes:
-        mode: its number in the model, from 0.
-        frequency: [Hz].
-        std: standard error [Hz].
-    """
+class _FrequencyTarget(NamedTuple):
+    """A measured natural frequency and its standard error [Hz], of the model's mode of that number (from 0)."""
 
     mode: int
     frequency: float
@@ -41,354 +36,231 @@ class FrequencyTarget:
 
 
 @dataclass(frozen=True)
-class TorqueFit:
-    """A minimum of the objective.
-
-    Attributes:
-        x: (p,) coordinates.
-        residuals: weighted torque errors of each recording, (S, r) each.
-        jacobians: their derivatives by x, (S, r, p) each.
-        frequency_residuals, frequency_jacobian: (f,) and (f, p) of the frequency term.
-        prepared: the recordings at the found lengths.
-        converged: whether the optimiser met its tolerance.
-        spread: the problem's.
-    """
-
-    x: Array
-    residuals: tuple[Array, ...]
-    jacobians: tuple[Array, ...]
-    frequency_residuals: Array
-    frequency_jacobian: Array
-    prepared: tuple[Prepared, ...]
-    converged: bool
-    spread: float
-
-
-@dataclass(frozen=True)
 class TorqueProblem:
     """Weighted torque errors of several recordings as a function of a parametrisation's coordinates.
 
     Attributes:
-        rig: the arm.
+        data: the recordings.
         parametrisation: the coordinates.
-        given: the recordings, prepared at the template's lengths.
-        settings: how they were prepared.
         targets: measured natural frequencies (section 6.5); none for the plain torque method.
-        payload: extra tip mass with which the targets were measured [kg].
         preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
-        spread: size of the weighted torque errors that counts as one standard error beside the other terms.
+        residual_scale: weighted torque error that counts as one standard error beside the other terms.
     """
 
-    rig: Rig
+    data: TrainingData
     parametrisation: Parametrisation
-    given: tuple[Prepared, ...]
-    settings: Settings
-    targets: tuple[FrequencyTarget, ...] = ()
-    payload: float = 0.0
+    targets: tuple[_FrequencyTarget, ...] = ()
     preference: tuple[Array, Array] | None = None
-    spread: float = 1.0
+    residual_scale: float = 1.0
 
-    def prepared(self, chain: Chain) -> tuple[Prepared, ...]:
-        """The recordings at the chain's lengths, through the filter found at the start."""
-        if self.parametrisation.kind not in ("lengths", "full"):
-            return self.given
-        cuts = chain_layouts(chain)
-        return tuple(prepare(self.rig, cuts, given.recording, self.settings, given) for given in self.given)
-
-    def errors(self, x: Array, prepared: Sequence[Prepared]) -> list[Array]:
-        """Torque errors (S, r) of each recording in the rows the data speak of [N m]."""
+    def torque_residuals(self, x: Array) -> list[Array]:
+        """Return the noise-weighted torque errors (S, r) of each recording at x (p,), weights belonging to x."""
         chain = self.parametrisation.chain(x)
-        return [seen_errors(chain, one) for one in prepared]
-
-    def weighted(self, x: Array) -> list[Array]:
-        """Noise-weighted torque errors (S, r) of each recording, weights belonging to x."""
-        chain = self.parametrisation.chain(x)
-        prepared = self.prepared(chain)
-        return [whiten(seen_errors(chain, one), noise_factor(chain, one)) for one in prepared]
+        return weighted_torque_errors(chain, self.data.prepared_for(chain), chain)
 
     def frequency_residuals(self, x: Array) -> Array:
-        """(f,) model frequencies less measured ones, in standard errors (section 6.5)."""
+        """Return the model's frequencies less the measured ones (f,), in standard errors (section 6.5)."""
         if not self.targets:
             return np.empty(0)
-        found = modes(self.parametrisation.chain(x), self.payload, self.rig.gravity).frequencies
-        return np.array([(found[target.mode] - target.frequency) / target.std for target in self.targets])
+        frequencies = modes(self.parametrisation.chain(x), self.data.payload, self.data.rig.gravity).frequencies
+        return np.array([(frequencies[target.mode] - target.frequency) / target.std for target in self.targets])
 
     def vector(self, x: Array) -> Array:
-        """Everything the final search minimises the squares of."""
-        torque = [r.ravel() / self.spread for r in self.weighted(x)]
-        return np.concatenate([*torque, self.frequency_residuals(x), self.preferred(x)])
+        """Return all residuals whose squares the search minimises."""
+        torque = [r.ravel() / self.residual_scale for r in self.torque_residuals(x)]
+        preferred = [] if self.preference is None else [(x - self.preference[0]) / self.preference[1]]
+        return np.concatenate([*torque, self.frequency_residuals(x), *preferred])
 
-    def preferred(self, x: Array) -> Array:
-        """(p,) distance from the preferred coordinates in their widths; empty without a preference."""
-        if self.preference is None:
-            return np.empty(0)
-        centre, width = self.preference
-        return (x - centre) / width
+    def fit(self, progress: Progress | None = None, start: Array | None = None) -> TorqueFit:
+        """Minimise from `start` (p,); by default from the template or, without a preference, the linear solution."""
+        parametrisation = self.parametrisation
+        if start is None:
+            start = parametrisation.start if self.preference is not None else _linear_solution(self)
+        lower, upper = parametrisation.bounds
+        report = progress or (lambda *_: None)
+        count = 0
+
+        def vector(x: Array) -> Array:
+            nonlocal count
+            count += 1
+            report("fitting torque errors", min(count, _MOST_EVALUATIONS - 1), _MOST_EVALUATIONS)
+            return self.vector(x)
+
+        result = least_squares(
+            vector,
+            np.clip(start, lower + 1e-6, upper),
+            bounds=(lower, upper),
+            x_scale="jac",
+            ftol=1e-10,
+            xtol=1e-10,
+            gtol=1e-10,
+            max_nfev=_MOST_EVALUATIONS,
+        )
+        report("fitting torque errors", _MOST_EVALUATIONS, _MOST_EVALUATIONS)
+        return self._linearized(np.asarray(result.x), np.asarray(result.jac), result.status > 0)
+
+    def evaluate(self, x: Array) -> TorqueFit:
+        """Return the residuals and their derivatives at x (p,), without a search."""
+        base = self.vector(x)
+        steps = 1e-6 * np.maximum(np.abs(x), 1e-2)
+        columns = [
+            (self.vector(x + step * unit) - base) / step for step, unit in zip(steps, np.eye(x.size), strict=True)
+        ]
+        return self._linearized(x, np.stack(columns, axis=1), True)
+
+    def _linearized(self, x: Array, jacobian: Array, converged: bool) -> TorqueFit:
+        residuals = self.torque_residuals(x)
+        jacobians, start = [], 0
+        for residual in residuals:
+            block = self.residual_scale * jacobian[start : start + residual.size]
+            jacobians.append(block.reshape(*residual.shape, x.size))
+            start += residual.size
+        frequency = jacobian[start : start + len(self.targets)]
+        return TorqueFit(self, x, tuple(residuals), tuple(jacobians), frequency, converged)
 
 
-def seen_errors(chain: Chain, prepared: Prepared) -> Array:
-    """(S, r) torque errors in the rows the data speak of [N m]."""
-    recording = prepared.recording
-    errors = torque_errors(
-        chain, prepared.q, prepared.v, prepared.a, prepared.tau, recording.payload, recording.gravity
-    )
-    return np.nan_to_num(errors) @ prepared.rows
+@dataclass(frozen=True)
+class TorqueFit:
+    """A minimum of the weighted torque errors.
 
-
-def noise_factor(chain: Chain, prepared: Prepared) -> Array:
-    """(r, r) Cholesky factor of the torque errors' noise covariance [N m]."""
-    recording = prepared.recording
-    mechanism = dynamics.build(chain, recording.payload, recording.gravity)
-    inertia = dynamics.mass_matrix(mechanism, prepared.q.mean(axis=0)[None])[0]
-    factors = [prepared.rows.T @ A for A in (np.diag(chain.stiffness), np.diag(chain.damping), inertia)]
-    gains, noise = prepared.derivatives.gains, prepared.angles.covariance
-    covariance = sum(gains[i, j] * factors[i] @ noise @ factors[j].T for i in range(3) for j in range(3))
-    covariance = np.asarray(covariance)
-    covariance = (covariance + covariance.T) / 2
-    return cholesky(covariance + _RIDGE * np.trace(covariance) * np.eye(len(covariance)), lower=True)
-
-
-def whiten(errors: Array, factor: Array) -> Array:
-    """Errors (S, r) divided by the noise's Cholesky factor."""
-    result: Array = solve_triangular(factor, errors.T, lower=True).T
-    return result
-
-
-def fit_torque(problem: TorqueProblem, progress: Progress | None = None, start: Array | None = None) -> TorqueFit:
-    """Minimise the torque errors: variable projection with fixed weights, then all coordinates with their own weights.
-
-    Args:
-        problem: the recordings and the parametrisation.
-        progress: told (text, done, total) now and then.
-        start: (p,) coordinates of an earlier fit; from the template when None.
+    Attributes:
+        problem: what was minimised.
+        x: (p,) coordinates.
+        residuals: weighted torque errors of each recording, (S, r) each.
+        jacobians: their derivatives by x, (S, r, p) each.
+        frequency_jacobian: (f, p) of the frequency residuals.
+        converged: True if the optimiser met its tolerance.
     """
-    parametrisation = problem.parametrisation
-    if start is None:
-        start = parametrisation.start
-        if problem.preference is None:
-            start = _projected_start(problem, start)
-    lower, upper = parametrisation.bounds
-    start = np.clip(start, lower + 1e-6, upper)
-    count = 0
 
-    def vector(x: Array) -> Array:
-        nonlocal count
-        count += 1
-        if progress is not None:
-            progress("fitting torque errors", min(count, _MOST_EVALUATIONS - 1), _MOST_EVALUATIONS)
-        return problem.vector(x)
+    problem: TorqueProblem
+    x: Array
+    residuals: tuple[Array, ...]
+    jacobians: tuple[Array, ...]
+    frequency_jacobian: Array
+    converged: bool
 
-    result = least_squares(
-        vector,
-        start,
-        bounds=(lower, upper),
-        x_scale="jac",
-        ftol=_TOLERANCE,
-        xtol=_TOLERANCE,
-        gtol=_TOLERANCE,
-        max_nfev=_MOST_EVALUATIONS,
-    )
-    x = np.asarray(result.x)
-    if progress is not None:
-        progress("fitting torque errors", _MOST_EVALUATIONS, _MOST_EVALUATIONS)
-    return _unpacked(problem, x, np.asarray(result.jac), result.status > 0)
+    @property
+    def chain(self) -> Chain:
+        """The chain at x."""
+        return self.problem.parametrisation.chain(self.x)
 
+    @property
+    def residual_scale(self) -> float:
+        """RMS weighted error times the root of the number of samples that each independent one stands for.
 
-def evaluate(problem: TorqueProblem, x: Array) -> TorqueFit:
-    """The residuals and their derivatives at x, without a search."""
-    base = problem.vector(x)
-    columns = []
-    for k, value in enumerate(x):
-        step = 1e-6 * max(abs(value), 1e-2)
-        moved = x.copy()
-        moved[k] += step
-        columns.append((problem.vector(moved) - base) / step)
-    return _unpacked(problem, x, np.stack(columns, axis=1), True)
+        Neither a model that misses more than the noise nor samples that the filter has made alike may outvote the rest.
+        """
+        mean_square = sum(float(np.sum(r**2)) for r in self.residuals) / sum(r.size for r in self.residuals)
+        prepared = self.problem.data.prepared  # whose filters do not depend on the cuts
+        independent = float(np.mean([one.derivatives.gains[0, 0] for one in prepared]))
+        return float(np.sqrt(max(mean_square, 1.0) / min(independent, 1.0)))
 
+    def refined(self, parameters: str) -> TorqueProblem:
+        """Return the problem with more parameters, which starts from this fit and prefers it where data are silent."""
+        parametrisation = Parametrisation(self.chain, parameters, self.problem.parametrisation.hubs)
+        return replace(self.problem, parametrisation=parametrisation, preference=parametrisation.preference)
 
-def _unpacked(problem: TorqueProblem, x: Array, jacobian: Array, converged: bool) -> TorqueFit:
-    residuals = problem.weighted(x)
-    frequency = problem.frequency_residuals(x)
-    jacobians, start = [], 0
-    for residual in residuals:
-        block = problem.spread * jacobian[start : start + residual.size]
-        jacobians.append(block.reshape(*residual.shape, x.size))
-        start += residual.size
-    return TorqueFit(
-        x=x,
-        residuals=tuple(residuals),
-        jacobians=tuple(jacobians),
-        frequency_residuals=frequency,
-        frequency_jacobian=jacobian[start : start + frequency.size],
-        prepared=problem.prepared(problem.parametrisation.chain(x)),
-        converged=converged,
-        spread=problem.spread,
-    )
+    def with_frequencies(self, progress: Progress | None = None) -> TorqueFit:
+        """Fit again, with the natural frequencies that the recordings show (section 6.5).
+
+        Raises:
+            InsufficientDataError: none of them is a mode of the model.
+        """
+        data, targets = self.problem.data, []
+        for mode, frequency in enumerate(modes(self.chain, data.payload).frequencies):
+            measured = match(float(frequency), data.modes, MODE_TOLERANCE)
+            if measured is not None:
+                std = float(np.hypot(measured.frequency_std, _MODEL_ACCURACY * measured.frequency))
+                targets.append(_FrequencyTarget(mode, measured.frequency, std))
+        if not targets:
+            reason = "no peak of the recordings' spectra is near a mode of the model"
+            raise InsufficientDataError("torque+frequency", reason, "use method 'torque'")
+        return replace(self.problem, targets=tuple(targets)).fit(progress, self.x)
 
 
-def spread_of(fit: TorqueFit) -> float:
-    """Root mean square of the weighted errors times that of the samples each independent one stands for.
-
-    Neither a model that misses more than the noise nor samples that the filter has made alike may outvote the rest.
-    """
-    squares = sum(float(np.sum(r**2)) for r in fit.residuals)
-    count = sum(r.size for r in fit.residuals)
-    independent = float(np.mean([prepared.derivatives.gains[0, 0] for prepared in fit.prepared]))
-    return float(np.sqrt(max(squares / count, 1.0) / min(independent, 1.0)))
-
-
-def _projected_start(problem: TorqueProblem, x: Array) -> Array:
-    """Lengths and masses searched with K, D and hub inertia solved for inside, under the template's weights."""
-    linear = problem.parametrisation.linear
-    template = problem.parametrisation.chain(x)
-    factors = [noise_factor(template, one) for one in problem.prepared(template)]
-
-    def solved(outer: Array) -> Array:
-        full = x.copy()
-        full[~linear] = outer
-        return _solve_linear(problem, full, factors)
-
-    if linear.all():
-        return solved(np.empty(0))
-
-    def residual(outer: Array) -> Array:
-        return _weighted_by(problem, solved(outer), factors)
-
-    lower, upper = problem.parametrisation.bounds
-    result = least_squares(residual, x[~linear], bounds=(lower[~linear], upper[~linear]), max_nfev=10)
-    return solved(np.asarray(result.x))
-
-
-def _weighted_by(problem: TorqueProblem, x: Array, factors: Sequence[Array]) -> Array:
-    prepared = problem.prepared(problem.parametrisation.chain(x))
-    return np.concatenate(
-        [whiten(e, factor).ravel() for e, factor in zip(problem.errors(x, prepared), factors, strict=True)]
-    )
-
-
-def _solve_linear(problem: TorqueProblem, x: Array, factors: Sequence[Array]) -> Array:
-    """The linear coordinates that minimise the errors under given weights, all others as in x."""
-    linear = np.flatnonzero(problem.parametrisation.linear)
-    prepared = problem.prepared(problem.parametrisation.chain(x))
-
-    def vector(point: Array) -> Array:
-        errors = problem.errors(point, prepared)
-        return np.concatenate([whiten(e, factor).ravel() for e, factor in zip(errors, factors, strict=True)])
-
-    base = x.copy()
-    base[linear] = 0.0
-    constant = vector(base)
-    columns = []
-    for k in linear:
-        unit = base.copy()
-        unit[k] = 1.0
-        columns.append(vector(unit) - constant)  # exact: the errors are linear in these
-    lower, upper = problem.parametrisation.bounds
-    matrix = np.stack(columns, axis=1)
-    solution = lsq_linear(matrix, -constant, bounds=(lower[linear], upper[linear]))
-    result = x.copy()
-    result[linear] = solution.x
-    return result
-
-
-_MODEL_FLOOR = 5e-4  # relative accuracy of a small chain's frequencies, however sharp the measured ones are
-START_DAMPING = 1e-3  # s, Kelvin-Voigt time the search starts from
-_MOST_PASSES = 5  # with a weight of the preference that follows from the pass before
-
-
-def by_torque(
-    experiment: Experiment, data: Data, progress: Progress | None = None, frequencies: bool = False
-) -> tuple[TorqueProblem, TorqueFit]:
+def fit_torque(data: TrainingData, frequencies: bool = False, progress: Progress | None = None) -> TorqueFit:
     """Identify by torque errors.
 
     Args:
-        experiment: the rig.
-        data: its recordings.
+        data: the recordings.
+        frequencies: whether to fit the recordings' natural frequencies as well.
         progress: told (text, done, total) now and then.
-        frequencies: also hold the model to the recordings' natural frequencies.
 
     Raises:
         InsufficientDataError: no recording has what the method needs; or no measured frequency is the model's.
     """
-    problem, fit = fit_uniform(experiment, data, progress)
-    if data.options.parameters != "uniform":
-        # The uniform link found first is where the search starts, and what it keeps to where the data are silent.
-        problem, fit = fit_refined(refined(problem, fit, data.options.parameters), progress)
-    return with_frequencies(problem, fit, data, progress) if frequencies else (problem, fit)
+    fit = fit_uniform_torque(data, progress)
+    if data.parameters != "uniform":
+        fit = _fit_refined(fit.refined(data.parameters), progress)
+    return fit.with_frequencies(progress) if frequencies else fit
 
 
-def fit_uniform(
-    experiment: Experiment, data: Data, progress: Progress | None = None
-) -> tuple[TorqueProblem, TorqueFit]:
-    """Fit uniform links, from the nominal ones.
+def fit_uniform_torque(data: TrainingData, progress: Progress | None = None) -> TorqueFit:
+    """Fit uniform links by their torque errors, from the nominal ones.
 
     Raises:
         InsufficientDataError: no recording has what the method needs.
     """
     if not data.prepared:
         raise InsufficientDataError("the torque method", data.problems[0], "record more complete frames")
-    start = nominal_chain(experiment.rig, data.plan.cuts, START_DAMPING)
-    hubs = driven_hubs(experiment, [one.recording for one in data.prepared])
-    parametrisation = Parametrisation(start, "uniform", hubs)
-    problem = TorqueProblem(experiment.rig, parametrisation, data.prepared, data.settings, payload=data.payload)
-    fit = fit_torque(problem, progress)
-    return replace(problem, spread=spread_of(fit)), fit
+    start = nominal_chain(data.rig, data.cuts, START_KELVIN_VOIGT)
+    hubs = data.driven_hubs([one.recording for one in data.prepared])
+    fit = TorqueProblem(data, Parametrisation(start, "uniform", hubs)).fit(progress)
+    return replace(fit, problem=replace(fit.problem, residual_scale=fit.residual_scale))
 
 
-def refined(problem: TorqueProblem, fit: TorqueFit, parameters: str) -> TorqueProblem:
-    """The problem with more parameters, starting from a fit with fewer."""
-    template = problem.parametrisation.chain(fit.x)
-    parametrisation = Parametrisation(template, parameters, problem.parametrisation.hubs)
-    return replace(problem, parametrisation=parametrisation, preference=parametrisation.preference)
-
-
-def fit_refined(problem: TorqueProblem, progress: Progress | None = None) -> tuple[TorqueProblem, TorqueFit]:
+def _fit_refined(problem: TorqueProblem, progress: Progress | None = None) -> TorqueFit:
     """Fit with a preference, whose weight beside the data follows from what this model itself leaves unexplained."""
-    fit = fit_torque(problem, progress)
-    for _ in range(_MOST_PASSES):
-        before = problem.spread
-        problem = replace(problem, spread=spread_of(fit))
-        fit = fit_torque(problem, progress, fit.x)
-        if abs(problem.spread - before) < 0.1 * before:
+    fit = problem.fit(progress)
+    for _ in range(5):  # the scale settles to 10 % in two or three
+        before = problem.residual_scale
+        problem = replace(problem, residual_scale=fit.residual_scale)
+        fit = problem.fit(progress, fit.x)
+        if abs(problem.residual_scale - before) < 0.1 * before:
             break
-    return problem, fit
+    return fit
 
 
-def with_frequencies(
-    problem: TorqueProblem, fit: TorqueFit, data: Data, progress: Progress | None = None
-) -> tuple[TorqueProblem, TorqueFit]:
-    """Hold a fit to the natural frequencies that the recordings show (section 6.5).
+def weighted_torque_errors(chain: Chain, prepared: Sequence[PreparedRecording], weighting: Chain) -> list[Array]:
+    """Divide a chain's torque errors by the Cholesky factors of their noise, which are those of the `weighting` chain.
 
-    Raises:
-        InsufficientDataError: none of them is a mode of the model.
+    Returns:
+        (S, r) for each recording, in the rows that its data determine.
     """
-    targets = _targets(problem.parametrisation.chain(fit.x), data.payload, data.seen)
-    if not targets:
-        raise InsufficientDataError(
-            "torque+frequency", "no peak of the recordings' spectra is near a mode of the model", "use method 'torque'"
-        )
-    problem = replace(problem, targets=tuple(targets))
-    return problem, fit_torque(problem, progress, fit.x)
+    return [_whitened(chain, one, _noise_factor(weighting, one)) for one in prepared]
 
 
-def driven_hubs(experiment: Experiment, recordings: Sequence[Recording]) -> tuple[int, ...]:
-    """Links whose hub inertia shows: their active joint's torque was measured."""
-    return tuple(
-        link
-        for k, link in enumerate(experiment.rig.active_links)
-        if any(np.isfinite(recording.tau[:, k]).any() for recording in recordings)
-    )
+def _whitened(chain: Chain, prepared: PreparedRecording, factor: Array) -> Array:
+    recording = prepared.recording
+    errors = torque_errors(chain, *prepared.interior, recording.payload, recording.gravity)
+    whitened: Array = solve_triangular(factor, (np.nan_to_num(errors) @ prepared.rows).T, lower=True).T
+    return whitened
 
 
-def _targets(chain: Chain, payload: float, seen: Sequence[MeasuredModes]) -> list[FrequencyTarget]:
-    """Measured frequencies that belong to modes of the chain."""
-    targets = []
-    for mode, frequency in enumerate(modes(chain, payload).frequencies):
-        found = match(float(frequency), seen, MATCH_TOLERANCE)
-        if found is not None:
-            std = float(np.hypot(found.frequency_std, _MODEL_FLOOR * found.frequency))
-            targets.append(FrequencyTarget(mode, found.frequency, std))
-    return targets
+def _noise_factor(chain: Chain, prepared: PreparedRecording) -> Array:
+    """(r, r) Cholesky factor of the torque errors' noise covariance [N m]."""
+    recording = prepared.recording
+    mechanism = dynamics.build(chain, recording.payload, recording.gravity)
+    inertia = dynamics.mass_matrix(mechanism, prepared.interior[0].mean(axis=0)[None])[0]
+    factors = [prepared.rows.T @ A for A in (np.diag(chain.stiffness), np.diag(chain.damping), inertia)]
+    gains, noise = prepared.derivatives.gains, prepared.angles.covariance
+    covariance = np.asarray(sum(gains[i, j] * factors[i] @ noise @ factors[j].T for i in range(3) for j in range(3)))
+    covariance = (covariance + covariance.T) / 2
+    ridge = 1e-12 * np.trace(covariance)  # keeps exact data's covariance invertible
+    return cholesky(covariance + ridge * np.eye(len(covariance)), lower=True)
 
 
-MATCH_TOLERANCE = 0.15  # a measured frequency this close to the model's is the same mode
+def _linear_solution(problem: TorqueProblem) -> Array:
+    """Coordinates of uniform links under the template's weights, in which their torque errors are linear."""
+    parametrisation, prepared = problem.parametrisation, problem.data.prepared
+    template = parametrisation.chain(parametrisation.start)
+    factors = [_noise_factor(template, one) for one in prepared]
+
+    def vector(x: Array) -> Array:
+        chain = parametrisation.chain(x)
+        return np.concatenate([_whitened(chain, one, f).ravel() for one, f in zip(prepared, factors, strict=True)])
+
+    count = len(parametrisation.coordinates)
+    constant = vector(np.zeros(count))
+    matrix = np.stack([vector(unit) - constant for unit in np.eye(count)], axis=1)  # exact, as they are linear
+    return np.asarray(lsq_linear(matrix, -constant, bounds=parametrisation.bounds).x)

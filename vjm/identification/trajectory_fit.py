@@ -29,7 +29,13 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run
 from vjm.simulation.sensitivity import PerturbedArm
 
-_DERIVATIVE_STEP = 1e-6
+# Predicted decreases of the cost below which a search ends, in units of the mean square residual. A decrease by d is
+# a step of sqrt(d) standard errors: 1e-3 is three hundredths of one, 0.5 the same for a cost that is not smooth.
+_NEGLIGIBLE = 1e-3
+_NEGLIGIBLE_NONSMOOTH = 0.5
+_NEGLIGIBLE_PART = 1e-2  # of the cost, while only a part of the recordings is fitted
+_FIRST_PERIODS = 3.0  # of the slowest mode: a frequency wrong by 15 % is then half a cycle late, as far as slopes lead
+_HORIZON_GROWTH = 3.0  # a frequency fitted to three periods is right to far less than the sixth part of a cycle
 
 
 class Coordinates(Protocol):
@@ -40,29 +46,14 @@ class Coordinates(Protocol):
         """Lower and upper bounds (p,), (p,)."""
 
     @property
-    def reach(self) -> Array:
-        """(p,) by how much a step may change each coordinate."""
+    def max_step(self) -> Array:
+        """(p,) largest change of each coordinate in one step."""
 
     def chain(self, x: Array) -> Chain:
-        """The chain at coordinates x (p,), without effects."""
+        """Build the chain at coordinates x (p,), without effects."""
 
     def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
-        """What moves in each of the recordings."""
-
-
-@dataclass(frozen=True)
-class FixedParameter:
-    """One physical parameter held at a value.
-
-    Attributes:
-        index: of the parameter.
-        value: in its unit.
-        width: how closely, in its unit.
-    """
-
-    index: int
-    value: float
-    width: float
+        """Return the arm that moves in each of the recordings."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,12 +61,12 @@ class TrajectoryProblem(Record):
     """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
 
     Attributes:
-        parametrisation: the coordinates.
+        parametrisation: the chain's coordinates.
         observed: the recordings.
         step_multiple: multiple of the integrator's default step.
         preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
-        spread: size of the weighted residuals that counts as one standard deviation beside the preference.
-        fixed: a parameter that is not free; None: all are.
+        residual_scale: weighted residual that counts as one standard deviation beside the preference.
+        fixed: index of a physical parameter that is held, its value, and the width within which; None: all are free.
         extension: what is varied where that is more than the parametrisation, whose coordinates come first.
     """
 
@@ -83,8 +74,8 @@ class TrajectoryProblem(Record):
     observed: tuple[Observations, ...]
     step_multiple: float = 1.0
     preference: tuple[Array, Array] | None = None
-    spread: float = 1.0
-    fixed: FixedParameter | None = None
+    residual_scale: float = 1.0
+    fixed: tuple[int, float, float] | None = None
     extension: Coordinates | None = None
 
     @property
@@ -99,51 +90,53 @@ class TrajectoryProblem(Record):
 
     @property
     def with_feedback(self) -> bool:
-        """Whether simulations are held near the angles that encoders measured."""
+        """True if simulations are held near the angles that encoders measured."""
         return any(each.feedback is not None for each in self.observed)
 
     def until(self, duration: float) -> TrajectoryProblem:
-        """The same with the recordings' first seconds only."""
+        """Return the problem of the recordings' first seconds only."""
         parts = [each.truncated(float(each.recording.time[0]) + duration) for each in self.observed]
         return replace(self, observed=tuple(parts))
 
     def arms(self, x: Array) -> tuple[Arm, ...]:
-        """What moves in each recording."""
+        """Return the arm that moves in each recording, at coordinates x (p,)."""
         return self.varied.arms(x, [each.recording for each in self.observed])
 
     def moved(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
-        """For each recording, its arm with each coordinate moved a little."""
-        found = []
+        """Return, for each recording, its arm with each coordinate moved a little, for forward differences."""
+        by_coordinate = []
         upper = self.varied.bounds[1]
         for k, value in enumerate(x):
-            by = _DERIVATIVE_STEP * max(abs(value), 1e-2)
-            by = by if value + by <= upper[k] else -by
-            point = x.copy()
-            point[k] += by
-            found.append([PerturbedArm(arm, by) for arm in self.arms(point)])
-        return tuple(zip(*found, strict=True))
+            step = 1e-6 * max(abs(value), 1e-2)
+            step = step if value + step <= upper[k] else -step
+            moved = x.copy()
+            moved[k] += step
+            by_coordinate.append([PerturbedArm(arm, step) for arm in self.arms(moved)])
+        return tuple(zip(*by_coordinate, strict=True))
 
-    def preferred(self, x: Array) -> tuple[Array, Array]:
-        """Rows (r, p) and what they want (r,) of a preference and of a parameter held, for a change of x."""
-        rows, wanted = np.zeros((0, x.size)), np.zeros(0)
+    def prior(self, x: Array) -> tuple[Array, Array]:
+        """Return rows (r, p) and residuals (r,), for a change of x, of the preference and of the parameter held."""
+        rows, residual = np.zeros((0, x.size)), np.zeros(0)
         if self.preference is not None:
             centre, width = self.preference
-            rows, wanted = np.diag(self.spread / width), self.spread * (centre - x) / width
+            rows, residual = np.diag(self.residual_scale / width), self.residual_scale * (centre - x) / width
         if self.fixed is None:
-            return rows, wanted
-        slope = self.parametrisation.jacobian(x)[self.fixed.index] / self.fixed.width
-        return np.vstack([rows, slope]), np.append(wanted, self.fixed_offset(x))
+            return rows, residual
+        index, _, fixed_width = self.fixed
+        slope = self.parametrisation.jacobian(x)[index] / fixed_width
+        return np.vstack([rows, slope]), np.append(residual, self.fixed_residual(x))
 
-    def fixed_offset(self, x: Array) -> float:
-        """How far the parameter held is off its value, in widths; zero where none is held."""
+    def fixed_residual(self, x: Array) -> float:
+        """Return the distance of the parameter held from its value, in widths; zero where none is held."""
         if self.fixed is None:
             return 0.0
-        return float((self.fixed.value - self.parametrisation.physical(x)[self.fixed.index]) / self.fixed.width)
+        index, value, width = self.fixed
+        return float((value - self.parametrisation.physical(x)[index]) / width)
 
 
 @dataclass(frozen=True, repr=False)
 class Point(Record):
-    """Coordinates and initial states, with every recording simulated from there.
+    """Coordinates and initial states, with every recording simulated from there: an iterate of the search.
 
     Attributes:
         problem: what is minimised.
@@ -160,16 +153,16 @@ class Point(Record):
         """The chain at x."""
         return self.problem.varied.chain(self.x)
 
+    @property
+    def states(self) -> list[Array]:
+        """(2 nv,) initial state of each recording."""
+        return [run.state for run in self.runs]
+
     @cached_property
     def cost(self) -> float:
-        """What the search minimises."""
-        wanted = self.problem.preferred(self.x)[1]
-        return sum(run.cost for run in self.runs) + float(wanted @ wanted)
-
-    @property
-    def fixed_cost(self) -> float:
-        """What a parameter held adds to the cost."""
-        return self.problem.fixed_offset(self.x) ** 2
+        """What the search minimises: the residuals' loss, and what the priors of x and initial states add."""
+        residual = self.problem.prior(self.x)[1]
+        return sum(run.cost for run in self.runs) + float(residual @ residual)
 
     @property
     def chi2(self) -> float:
@@ -192,22 +185,13 @@ class Point(Record):
         moved = self.problem.moved(self.x)
         return tuple(run.linearized(own) for run, own in zip(self.runs, moved, strict=True))
 
-    def gathered(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
-        """What recordings and preference together say of the coordinates, and each recording's own problem."""
+    def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
+        """Return the problem of the coordinates, initial states eliminated, and each recording's own with its state."""
         parts = tuple(linearized.damped(damping) for linearized in self.linearizations)
         rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
-        rows.append(np.column_stack(self.problem.preferred(self.x)))
+        rows.append(np.column_stack(self.problem.prior(self.x)))
         stacked = np.vstack(rows)
         return SquareRootInformation.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
-
-
-_MOST_ITERATIONS = 60
-_NEGLIGIBLE = 1e-3  # decrease of chi^2, in units of its mean: three hundredths of a standard error
-_ROUGH = 0.5  # the same, once a step has not lowered it at all
-_COARSE = 1e-2  # the same relative to chi^2, before the whole recordings are looked at
-_FIRST_PERIODS = 3.0  # of the slowest mode
-_LONGER = 3.0  # from one horizon to the next
-_MISSED = 0.5  # of what a step predicts for a recording
 
 
 @dataclass(frozen=True, repr=False)
@@ -216,15 +200,20 @@ class TrajectoryFit(Record):
 
     Attributes:
         point: where.
-        converged: whether nothing more was to be gained there.
+        converged: True if nothing more was to be gained there.
         iterations: simulations of all recordings it took.
-        promised: by how much another search would first expect to lower the cost; infinite: not known.
+        predicted_decrease: of the cost, by the first step of another search; infinite: not known.
     """
 
     point: Point
     converged: bool
     iterations: int
-    promised: float = np.inf
+    predicted_decrease: float = np.inf
+
+    @property
+    def chi2_per_sample(self) -> float:
+        """Mean square of the weighted residuals of all recordings."""
+        return self.point.misfit**2
 
 
 def fit_trajectory(
@@ -232,9 +221,9 @@ def fit_trajectory(
     start: Array,
     progress: Progress | None = None,
     states: Sequence[Array] | None = None,
-    known: float = np.inf,
+    known_duration: float = np.inf,
     rough: bool = False,
-    hopeless: Callable[[Point, float], bool] | None = None,
+    stop: Callable[[Point, float], bool] | None = None,
 ) -> TrajectoryFit:
     """Find the coordinates and initial states that explain the measurements best.
 
@@ -243,105 +232,106 @@ def fit_trajectory(
         start: (p,) coordinates to start from.
         progress: told (text, done, total) now and then.
         states: (2 nv,) initial states near the minimum; None: the search begins with the recordings' first periods.
-        known: how long `start` and `states` are known to follow the recordings [s].
+        known_duration: how long `start` and `states` are known to follow the recordings [s].
         rough: whether the minimum is only a start for another search.
-        hopeless: told where the search is and by how much its next step is expected to lower the cost; it may end it.
+        stop: ends the search where it returns True for the point and the decrease of the cost that its next step
+            predicts.
+
+    Raises:
+        SimulationDivergedError: the start cannot be simulated.
     """
     lower, upper = problem.varied.bounds
     x = np.clip(start, lower + 1e-6, upper)
-    horizons = _horizons(problem, x, 0.0 if states is None else known)
-    count = 0
+    horizons = _horizons(problem, x, 0.0 if states is None else known_duration)
+    iterations = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
+
+        def report(iteration: int, k: int = k) -> None:
+            if progress is not None:
+                within = 1 - 0.7**iteration  # how many more there will be is not known
+                progress("fitting trajectories", int(100 * (k + within) / len(horizons)), 100)
+
         part = problem if last else problem.until(horizon)
-        tell = _Progress(progress, k, len(horizons))
-        fit = _search(part, x, states, tell, last and not rough, hopeless if last else None)
-        count += fit.iterations
-        x, states = fit.point.x, [run.state for run in fit.point.runs]
-    return replace(fit, iterations=count)
-
-
-def _horizons(problem: TrajectoryProblem, x: Array, known: float) -> list[float]:
-    """Lengths of the recordings' beginnings to fit, beyond what is known, each a few times the one before [s]."""
-    horizon, found = first_horizon(problem, x), []
-    while horizon < problem.longest / 1.5:
-        if horizon > _LONGER / 2 * known:
-            found.append(horizon)
-        horizon *= _LONGER
-    return [*found, np.inf]
+        fit = _search(part, x, states, report, last and not rough, stop if last else None)
+        iterations += fit.iterations
+        x, states = fit.point.x, fit.point.states
+    return replace(fit, iterations=iterations)
 
 
 def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
-    """A few periods of the slowest vibration [s]: so short that a wrong frequency has not yet cost a cycle."""
+    """Return a few periods of the slowest vibration [s]: so short that a wrong frequency has not yet cost a cycle."""
     chain = problem.varied.chain(x)
     return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in problem.observed)
 
 
-@dataclass(frozen=True)
-class _Progress:
-    """Says how far the search has come."""
-
-    tell: Progress | None
-    stage: int
-    stages: int
-
-    def __call__(self, iteration: int) -> None:
-        if self.tell is not None:
-            inside = 1 - 0.7**iteration  # how many more there will be is not known
-            self.tell("fitting trajectories", int(100 * (self.stage + inside) / self.stages), 100)
+def _horizons(problem: TrajectoryProblem, x: Array, known_duration: float) -> list[float]:
+    """Durations [s] of the recordings' parts to fit one after another, beyond what is known; the last is infinite."""
+    horizon, horizons = first_horizon(problem, x), []
+    while horizon < problem.longest / 1.5:  # or the whole would hardly be longer
+        if horizon > _HORIZON_GROWTH / 2 * known_duration:
+            horizons.append(horizon)
+        horizon *= _HORIZON_GROWTH
+    return [*horizons, np.inf]
 
 
 def _search(
     problem: TrajectoryProblem,
     x: Array,
     states: Sequence[Array] | None,
-    tell: _Progress,
+    report: Callable[[int], None],
     final: bool,
-    hopeless: Callable[[Point, float], bool] | None,
+    stop: Callable[[Point, float], bool] | None,
 ) -> TrajectoryFit:
     if states is None:
-        found = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
-        point = Point(problem, x, tuple(run for run, _ in found))
+        likely = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
+        point = Point(problem, x, tuple(run for run, _ in likely))
     else:
-        point = _point(problem, x, states, states)
-        point = replace(point, runs=tuple(run.with_scaled_prior() for run in point.runs))
-    damping, done, iteration, promised = Damping(), False, 0, np.inf
-    for iteration in range(_MOST_ITERATIONS):
-        tell(iteration)
+        point = _reweighted(_point(problem, x, states, states))
+    damping, converged, iteration, predicted = Damping(), False, 0, np.inf
+    for iteration in range(60):
+        report(iteration)
         step = _step(point, damping.value)
-        promised = np.inf if damping.value else step.predicted
-        least = _NEGLIGIBLE * max(point.misfit, 1.0) ** 2
-        if step.predicted < (least if final else max(least, _COARSE * point.chi2)):
-            done = True
+        predicted = np.inf if damping.value else step.predicted
+        unit = max(point.misfit, 1.0) ** 2
+        negligible = _NEGLIGIBLE * unit if final else max(_NEGLIGIBLE * unit, _NEGLIGIBLE_PART * point.chi2)
+        if step.predicted < negligible:
+            converged = True
             break
-        if hopeless is not None and hopeless(point, step.predicted):
+        if stop is not None and stop(point, step.predicted):
             break
         trial = _attempt(point, step)
         if trial is not None and trial.cost < point.cost:
-            point = replace(trial, runs=tuple(run.with_scaled_prior() for run in trial.runs))
+            point = _reweighted(trial)
             damping = damping.better()
-        else:
-            if trial is not None and _step(point, 0.0).predicted < _ROUGH * max(point.misfit, 1.0) ** 2:
-                done = True  # what yields or sticks makes the cost rough: no step finds what slopes promise
-                break
-            damping = damping.worse(partial(_length, point))
-            if damping.exhausted:
-                break
-    return TrajectoryFit(point, done, iteration + 1, promised)
+            continue
+        if trial is not None and _step(point, 0.0).predicted < _NEGLIGIBLE_NONSMOOTH * unit:
+            converged = True  # play and stiction make the cost rough: no step finds the decrease that slopes predict
+            break
+        damping = damping.worse(partial(_step_length, point))
+        if damping.exhausted:
+            break
+    return TrajectoryFit(point, converged, iteration + 1, predicted)
+
+
+def _reweighted(point: Point) -> Point:
+    """The point with initial states' priors as strong as its residuals are large."""
+    return replace(point, runs=tuple(run.with_scaled_prior() for run in point.runs))
 
 
 def _point(
     problem: TrajectoryProblem,
     x: Array,
     states: Sequence[Array],
-    known: Sequence[Array],
-    spreads: Sequence[float] | None = None,
+    known_states: Sequence[Array],
+    like: Sequence[Run] | None = None,
 ) -> Point:
+    """The point with every recording simulated; initial states' priors as strong as in the runs `like`."""
     arms = problem.arms(x)
-    starts = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
-    if spreads is not None:
-        starts = [replace(prior, scale=scale) for prior, scale in zip(starts, spreads, strict=True)]
-    runs = simulate_or_rest(arms, problem.observed, starts, states, known, problem.step_multiple)
+    priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
+    if like is not None:
+        priors = [replace(prior, scale=run.prior.scale) for prior, run in zip(priors, like, strict=True)]
+    runs = simulate_or_rest(arms, problem.observed, priors, states, known_states, problem.step_multiple)
     return Point(problem, x, tuple(runs))
 
 
@@ -353,8 +343,8 @@ class _Step:
         change: (p,) of the coordinates.
         states: (2 nv,) of each recording's initial state.
         own: (2 nv,) of each, were the coordinates to stay.
-        gains: by how much each recording's part of the cost should fall.
-        predicted: the decrease of the cost.
+        gains: predicted decrease of each recording's part of the cost.
+        predicted: decrease of the cost.
     """
 
     change: Array
@@ -365,59 +355,57 @@ class _Step:
 
 
 def _step(point: Point, damping: float) -> _Step:
-    """The step that the linearised problem asks for."""
-    together, parts = point.gathered(damping)
+    """The minimum of the linearised problem within the coordinates' bounds and largest steps."""
+    together, parts = point.reduced(damping)
+    max_step = point.problem.varied.max_step
     lower, upper = point.problem.varied.bounds
-    reach = point.problem.varied.reach
-    lower, upper = np.maximum(lower, point.x - reach), np.minimum(upper, point.x + reach)
+    lower, upper = np.maximum(lower - point.x, -max_step), np.minimum(upper - point.x, max_step)
     change = together.best()
-    if ((point.x + change < lower) | (point.x + change > upper)).any():
+    if ((change < lower) | (change > upper)).any():
         R = together.R[:, :-1]
         scale = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
-        bounds = ((lower - point.x) * scale, (upper - point.x) * scale)
-        bounds = (np.minimum(bounds[0], 0.0) - 1e-12, np.maximum(bounds[1], 0.0) + 1e-12)
-        change = np.clip(lsq_linear(R / scale, together.R[:, -1], bounds).x / scale, lower - point.x, upper - point.x)
+        bounds = np.minimum(lower * scale, 0.0) - 1e-12, np.maximum(upper * scale, 0.0) + 1e-12
+        change = np.clip(lsq_linear(R / scale, together.R[:, -1], bounds).x / scale, lower, upper)
     states, own, gains = [], [], []
     for run, part, plain in zip(point.runs, parts, point.linearizations, strict=True):
         modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
         states.append(run.basis.states @ modal)
         own.append(run.basis.states @ alone)
         gains.append(plain.decrease(np.concatenate([modal, change])))
-    rows, wanted = point.problem.preferred(point.x)
-    preferred = float(wanted @ wanted - np.sum((wanted - rows @ change) ** 2))
-    return _Step(change, states, own, gains, sum(gains) + preferred)
+    rows, residual = point.problem.prior(point.x)
+    prior_gain = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
+    return _Step(change, states, own, gains, sum(gains) + prior_gain)
 
 
-def _length(point: Point, damping: float) -> float:
-    """Of the step of the coordinates, in the lengths of the predictions' derivatives by each."""
-    return float(np.linalg.norm(point.gathered()[0].scale * _step(point, damping).change))
+def _step_length(point: Point, damping: float) -> float:
+    """Length of the step of the coordinates, each in units of the predictions' derivative by it."""
+    return float(np.linalg.norm(point.reduced()[0].scale * _step(point, damping).change))
 
 
 def _attempt(point: Point, step: _Step) -> Point | None:
-    """The point a step further; None where a simulation diverges or the chain is none."""
-    moved = [run.state + by for run, by in zip(point.runs, step.states, strict=True)]
+    """The point a step further; None where a simulation diverges or the arm finds no rest under its load."""
+    states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
-        spreads = [run.prior.scale for run in point.runs]
-        trial = _point(point.problem, point.x + step.change, moved, [run.state for run in point.runs], spreads)
-    except (SimulationDivergedError, InsufficientDataError):  # or it does not come to rest under its load
+        trial = _point(point.problem, point.x + step.change, states, point.states, point.runs)
+    except (SimulationDivergedError, InsufficientDataError):
         return None
     with contextlib.suppress(SimulationDivergedError):
-        return _nearer(point, step, trial)
+        return _backtracked(point, step, trial)
     return trial
 
 
-def _nearer(point: Point, step: _Step, trial: Point) -> Point:
-    """A trial whose recordings that stick or rattle begin nearer to where they did, if that follows them better.
+def _backtracked(point: Point, step: _Step, trial: Point) -> Point:
+    """The trial with nonsmooth recordings begun nearer to where they did before, if that follows them better.
 
-    The coordinates' part of a step holds for them, what it does to a state for its own sake often not.
+    The coordinates' part of a step is right for them, the part of an initial state of its own often not.
     """
     missed = [
         k
         for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True))
-        if is_nonsmooth(run.arm.effects) and before.cost - run.cost < gain - _MISSED * abs(gain)
+        if is_nonsmooth(run.arm.effects) and before.cost - run.cost < gain - abs(gain) / 2  # half of what is predicted
     ]
     runs = list(trial.runs)
-    found = backtrack([runs[k] for k in missed], [step.own[k] for k in missed], point.problem.step_multiple)
-    for k, run in zip(missed, found, strict=True):
+    nearer = backtrack([runs[k] for k in missed], [step.own[k] for k in missed], point.problem.step_multiple)
+    for k, run in zip(missed, nearer, strict=True):
         runs[k] = run
     return replace(trial, runs=tuple(runs))

@@ -13,24 +13,11 @@ from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.prepare import Data
-from vjm.identification.torque_method import (
-    START_DAMPING,
-    TorqueFit,
-    TorqueProblem,
-    driven_hubs,
-    fit_uniform,
-    with_frequencies,
-)
-from vjm.identification.trajectory_fit import (
-    Point,
-    TrajectoryFit,
-    TrajectoryProblem,
-    first_horizon,
-    fit_trajectory,
-)
+from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_uniform_torque
+from vjm.identification.training_data import TrainingData
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
 from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
-from vjm.records import Array, Experiment, Progress, Recording
+from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.least_squares import Loss
@@ -38,320 +25,173 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
 from vjm.simulation.system import Trajectory, measured_torque
 
-_LOST = 10.0  # RMS residual over noise of the first periods beyond which other starts are tried
-_EXPLAINED = 0.3  # unless it is less than this share of the motion
-
-
-def screen_unreliable(
-    problem: TrajectoryProblem, likely: Sequence[Array], others: Sequence[Array], progress: Progress | None
-) -> TrajectoryFit:
-    """The fit to the recordings' first periods that follows them best.
-
-    Args:
-        problem: those periods.
-        likely: (p,) coordinates to start from, the first of them first, the others by how well they follow.
-        others: the same, tried where none of these leads anywhere.
-        progress: told (text, done, total) now and then.
-
-    Raises:
-        SimulationDivergedError: no start can be simulated.
-    """
-    fit = _attempted(problem, likely[0], progress)
-    if fit is None or fit.point.misfit > _LOST:
-        fit = _first(problem, likely, progress)
-    if fit is None or fit.point.misfit > max(_LOST, _EXPLAINED * _motion(problem, likely[-1])):
-        fit = _first(problem, [*likely, *others], progress)
-    # Where nothing runs at all, let the search itself say what is wrong.
-    return fit or fit_trajectory(problem, likely[-1], progress)
-
-
-def _first(problem: TrajectoryProblem, starts: Sequence[Array], progress: Progress | None) -> TrajectoryFit | None:
-    """The fit from the likeliest start; from the next ones too, until one misses by little."""
-    best: TrajectoryFit | None = None
-    ranked = sorted((_misfit_at(problem, x), k) for k, x in enumerate(starts))
-    for expected, k in ranked:
-        if not np.isfinite(expected) or (best is not None and best.point.misfit < _LOST):
-            break
-        trial = _attempted(problem, starts[k], progress)
-        if trial is not None and (best is None or trial.point.misfit < best.point.misfit):
-            best = trial
-    return best
-
-
-def _motion(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS of what was measured about the arm's rest, in units of the noise."""
-    squares = 0.0
-    for seen, arm in zip(problem.observed, problem.arms(x), strict=True):
-        rest = InitialStatePrior.of(arm, seen.recording).rest[: arm.chain.size]
-        residual = seen.residual(arm, Trajectory.at_rest(seen.recording.time, rest))
-        squares += float(residual @ residual)
-    return float(np.sqrt(squares / sum(seen.count for seen in problem.observed)))
-
-
-def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS weighted residual from the most likely initial states at coordinates x; infinite where nothing runs."""
-    try:
-        found = fit_initial_states(problem.arms(x), problem.observed)
-    except SimulationDivergedError:
-        return np.inf
-    return Point(problem, x, tuple(run for run, _ in found)).misfit
-
-
-def _attempted(problem: TrajectoryProblem, x: Array, progress: Progress | None) -> TrajectoryFit | None:
-    """The fit from there; None where the arm cannot be simulated so."""
-    try:
-        return fit_trajectory(problem, x, progress, rough=True)
-    except SimulationDivergedError:
-        return None
-
-
-_WORTH_A_JOINT = 0.005  # relative fall of the RMS residual
-_COARSE = (4.0, 2.0)  # times the integrator's default step
-_UNSEEN = 0.01  # chi^2 of the integration error: no direction of the parameters moves by more than its root
-_OTHER_STIFFNESS = tuple(float(factor) for factor in np.geomspace(0.25, 4.0, 9))
-_MOST_PASSES = 8
-_BEYOND = 3  # joints more than the modes' frequencies ask for, at most
+# A start is followed by others while its fit of the first periods misses by more than ten times the noise, or, where
+# the model itself lacks something, by more than 30 % of the motion: a fit of another cycle misses by about all of it.
+_DIVERGED_MISFIT = 10.0
+_DIVERGED_SHARE = 0.3
+_VISIBLE_GAIN = 0.005  # fall of the RMS residual that a joint more is worth, however significant: 1 % of chi^2
+_DISCRETIZATION_CHI2 = 0.01  # of the integration error: no direction of the parameters moves by more than its root
 
 
 @dataclass(frozen=True)
-class Search:
-    """Fits of one experiment with different numbers of joints.
+class TrajectorySearch:
+    """Fits of one experiment's trajectories with different numbers of virtual joints.
 
     Attributes:
-        experiment, data: what is fitted.
-        observed: the recordings, as they are fitted.
+        data: what is fitted.
+        observed: the recordings that can be simulated, without their outliers once a first fit has shown them.
         hubs: indices of the links whose hub inertia is identified.
+        problems: why recordings are not used, a sentence each.
+        torque: what the torque method finds; None where there is nothing for it to find.
         progress: told (text, done, total) now and then.
         rough: whether minima are only a start for other searches.
     """
 
-    experiment: Experiment
-    data: Data
+    data: TrainingData
     observed: tuple[Observations, ...]
     hubs: tuple[int, ...]
+    problems: tuple[str, ...]
+    torque: TorqueFit | None
     progress: Progress | None
     rough: bool = False
 
-    @property
-    def asked(self) -> bool:
-        """Whether the numbers of joints were asked for."""
-        return all(choice.asked for choice in self.data.plan.joints)
-
-    @property
-    def only_a_start(self) -> bool:
-        """Whether the uniform links are not what is asked for."""
-        return self.rough or self.data.options.parameters != "uniform"
-
     def candidates(self) -> list[tuple[int, ...]]:
-        """Numbers of joints to try, the smallest first: from as many as there are modes seen to the plan's."""
-        planned = tuple(choice.joints for choice in self.data.plan.joints)
-        if self.asked:
+        """Return numbers of joints to try, the smallest first: from as many as there are modes seen to the planned."""
+        data = self.data
+        planned = tuple(choice.joints for choice in data.joints)
+        if self._requested:
             return [planned]
-        orders = self.data.plan.shape.orders
-        first = tuple(min(max(order, 2), n) for order, n in zip(orders, planned, strict=True))
+        first = tuple(min(max(order, 2), n) for order, n in zip(data.shape.orders, planned, strict=True))
         most = max(n - m for n, m in zip(planned, first, strict=True))
-        if self.data.options.parameters == "uniform":
-            most += _BEYOND
+        if data.parameters == "uniform":
+            most += 3  # motion may show modes that the shape functions do not
         return [
-            tuple(link.virtual_joints or m + k for m, link in zip(first, self.experiment.rig.links, strict=True))
+            tuple(link.virtual_joints or m + k for m, link in zip(first, data.rig.links, strict=True))
             for k in range(most + 1)
         ]
 
-    def template(self, joints: Sequence[int]) -> Chain:
-        """The nominal chain with so many joints."""
-        rig = self.experiment.rig
-        return nominal_chain(rig, rig_layouts(rig, joints, self.data.options.layout), START_DAMPING)
+    def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
+        """Fit uniform links with so many joints, from a fit with about as many."""
+        chain = self._template(joints)
+        states = [transfer_state(run.chain, chain, run.state) for run in fit.point.runs]
+        problem = self._problem(joints)
+        chain = problem.parametrisation.chain(fit.point.x)
+        step_multiple = _largest_step_multiple(chain, problem.observed, states, fit.point.misfit**2)
+        problem = replace(problem, step_multiple=step_multiple)
+        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self._only_a_start)
 
-    def problem(self, joints: Sequence[int]) -> TrajectoryProblem:
-        """Of uniform links with so many joints."""
-        return TrajectoryProblem(Parametrisation(self.template(joints), "uniform", self.hubs), self.observed)
+    def enough_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
+        """Return the fit with the fewest joints that one joint more does not improve, and what that joint would do.
 
-    def far(self, joints: Sequence[int], torque: tuple[TorqueProblem, TorqueFit] | None) -> TrajectoryFit:
-        """Uniform links with so many joints, from far away.
+        Args:
+            first: of uniform links with the first of the candidate numbers of joints.
+        """
+        uniform, best = first, self._refined(first)
+        for joints in self.candidates()[1:]:
+            uniform = self.near(joints, uniform)
+            trial = self._refined(uniform)
+            if not _explains_more(best, trial):
+                return best, (_comparison(best, trial),)
+            best = trial
+        return best, ()
+
+    def joint_choices(self, fit: TrajectoryFit) -> tuple[JointChoice, ...]:
+        """Return a fit's numbers of joints with their discretisation errors."""
+        links = zip(self.data.rig.links, self.data.shape.orders, fit.point.chain.links, strict=True)
+        choices = [choose_virtual_joints(link, order, own.virtual_joints) for link, order, own in links]
+        return tuple(replace(choice, requested=self._requested) for choice in choices)
+
+    @property
+    def _requested(self) -> bool:
+        """True if the numbers of joints were asked for."""
+        return all(choice.requested for choice in self.data.joints)
+
+    @property
+    def _only_a_start(self) -> bool:
+        """True if the uniform links are not what is asked for."""
+        return self.rough or self.data.parameters != "uniform"
+
+    def _template(self, joints: Sequence[int]) -> Chain:
+        return nominal_chain(self.data.rig, rig_layouts(self.data.rig, joints, self.data.layout), START_KELVIN_VOIGT)
+
+    def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
+        """The problem of uniform links with so many joints."""
+        return TrajectoryProblem(Parametrisation(self._template(joints), "uniform", self.hubs), self.observed)
+
+    def _far(self, joints: Sequence[int]) -> TrajectoryFit:
+        """Fit uniform links with so many joints, from far away.
 
         The search begins with the recordings' first periods, at what the torque method found, held to the measured
         frequencies; where that does not follow them, other stiffnesses are tried.
         """
-        problem = self.problem(joints)
+        problem = self._problem(joints)
         nominal = problem.parametrisation.start
-        starts = [*self._by_torque(torque), nominal]
+        starts = [*self._torque_starts(), nominal]
         horizon = first_horizon(problem, starts[0])
-        short = problem.until(horizon)
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
-        others = [np.where(stiffness, factor * nominal, nominal) for factor in _OTHER_STIFFNESS]
-        fit = screen_unreliable(short, starts, others, self.progress)
-        states = [run.state for run in fit.point.runs]
-        return fit_trajectory(problem, fit.point.x, self.progress, states, horizon, rough=self.only_a_start)
+        # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
+        others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
+        fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
+        return fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, horizon, rough=self._only_a_start)
 
-    def _by_torque(self, torque: tuple[TorqueProblem, TorqueFit] | None) -> list[Array]:
+    def _torque_starts(self) -> list[Array]:
         """Coordinates that the torque method finds: held to the measured frequencies if it can be, and free."""
-        if torque is None or torque[0].parametrisation.hubs != self.hubs:
+        if self.torque is None or self.torque.problem.parametrisation.hubs != self.hubs:
             return []
         with contextlib.suppress(InsufficientDataError):
-            return [with_frequencies(*torque, self.data)[1].x, torque[1].x]
-        return [torque[1].x]
+            return [self.torque.with_frequencies().x, self.torque.x]
+        return [self.torque.x]
 
-    def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
-        """Uniform links with so many joints, from a fit with about as many."""
-        chain = self.template(joints)
-        states = [transfer_state(run.chain, chain, run.state) for run in fit.point.runs]
-        problem = self.problem(joints)
-        chain = problem.parametrisation.chain(fit.point.x)
-        problem = replace(problem, step_multiple=_coarsest(chain, problem.observed, states, fit.point.misfit**2))
-        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.only_a_start)
-
-    def refined(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """The same with the parameters asked for, the uniform links being where they start and what they prefer."""
-        kind = self.data.options.parameters
-        if kind == "uniform":
+    def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """The fit of the parameters asked for, which start from uniform links and prefer them where data are silent."""
+        if self.data.parameters == "uniform":
             return fit
-        parametrisation = Parametrisation(fit.point.chain, kind, self.hubs)
+        parametrisation = Parametrisation(fit.point.chain, self.data.parameters, self.hubs)
         problem = replace(fit.point.problem, parametrisation=parametrisation, preference=parametrisation.preference)
         x = parametrisation.start
-        for _ in range(_MOST_PASSES):
+        for _ in range(8):  # the scale only falls, by 10 % or more
             # The preference counts as much as one of the values that this model itself leaves unexplained.
-            problem = replace(problem, spread=max(fit.point.misfit, 1.0))
-            fit = fit_trajectory(problem, x, self.progress, [run.state for run in fit.point.runs])
+            problem = replace(problem, residual_scale=max(fit.point.misfit, 1.0))
+            fit = fit_trajectory(problem, x, self.progress, fit.point.states)
             x = fit.point.x
-            if max(fit.point.misfit, 1.0) > 0.9 * problem.spread:
+            if max(fit.point.misfit, 1.0) > 0.9 * problem.residual_scale:
                 break
         return fit
 
-    def enough_joints(
-        self, counts: Sequence[tuple[int, ...]], uniform: TrajectoryFit
-    ) -> tuple[TrajectoryFit, tuple[int, ...], tuple[str, ...]]:
-        """The fit with the fewest joints that one joint more does not improve, those joints, and a sentence on it."""
-        best, joints = self.refined(uniform), counts[0]
-        for more in counts[1:]:
-            uniform = self.near(more, uniform)
-            trial = self.refined(uniform)
-            gain = 1 - float(np.sqrt(trial.point.chi2 / best.point.chi2))
-            if not self._worth(best, trial):
-                return best, joints, (_note(gain, best, trial),)
-            best, joints = trial, more
-        return best, joints, ()
-
-    def _worth(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
-        """Whether the larger chain explains the recordings better: by a Bayesian information criterion, and visibly."""
-        count = fewer.point.count
-        gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
-        added = more.point.x.size - fewer.point.x.size
-        return bool(gain > max(added * np.log(count), 2 * _WORTH_A_JOINT * count))
-
-
-def _note(gain: float, fewer: TrajectoryFit, more: TrajectoryFit) -> str:
-    """What one virtual joint more would do."""
-    note = f"one virtual joint more would make the residual {100 * max(gain, 0.0):.2g} % smaller"
-    one, two = (fit.point.problem.parametrisation for fit in (fewer, more))
-    if one.kind != "uniform":
-        return note
-    values, others = one.physical(fewer.point.x), two.physical(more.point.x)
-    shifts = np.abs(others / np.where(values > 0, values, np.inf) - (values > 0))
-    named = zip(one.coordinates, shifts.tolist(), strict=True)
-    return f"{note} and move " + ", ".join(f"{c.name} by {100 * shift:.2g} %" for c, shift in named)
-
-
-def _coarsest(chain: Chain, observed: Sequence[Observations], states: Sequence[Array], excess: float) -> float:
-    """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error.
-
-    Args:
-        chain: the arm, about as it will be.
-        observed: the recordings.
-        states: (2 nv,) initial states, about as they will be.
-        excess: mean square of the weighted residuals.
-    """
-    arms = [Arm(chain)] * len(observed)
-    starts = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
-    exact = simulate_runs(arms, observed, starts, states, 1.0)
-    for step_multiple in _COARSE:
-        runs = simulate_runs(arms, observed, starts, states, step_multiple)
-        error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
-        if error < _UNSEEN * max(excess, 1.0):
-            return step_multiple
-    return 1.0
-
-
-@dataclass(frozen=True)
-class ByTrajectory:
-    """What the trajectory method found.
-
-    Attributes:
-        fit: the minimum.
-        joints: numbers of virtual joints, and what they cost.
-        torque: the torque method's fit that it started from; None where there was none.
-        problems: why others were not used, a sentence each.
-        notes: what was decided on the way.
-    """
-
-    fit: TrajectoryFit
-    joints: tuple[JointChoice, ...]
-    torque: tuple[TorqueProblem, TorqueFit] | None
-    problems: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def by_trajectory(
-    experiment: Experiment, data: Data, loss: str = "linear", progress: Progress | None = None
-) -> ByTrajectory:
-    """Identify by whole trajectories.
-
-    Args:
-        experiment: the rig.
-        data: its recordings.
-        loss: of the weighted residuals, one of `LOSSES`.
-        progress: told (text, done, total) now and then.
-
-    Raises:
-        InsufficientDataError: no recording can be simulated.
-        SimulationDivergedError: no start can be simulated.
-    """
-    search, fit, torque, problems = first_fit(experiment, data, loss, progress)
-    counts = search.candidates()
-    fit, joints, notes = search.enough_joints(counts, fit)
-    choices = tuple(
-        replace(choose_virtual_joints(link, order, n), asked=len(counts) == 1 and search.asked)
-        for link, order, n in zip(experiment.rig.links, data.plan.shape.orders, joints, strict=True)
-    )
-    return ByTrajectory(fit, choices, torque, problems, notes)
-
 
 def first_fit(
-    experiment: Experiment,
-    data: Data,
-    loss: str = "linear",
-    progress: Progress | None = None,
-    rough: bool = False,
-) -> tuple[Search, TrajectoryFit, tuple[TorqueProblem, TorqueFit] | None, tuple[str, ...]]:
-    """Uniform links with few joints, from far away, to recordings without their outliers.
+    data: TrainingData, loss: str = "linear", progress: Progress | None = None, rough: bool = False
+) -> tuple[TrajectorySearch, TrajectoryFit]:
+    """Fit uniform links with few joints, from far away, to recordings without their outliers.
 
     Args:
-        experiment, data, loss, progress: as of `by_trajectory`.
+        data: the recordings.
+        loss: of the weighted residuals, one of `vjm.simulation.least_squares.LOSSES`.
+        progress: told (text, done, total) now and then.
         rough: whether the minimum is only a start for other searches.
 
     Returns:
-        What further fits start with, the fit, what the torque method found (None where there was nothing for it to
-        find), and why recordings were not used, a sentence each.
+        What further fits start with, and the fit.
 
     Raises:
         InsufficientDataError: no recording can be simulated.
         SimulationDivergedError: no start can be simulated.
     """
-    recordings, problems = simulated(data.recordings)
-    noise = (data.settings.marker_noise, data.settings.encoder_noise)
-    observed = tuple(Observations.of(experiment.rig, each, noise, Loss(loss)) for each in recordings)
-    torque = fit_uniform(experiment, data, progress) if data.prepared else None
-    search = Search(experiment, data, observed, driven_hubs(experiment, recordings), progress, rough)
+    recordings, problems = simulatable(data.recordings)
+    observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
+    torque = fit_uniform_torque(data, progress) if data.prepared else None
+    search = TrajectorySearch(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
     joints = search.candidates()[0]
-    fit = search.far(joints, torque)
+    fit = search._far(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)
     if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
         fit = search.near(joints, fit)
-    return search, fit, torque, problems
+    return search, fit
 
 
-def simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
-    """Recordings whose torques are known, and what is wrong with the others.
+def simulatable(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
+    """Return the recordings whose torques are known, and what is wrong with the others.
 
     Raises:
         InsufficientDataError: there is none.
@@ -370,3 +210,99 @@ def simulated(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], t
             "record the column LINK.tau, or use method 'torque'",
         )
     return tuple(kept), tuple(problems)
+
+
+def _fit_first_periods(
+    problem: TrajectoryProblem, starts: Sequence[Array], others: Sequence[Array], progress: Progress | None
+) -> TrajectoryFit:
+    """The fit to the recordings' first periods that follows them best.
+
+    The first start (p,) is tried first, then all by how well they follow, then `others` where none leads anywhere.
+    """
+    fit = _fit_or_none(problem, starts[0], progress)
+    if fit is None or fit.point.misfit > _DIVERGED_MISFIT:
+        fit = _best_fit(problem, starts, progress)
+    if fit is None or fit.point.misfit > max(_DIVERGED_MISFIT, _DIVERGED_SHARE * _motion(problem, starts[-1])):
+        fit = _best_fit(problem, [*starts, *others], progress)
+    # Where nothing runs at all, let the search itself say what is wrong.
+    return fit or fit_trajectory(problem, starts[-1], progress)
+
+
+def _best_fit(problem: TrajectoryProblem, starts: Sequence[Array], progress: Progress | None) -> TrajectoryFit | None:
+    """The fit from the start that follows best; from the next ones too, until one misses by little."""
+    best: TrajectoryFit | None = None
+    for expected, k in sorted((_misfit_at(problem, x), k) for k, x in enumerate(starts)):
+        if not np.isfinite(expected) or (best is not None and best.point.misfit < _DIVERGED_MISFIT):
+            break
+        trial = _fit_or_none(problem, starts[k], progress)
+        if trial is not None and (best is None or trial.point.misfit < best.point.misfit):
+            best = trial
+    return best
+
+
+def _motion(problem: TrajectoryProblem, x: Array) -> float:
+    """RMS of what was measured about the arm's rest, in units of the noise."""
+    squares = 0.0
+    for observed, arm in zip(problem.observed, problem.arms(x), strict=True):
+        rest = InitialStatePrior.of(arm, observed.recording).rest[: arm.chain.size]
+        residual = observed.residual(arm, Trajectory.at_rest(observed.recording.time, rest))
+        squares += float(residual @ residual)
+    return float(np.sqrt(squares / sum(observed.count for observed in problem.observed)))
+
+
+def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
+    """RMS weighted residual from the most likely initial states at coordinates x; infinite where nothing runs."""
+    try:
+        likely = fit_initial_states(problem.arms(x), problem.observed)
+    except SimulationDivergedError:
+        return np.inf
+    return Point(problem, x, tuple(run for run, _ in likely)).misfit
+
+
+def _fit_or_none(problem: TrajectoryProblem, x: Array, progress: Progress | None) -> TrajectoryFit | None:
+    with contextlib.suppress(SimulationDivergedError):
+        return fit_trajectory(problem, x, progress, rough=True)
+    return None
+
+
+def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
+    """Return True if the larger chain explains the recordings better: by Schwarz's criterion (BIC), and visibly."""
+    count = fewer.point.count
+    gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
+    added = more.point.x.size - fewer.point.x.size
+    return bool(gain > max(added * np.log(count), 2 * _VISIBLE_GAIN * count))
+
+
+def _comparison(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
+    """A sentence on what one virtual joint more would do."""
+    gain = 1 - float(np.sqrt(more.point.chi2 / fewer.point.chi2))
+    note = f"one virtual joint more would make the residual {100 * max(gain, 0.0):.2g} % smaller"
+    one, two = (fit.point.problem.parametrisation for fit in (fewer, more))
+    if one.kind != "uniform":
+        return note
+    values, others = one.physical(fewer.point.x), two.physical(more.point.x)
+    shifts = np.abs(others / np.where(values > 0, values, np.inf) - (values > 0))
+    named = zip(one.coordinates, shifts.tolist(), strict=True)
+    return f"{note} and move " + ", ".join(f"{c.name} by {100 * shift:.2g} %" for c, shift in named)
+
+
+def _largest_step_multiple(
+    chain: Chain, observed: Sequence[Observations], states: Sequence[Array], mean_square: float
+) -> float:
+    """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error.
+
+    Args:
+        chain: the arm, about as it will be.
+        observed: the recordings.
+        states: (2 nv,) initial states, about as they will be.
+        mean_square: of the weighted residuals.
+    """
+    arms = [Arm(chain)] * len(observed)
+    priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
+    exact = simulate_runs(arms, observed, priors, states, 1.0)
+    for multiple in (4.0, 2.0):
+        runs = simulate_runs(arms, observed, priors, states, multiple)
+        error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
+        if error < _DISCRETIZATION_CHI2 * max(mean_square, 1.0):
+            return multiple
+    return 1.0

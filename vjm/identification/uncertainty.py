@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from vjm.chain.virtual_links import Chain
@@ -13,66 +12,55 @@ from vjm.identification.parameters import Coordinate, Parametrisation
 from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.model.modes import modes
-from vjm.records import Array, Estimate
+from vjm.records import Array, Estimate, Mask
 from vjm.simulation.run import Run
 
-_LAGS = 10  # samples, of the test for coloured residuals
-_FALSE_ALARM = 1e-3
+_SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e-6 leave rounding errors only
+_MAX_RELATIVE_STD = 0.5  # a parameter beyond is not identified: within two standard errors it may be zero
+_MAX_MEANINGFUL_STD = 100.0  # relative; beyond, the number itself says nothing
+_STRONG_CORRELATION = 0.9  # worth naming: the partner alone explains more than 80 % of the variance
 
 
 @dataclass(frozen=True)
 class Information:
-    """Of p coordinates.
+    """What weighted residuals r with derivatives J say of p coordinates.
 
     Attributes:
-        normal: (p, p) J^T J of the weighted residuals, initial states eliminated.
-        spread: (p, p) covariance of their scores J^T r; equal to `normal` where the residuals are white noise of
-            the size they were weighted with.
+        normal: (p, p) J^T J, initial states eliminated.
+        score_covariance: (p, p) covariance of the scores J^T r; equal to `normal` where the residuals are white noise
+            of the standard deviation they were weighted with.
     """
 
     normal: Array
-    spread: Array
+    score_covariance: Array
 
+    @property
+    def covariance(self) -> Array:
+        """(p, p) covariance of the coordinates (sandwich); huge along directions that the data do not respond to."""
+        scale = 1 / np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
+        values, vectors = np.linalg.eigh(self.normal * np.outer(scale, scale))
+        silent = values <= _SINGULAR * values[-1]
+        inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
+        unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
+        result: Array = inverse @ self.score_covariance @ inverse + unknown / _SINGULAR
+        return result
 
-def of_torque(fit: TorqueFit) -> Information:
-    """Of torque errors, whose noise is correlated in time, by the smoothing filter among others.
-
-    Scores are summed over lags up to the filter's reach (Newey and West 1987).
-    """
-    count = fit.x.size
-    normal, spread = np.zeros((count, count)), np.zeros((count, count))
-    for residual, jacobian, prepared in zip(fit.residuals, fit.jacobians, fit.prepared, strict=True):
-        normal += np.einsum("srp,srq->pq", jacobian, jacobian)
-        scores = np.einsum("srp,sr->sp", jacobian, residual)
-        time = prepared.derivatives.time
-        inside = prepared.derivatives.interior
-        reach = float(time[inside][0] - time[0]) if inside.any() else 0.0
-        lags = int(np.ceil(2 * reach / float(np.median(np.diff(time))))) + 1
-        spread += _long_run(scores, min(lags, len(scores) - 1))
-    normal, spread = normal / fit.spread**2, spread / fit.spread**4
-    normal += fit.frequency_jacobian.T @ fit.frequency_jacobian
-    spread += fit.frequency_jacobian.T @ fit.frequency_jacobian
-    return Information(normal, spread)
-
-
-def _long_run(scores: Array, lags: int) -> Array:
-    total = scores.T @ scores
-    for lag in range(1, lags + 1):
-        weight = 1 - lag / (lags + 1)
-        cross = scores[lag:].T @ scores[:-lag]
-        total = total + weight * (cross + cross.T)
-    return np.asarray(total)
+    @property
+    def visible(self) -> Mask:
+        """(p,) True where the residuals respond to a coordinate at all."""
+        response = np.sqrt(np.maximum(np.diag(self.normal), 0))
+        return response > _SINGULAR * max(float(response.max()), 1e-300)
 
 
 @dataclass(frozen=True)
 class Whiteness:
-    """What is left of a recording once the model has explained it.
+    """Whether a recording's weighted residuals are white noise.
 
     Attributes:
         file: the recording's.
-        chi2: mean square of the weighted residuals: one where they are noise.
+        chi2: their mean square: one where they are noise.
         correlation: largest correlation of a residual with those up to ten samples later, over all sensors.
-        coloured: whether they are certainly no white noise.
+        coloured: True if they are certainly no white noise.
     """
 
     file: str
@@ -81,12 +69,31 @@ class Whiteness:
     coloured: bool
 
 
-def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, tuple[Whiteness, ...]]:
-    """Of whole trajectories.
+def torque_information(fit: TorqueFit) -> Information:
+    """Return the information in torque errors, whose noise is correlated in time, by the smoothing filter among others.
 
-    White residuals give the Fisher information, scaled by their own size. Where they are coloured, or larger than the
-    noise, the scores' long-run covariance is taken instead, if it is larger (sandwich): Bartlett weights, their reach
-    by Andrews (1991).
+    Scores are summed over lags up to the filter's length (Newey and West 1987).
+    """
+    normal, score_covariance = np.zeros((2, fit.x.size, fit.x.size))
+    for residual, jacobian, prepared in zip(fit.residuals, fit.jacobians, fit.problem.data.prepared, strict=True):
+        normal += np.einsum("srp,srq->pq", jacobian, jacobian)
+        scores = np.einsum("srp,sr->sp", jacobian, residual)
+        time = prepared.derivatives.time
+        inside = prepared.derivatives.interior
+        edge = float(time[inside][0] - time[0]) if inside.any() else 0.0
+        lags = int(np.ceil(2 * edge / float(np.median(np.diff(time))))) + 1
+        score_covariance += _long_run_covariance(scores, lags)
+    scale = fit.problem.residual_scale
+    frequency = fit.frequency_jacobian.T @ fit.frequency_jacobian
+    return Information(normal / scale**2 + frequency, score_covariance / scale**4 + frequency)
+
+
+def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, tuple[Whiteness, ...]]:
+    """Return the information in whole trajectories, and each recording's whiteness.
+
+    White residuals give the Fisher information, scaled by their own mean square. Where they are coloured, or larger
+    than the noise, the scores' long-run covariance is taken instead, if it is larger (sandwich): Bartlett weights over
+    a bandwidth by Andrews (1991).
 
     Args:
         fit: the minimum.
@@ -96,7 +103,7 @@ def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, t
     count = point.x.size
     moved = point.problem.moved(point.x)
     whiteness = tuple(_whiteness(run) for run in point.runs)
-    normal, plain = np.zeros((count, count)), np.zeros((count, count))
+    normal, plain = np.zeros((2, count, count))
     for linearized, white in zip(point.linearizations, whiteness, strict=True):
         R = linearized.eliminated(linearized.columns - count).R[:, :-1]
         normal += R.T @ R
@@ -105,21 +112,27 @@ def of_trajectory(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, t
         return Information(normal, plain), whiteness
     sandwich = np.zeros((count, count))
     for run, linearized, own in zip(point.runs, point.linearizations, moved, strict=True):
-        scores = _by_frame(run, run.scores(own, linearized))
-        sandwich += _long_run(scores, min(reach_of(scores), len(scores) - 1))
+        scores = run.scores(own, linearized)
+        frames = run.observed.frames  # summed from one camera frame to the next: an even rate
+        starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
+        summed = np.add.reduceat(scores, starts, axis=0)
+        sandwich += _long_run_covariance(summed, correlation_length(summed))
     return Information(normal, _larger(sandwich, plain, normal)), whiteness
 
 
-def _by_frame(run: Run, scores: Array) -> Array:
-    """Scores (T, p) of all sensors, summed from one camera frame to the next, (F, p)."""
-    frames = run.observed.frames
-    starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
-    summed: Array = np.add.reduceat(scores, starts, axis=0)
-    return summed
+def _long_run_covariance(scores: Array, lags: int) -> Array:
+    """Sum of autocovariances up to a lag, with Bartlett weights."""
+    from statsmodels.stats.sandwich_covariance import S_hac_simple  # takes a second
+
+    result: Array = S_hac_simple(scores, nlags=min(lags, len(scores) - 1))
+    return result
 
 
-def reach_of(series: Array) -> int:
-    """Number of samples over which series (F, p) are correlated, by their first-order autoregressions."""
+def correlation_length(series: Array) -> int:
+    """Return the number of samples over which series (F, p) are correlated, by first-order autoregressions.
+
+    Andrews (1991), eqs. 6.2 and 6.4 for Bartlett weights; 0.97 bounds the correlation away from a random walk's.
+    """
     power = np.sum(series[:-1] ** 2, axis=0)
     rho = np.clip(np.sum(series[1:] * series[:-1], axis=0) / np.maximum(power, 1e-300), -0.97, 0.97)
     alpha = float(np.max(4 * rho**2 / (1 - rho**2) ** 2, initial=0.0))
@@ -127,141 +140,90 @@ def reach_of(series: Array) -> int:
 
 
 def _larger(one: Array, other: Array, normal: Array) -> Array:
-    """The one of two spreads that makes the coordinates less sure, direction by direction."""
+    """The larger of two score covariances, direction by direction."""
     root = np.linalg.cholesky(normal + 1e-12 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(normal)))
-    whitened = [np.linalg.solve(root, np.linalg.solve(root, each).T) for each in (one, other)]
-    values, vectors = np.linalg.eigh(whitened[0] - whitened[1])
-    more = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    result: Array = other + root @ more @ root.T
+    first, second = (np.linalg.solve(root, np.linalg.solve(root, each).T) for each in (one, other))
+    values, vectors = np.linalg.eigh(first - second)
+    excess = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    result: Array = other + root @ excess @ root.T
     return result
 
 
 def _whiteness(run: Run) -> Whiteness:
-    """Ljung and Box's test over all the sensors of a recording."""
+    """Box and Pierce's test over ten lags of all the sensors of a recording, at a false-alarm rate of 0.1 %.
+
+    Correlations are pooled over a sensor's coordinates, and values that were not measured count as zero.
+    """
     statistic, freedom, largest = 0.0, 0, 0.0
     for series in run.residual_series():
         known = np.isfinite(series).any(axis=1)
         values = np.nan_to_num(series[known])
-        lags = min(_LAGS, len(values) // 4)
+        lags = min(10, len(values) // 4)
         power = float(np.sum(values**2))
         if lags < 1 or power == 0:
             continue
         r = np.array([np.sum(values[lag:] * values[:-lag]) for lag in range(1, lags + 1)]) / power
-        count = int(np.isfinite(series).sum())
-        statistic, freedom = statistic + count * float(np.sum(r**2)), freedom + lags
+        statistic, freedom = statistic + np.isfinite(series).sum() * float(np.sum(r**2)), freedom + lags
         largest = max(largest, float(np.abs(r).max()))
-    chi2 = run.chi2 / max(run.observed.count, 1)
-    excess = stats.chi2.isf(_FALSE_ALARM, max(run.observed.count, 1)) / max(run.observed.count, 1)
-    coloured = freedom > 0 and (statistic > stats.chi2.isf(_FALSE_ALARM, freedom) or chi2 > excess)
-    return Whiteness(run.observed.recording.file, chi2, largest, bool(coloured))
-
-
-_LARGEST_RELATIVE = 0.5  # standard error over value beyond which a parameter is not identified
-_SINGULAR = 1e-10  # eigenvalues this small against the largest are none
-_NOT_SEEN = 100.0  # standard error over value beyond which the number itself says nothing
-_STRONG = 0.9  # correlation worth naming
-_AT_BOUND = 1e-6
-_SLOWER = 4  # modes that a recording can be made to excite
-
-
-def covariance(information: Information) -> Array:
-    """(p, p) covariance of the coordinates."""
-    normal = information.normal
-    scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
-    silent = values <= _SINGULAR * values[-1]
-    inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
-    # What the recordings do not respond to at all is not known at all, rather than known exactly.
-    unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
-    result: Array = inverse @ information.spread @ inverse + unknown / _SINGULAR
-    return result
-
-
-def to_physical(parametrisation: Parametrisation, x: Array, coordinates: Array) -> Array:
-    """(p, p) covariance of the physical parameters from that of the coordinates."""
-    slope = parametrisation.jacobian(x)
-    result: Array = slope @ coordinates @ slope.T
-    return result
+    count = max(run.observed.count, 1)
+    correlated = freedom > 0 and statistic > stats.chi2.isf(1e-3, freedom)
+    large = freedom > 0 and run.chi2 > stats.chi2.isf(1e-3, count)
+    return Whiteness(run.observed.recording.file, run.chi2 / count, largest, bool(correlated or large))
 
 
 def estimates(
     parametrisation: Parametrisation, x: Array, information: Information, physical: Array
 ) -> tuple[Estimate, ...]:
-    """Every coordinate's parameter with its standard error and whether the data determine it.
+    """Return every parameter with its standard error and, in words, whether the data determine it.
 
     Args:
         parametrisation: what was identified.
-        x: (p,) coordinates found.
+        x: (p,) coordinates of the fit.
         information: what the residuals say of them.
         physical: (p, p) covariance of the physical parameters.
     """
     values = parametrisation.physical(x)
     std = np.sqrt(np.maximum(np.diag(physical), 0))
     correlation = physical / np.maximum(np.outer(std, std), 1e-300)
-    visible = _seen(information)
+    lower, upper = parametrisation.bounds
+    at_bound = np.minimum(x - lower, upper - x) < 1e-6  # searches start no nearer
+    visible = information.visible
     result = []
     for k, coordinate in enumerate(parametrisation.coordinates):
-        reason = _reason(k, parametrisation, x, values, std, correlation, visible)
-        remedy = _remedy(k, parametrisation, x) if reason else ""
-        known = bool(np.isfinite(std[k])) and visible[k]
-        error = float(std[k]) if known else None
+        reason = remedy = ""
+        if not visible[k]:
+            reason = "the recordings do not respond to it"
+        elif at_bound[k]:
+            reason = "at its bound: the data do not hold it away from there"
+        elif not std[k] <= _MAX_RELATIVE_STD * max(abs(values[k]), 1e-300):
+            reason = _uncertain(k, parametrisation, std[k] / max(abs(values[k]), 1e-300), correlation[k])
+        if reason:
+            remedy = _remedy(coordinate, parametrisation.chain(x))
+            if parametrisation.kind != "uniform" and at_bound[k]:
+                remedy += "; or fewer parameters (--parameters uniform)"
+        error = float(std[k]) if np.isfinite(std[k]) and visible[k] else None
         result.append(Estimate(coordinate.name, float(values[k]), error, coordinate.unit, not reason, reason, remedy))
     return tuple(result)
 
 
-def _seen(information: Information) -> NDArray[np.bool_]:
-    """(p,) whether a coordinate has any part in the directions the residuals respond to."""
-    size = np.sqrt(np.maximum(np.diag(information.normal), 0))
-    return size > _SINGULAR * max(float(size.max()), 1e-300)
-
-
-def _reason(
-    k: int,
-    parametrisation: Parametrisation,
-    x: Array,
-    values: Array,
-    std: Array,
-    correlation: Array,
-    visible: NDArray[np.bool_],
-) -> str:
-    """Why parameter k is not determined by the data; empty if it is."""
-    coordinate: Coordinate = parametrisation.coordinates[k]
-    if not visible[k]:
-        return "the recordings do not respond to it"
-    if _at_bound(k, parametrisation, x):
-        return "at its bound: the data do not hold it away from there"
-    relative = std[k] / max(abs(values[k]), 1e-300)
-    if relative <= _LARGEST_RELATIVE:
-        return ""
-    others = np.abs(correlation[k]).copy()
+def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, correlation: Array) -> str:
+    """Why parameter k has so large a standard error."""
+    others = np.abs(correlation)
     others[k] = 0.0
     partner = int(np.argmax(others))
-    reason = f"its standard error is {100 * relative:.0f} % of its value"
-    if relative > _NOT_SEEN:
+    reason = f"its standard error is {100 * relative_std:.0f} % of its value"
+    if relative_std > _MAX_MEANINGFUL_STD:
         reason = "the recordings see it only together with other parameters"
-    if others[partner] > _STRONG:
+    if others[partner] > _STRONG_CORRELATION:
         name = parametrisation.coordinates[partner].name
-        reason += f"; it moves together with {name} (correlation {correlation[k, partner]:+.2f})"
-    elif coordinate.group == "damping":
+        reason += f"; it moves together with {name} (correlation {correlation[partner]:+.2f})"
+    elif parametrisation.coordinates[k].group == "damping":
         reason += "; the motion decays too little to show it"
     return reason
 
 
-def _at_bound(k: int, parametrisation: Parametrisation, x: Array) -> bool:
-    lower, upper = parametrisation.bounds
-    return bool(x[k] - lower[k] < _AT_BOUND or upper[k] - x[k] < _AT_BOUND)
-
-
-def _remedy(k: int, parametrisation: Parametrisation, x: Array) -> str:
-    """Which recording would determine parameter k."""
-    found = _recording_for(parametrisation.coordinates[k], parametrisation.chain(x))
-    if parametrisation.kind != "uniform" and _at_bound(k, parametrisation, x):
-        found += "; or fewer parameters (--parameters uniform)"
-    return found
-
-
-def _recording_for(coordinate: Coordinate, chain: Chain) -> str:
-    """Which recording a parameter shows in."""
+def _remedy(coordinate: Coordinate, chain: Chain) -> str:
+    """Which recording would determine a parameter."""
     group, shared = coordinate.group, coordinate.index < 0
     if group == "hub":
         return "a driven recording whose torque changes faster, so that the hub's own inertia takes more of it"
@@ -277,9 +239,9 @@ def _recording_for(coordinate: Coordinate, chain: Chain) -> str:
 
 
 def _mode_to_excite(chain: Chain, coordinate: Coordinate) -> str:
-    """The one of the slower modes in which a joint has most of the elastic energy; for a whole link, the second."""
+    """The one of the four slowest modes with most of its elastic energy in a joint; for a whole link, the second."""
     found = modes(chain, gravity=(0.0, 0.0))
-    count = min(_SLOWER, found.frequencies.size)
+    count = min(4, found.frequencies.size)  # faster ones are hard to excite
     energy = chain.stiffness[:, None] * found.shapes[:, :count] ** 2
     share = energy / np.maximum(energy.sum(axis=0), 1e-300)
     joint = chain.passive_slices[coordinate.link].start + coordinate.index

@@ -146,8 +146,9 @@ def _named(pictures: Sequence[Picture], *beginnings: str) -> tuple[Picture, ...]
 
 
 def _identification_sections(fit: Identification, pictures: Sequence[Picture]) -> list[_Section]:
-    missing, summary = remedy_table(fit.parameters), fit.trajectory
-    white = () if summary is None or not summary.whiteness else (whiteness_table(summary.whiteness),)
+    missing = remedy_table(fit.parameters)
+    white = (whiteness_table(fit.whiteness),) if fit.whiteness else ()
+    method = _TRAJECTORY_METHOD if fit.trajectory else _TORQUE_METHOD
     names = ("fit", "tip"), ("residual",), ("correlations",)
     simulated, residuals, correlated = (_named(pictures, *beginnings) for beginnings in names)
     data = tuple(picture for picture in pictures if picture not in (*simulated, *residuals, *correlated))
@@ -158,7 +159,7 @@ def _identification_sections(fit: Identification, pictures: Sequence[Picture]) -
         _Section("Residuals", white, residuals),
         _Section("Identifiability", () if missing is None else (missing,), correlated, points=fit.notes),
         _Section("Data", (), data),
-        _Section("Settings", terms=tuple(_settings(fit)), text=_TRAJECTORY_METHOD if summary else _TORQUE_METHOD),
+        _Section("Settings", terms=tuple(_settings(fit)), text=method),
     ]
 
 
@@ -187,7 +188,7 @@ def _symptoms(diagnosis: Diagnosis, most: int) -> tuple[str, ...]:
 
 def _settings(fit: Identification) -> list[tuple[str, str]]:
     """Return how the identification was made: term and description."""
-    model, rig, summary = fit.model, fit.experiment.rig, fit.trajectory
+    model, rig, trajectory = fit.model, fit.experiment.rig, fit.trajectory
     origin = {True: "estimated from the recordings", False: "from the experiment file"}
     rows = [
         ("Method", f"{fit.method}, parameters {fit.parametrisation}; {fit.status}"),
@@ -197,9 +198,9 @@ def _settings(fit: Identification) -> list[tuple[str, str]]:
     if rig.active_links:
         encoder = f"{number(1e3 * model.encoder_noise, 2)} mrad ({origin[rig.encoder_noise is None]})"
         rows.append(("Encoder noise", encoder))
-    if summary is not None:
-        mean, searched = number(summary.chi2_per_sample, 4), counted(summary.fit.iterations, "simulation")
-        text = f"mean square residual {mean} times the noise's, over {summary.fit.point.count} measured values"
+    if trajectory is not None:
+        mean, searched = number(trajectory.chi2_per_sample, 4), counted(trajectory.iterations, "simulation")
+        text = f"mean square residual {mean} times the noise's, over {trajectory.point.count} measured values"
         rows.append(("Trajectories", f"{text}; {searched} of all recordings in the last search"))
     if fit.objective is not None:
         before, after = number(fit.objective_nominal, 4), number(fit.objective, 4)

@@ -183,7 +183,7 @@ def _rms(simulated: SimulatedRecording | None) -> float | None:
 
 def _whiteness(fit: Identification, item: RecordingComparison) -> Result | None:
     """Return whether a recording's residual is noise; None for one that whole trajectories were not fitted to."""
-    for test in fit.trajectory.whiteness if fit.trajectory else ():
+    for test in fit.whiteness:
         if test.file == item.recording.file:
             numbers = {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation}
             return {**numbers, "coloured": bool(test.coloured)}

@@ -1,0 +1,308 @@
+"""What is fitted: training recordings, with the angles, derivatives and torques that torque errors need."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from vjm.chain.layout import DEFAULT_LAYOUT, Layout, chain_layouts, rig_layouts
+from vjm.chain.virtual_links import Chain
+from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.experiment.noise import sensor_noise
+from vjm.experiment.spectrum import MeasuredModes, measure_modes
+from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
+from vjm.markers.angles import AngleMethod, Angles, ShapeSettings, estimate_angles
+from vjm.markers.shape import choose_order
+from vjm.markers.smoothing import Derivatives, Smoother, interpolate
+from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Recording, Rig
+
+DerivativeMethod = Literal["smoothing", "interpolating"]
+DERIVATIVE_METHODS: tuple[str, ...] = get_args(DerivativeMethod)
+
+_MIN_MOTION = 2.0  # standard deviations of the noise: pure noise reaches one
+_MIN_FRAMES = 10  # as few as a recording may have (its file is refused below)
+_EXTRA_MODES = (
+    2  # peaks looked for beyond the modes that the shapes show: faster ones may be seen, too faint for shapes
+)
+_VISIBLE = 1e-9  # of the angles' largest variance: directions below are rounding errors, which no shape function takes
+
+
+@dataclass(frozen=True)
+class PreparedRecording:
+    """One recording, ready for torque errors.
+
+    Attributes:
+        recording: its source.
+        angles: at the camera's frames.
+        derivatives: (S, nv) angles, rates, accelerations at the instants used.
+        torque: (S, n_a) through the same filter [N m]; NaN where none was measured.
+        smoother: of the recording's complete frames; None for interpolation.
+        rows: (nv, r) maps torque errors to those that the data determine: passive ones along the shape functions,
+            active ones where a torque was measured.
+    """
+
+    recording: Recording
+    angles: Angles
+    derivatives: Derivatives
+    torque: Array
+    smoother: Smoother | None
+    rows: Array
+
+    @property
+    def interior(self) -> tuple[Array, Array, Array, Array]:
+        """Angles [rad], rates, accelerations (S, nv) and torques (S, n_a) [N m] away from the recording's ends."""
+        d, inside = self.derivatives, self.derivatives.interior
+        return d.value[inside], d.rate[inside], d.acceleration[inside], self.torque[inside]
+
+    @property
+    def driving_torque(self) -> tuple[Array, Array] | None:
+        """Instants [s] and torques [N m] of the active joints where all were measured; None for free motion."""
+        time, tau = self.recording.time, self.recording.tau
+        known = np.isfinite(tau).all(axis=1)
+        return (time[known], tau[known]) if tau.shape[1] > 0 and known.sum() > 2 else None
+
+    def modes(self, marker_noise: float, most: int) -> MeasuredModes:
+        """Measure at most so many modes in the whitened shape coefficients; `marker_noise` in [m]."""
+        signals = [
+            shape.coefficients @ np.linalg.cholesky(np.linalg.inv(shape.covariance)) for shape in self.angles.shapes
+        ]
+        return measure_modes(self.angles.time, np.hstack(signals), marker_noise, most, self.driving_torque)
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """The recordings that a model is fitted to, and how they are read.
+
+    Attributes:
+        rig: the arm.
+        parameters: the parametrisation they are read for.
+        layout: where the links are cut.
+        cuts: virtual links and cells of each link.
+        joints: numbers of virtual joints, and their discretisation errors.
+        shape: shape functions and how angles are read off them.
+        derivatives: `smoothing` or `interpolating`.
+        noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
+        recordings: without coordinates that cannot be right.
+        prepared: those that the torque method can use.
+        problems: why it cannot use the others, a sentence each.
+        modes: modes measured in those prepared recordings that have the commonest payload, in order.
+        payload: that payload [kg].
+    """
+
+    rig: Rig
+    parameters: str
+    layout: str
+    cuts: tuple[Layout, ...]
+    joints: tuple[JointChoice, ...]
+    shape: ShapeSettings
+    derivatives: str
+    noise: tuple[float, float]
+    recordings: tuple[Recording, ...]
+    prepared: tuple[PreparedRecording, ...] = ()
+    problems: tuple[str, ...] = ()
+    modes: tuple[MeasuredModes, ...] = ()
+    payload: float = 0.0
+
+    def driven_hubs(self, recordings: Sequence[Recording]) -> tuple[int, ...]:
+        """Return the links whose hub inertia shows: their active joint's torque was measured in a recording."""
+        return tuple(
+            link
+            for k, link in enumerate(self.rig.active_links)
+            if any(np.isfinite(recording.tau[:, k]).any() for recording in recordings)
+        )
+
+    def prepared_for(self, chain: Chain) -> tuple[PreparedRecording, ...]:
+        """Return the prepared recordings with angles at a chain's own cuts, through the same filters."""
+        cuts = chain_layouts(chain)
+        if all(
+            np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells)
+            for one, two in zip(cuts, self.cuts, strict=True)
+        ):
+            return self.prepared
+        return tuple(_prepare(self, cuts, one.recording, one) for one in self.prepared)
+
+
+def read_training_data(
+    experiment: Experiment,
+    parameters: str = "uniform",
+    virtual_joints: int | None = None,
+    layout: str = DEFAULT_LAYOUT,
+    family: str = "cantilever",
+    angles: AngleMethod | None = None,
+    derivatives: str = "smoothing",
+) -> TrainingData:
+    """Choose the recordings, the shape functions' orders and the numbers of joints, and prepare the recordings.
+
+    Args:
+        experiment: the rig and its recordings.
+        parameters: parametrisation; with parameters of their own, there are no more joints than can be told apart.
+        virtual_joints: n of every link where it is given.
+        layout: where the links are cut.
+        family: of the shape functions.
+        angles: how angles are read off them; None: for uniform links by the curvature of the shape functions, for
+            joints with parameters of their own by the chain's own curve, where there are markers enough.
+        derivatives: `smoothing` or `interpolating`.
+
+    Raises:
+        ChoiceError: an unknown method of derivatives.
+        InsufficientDataError: nothing to fit, or a link without markers.
+    """
+    if derivatives not in DERIVATIVE_METHODS:
+        raise ChoiceError("derivatives", derivatives, DERIVATIVE_METHODS)
+    rig = experiment.rig
+    recordings = _training_recordings(experiment.cleaned_recordings)
+    noise = sensor_noise(rig, experiment.cleaned_recordings)
+    if max(_relative_motion(recording, noise) for recording in recordings) < _MIN_MOTION:
+        raise InsufficientDataError(
+            "identification",
+            "in no training recording does the arm move by more than its sensors' noise",
+            "record it swinging or driven",
+        )
+    orders = _choose_orders(rig, rig_layouts(rig, [3] * len(rig.links), layout), recordings, family)
+    joints = tuple(
+        _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
+        for link, order in zip(rig.links, orders, strict=True)
+    )
+    if angles is None:
+        enough = all(len(link.markers) >= choice.joints for link, choice in zip(rig.links, joints, strict=True))
+        angles = "curve" if parameters != "uniform" and enough else "curvature"
+    robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
+    cuts = tuple(rig_layouts(rig, [choice.joints for choice in joints], layout))
+    shape = ShapeSettings(family, orders, angles, robust)
+    return _with_prepared(TrainingData(rig, parameters, layout, cuts, joints, shape, derivatives, noise, recordings))
+
+
+def _with_prepared(data: TrainingData) -> TrainingData:
+    """The data with their recordings prepared, and the modes of those with the commonest payload.
+
+    Frequencies are compared among recordings with the same payload only.
+    """
+    prepared, problems = [], []
+    for recording in data.recordings:
+        try:
+            prepared.append(_prepare(data, data.cuts, recording))
+        except InsufficientDataError as error:
+            problems.append(str(error))
+    payloads = [one.recording.payload for one in prepared] or [recording.payload for recording in data.recordings]
+    payload = max(sorted(set(payloads)), key=payloads.count)
+    most = max(data.shape.orders) + _EXTRA_MODES
+    modes = tuple(one.modes(data.noise[0], most) for one in prepared if one.recording.payload == payload)
+    return replace(data, prepared=tuple(prepared), problems=tuple(problems), modes=modes, payload=payload)
+
+
+def _training_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Training recordings in which the arm moves.
+
+    Where some recordings are in the `reference` condition the model is the reference's, and only they are fitted.
+    """
+    reference = any(recording.condition == REFERENCE for recording in recordings)
+    chosen = tuple(
+        recording
+        for recording in recordings
+        if recording.role == "train"
+        and recording.kind in ("driven", "decay")
+        and (not reference or recording.condition == REFERENCE)
+    )
+    if not chosen:
+        raise InsufficientDataError(
+            "identification",
+            "no recording with role 'train' is of kind 'driven' or 'decay'"
+            + (" and in the reference condition" if reference else ""),
+            "add one in which the arm moves",
+        )
+    return chosen
+
+
+def _relative_motion(recording: Recording, noise: tuple[float, float]) -> float:
+    """Standard deviation of the coordinate that moves most, over its sensor's noise [m, rad]."""
+    motions = [0.0]
+    for values, sigma in ((recording.markers.reshape(len(recording.time), -1), noise[0]), (recording.theta, noise[1])):
+        measured = values[:, np.isfinite(values).sum(axis=0) > 1]
+        if measured.size:
+            motions.append(float(np.nanstd(measured, axis=0).max()) / sigma)
+    return max(motions)
+
+
+def _choose_orders(rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:
+    """For each link, the largest number of shape functions that a recording supports by cross-validation."""
+    orders = [1] * len(rig.links)
+    for i, link in enumerate(rig.links):
+        if not link.markers:
+            raise InsufficientDataError(f"identification of {link.name}", "it has no markers", "put some on it")
+        for recording in recordings:
+            settings = ShapeSettings(family, tuple(orders))
+            fit = estimate_angles(rig, cuts, recording, settings, 1.0, 1.0).shapes[i]
+            lateral = fit.evaluate(link.markers) + fit.residuals
+            orders[i] = max(orders[i], choose_order(link.markers, lateral, link.length, family))
+    return tuple(orders)
+
+
+def _choose_joints(link: Link, order: int, parameters: str, requested: int | None) -> JointChoice:
+    """The number of joints asked for, or right for the modes seen, or whose own parameters the markers can tell apart.
+
+    Fixed lengths need two joints more than there are modes to carry those modes well; free lengths need none.
+    """
+    distinct = min(order + 2 if parameters == "joints" else order, len(link.markers))
+    choice = choose_virtual_joints(link, order, requested or (None if parameters == "uniform" else distinct))
+    return replace(choice, requested=requested is not None)
+
+
+def _prepare(
+    data: TrainingData, cuts: Sequence[Layout], recording: Recording, before: PreparedRecording | None = None
+) -> PreparedRecording:
+    """Angles, derivatives and torques of one recording; with the shape functions and the filter of `before`."""
+    shapes = None if before is None else before.angles.shapes
+    angles = estimate_angles(data.rig, cuts, recording, data.shape, *data.noise, shapes)
+    measured = np.asarray(np.isfinite(angles.torque).any(axis=0))
+    values = np.hstack([angles.q, angles.torque[:, measured]])
+    usable = np.isfinite(values).all(axis=1)
+    if usable.sum() < _MIN_FRAMES:
+        raise InsufficientDataError(
+            f"identification from {recording.file}",
+            f"only {int(usable.sum())} frames have all markers, encoders and torques it needs",
+            "record more complete frames",
+        )
+    smoother = None
+    if data.derivatives == "smoothing":
+        covariance = block_diag(angles.covariance, np.zeros((int(measured.sum()),) * 2))
+        same = before is not None and np.array_equal(angles.time[usable], before.derivatives.time)
+        smoother = before.smoother if before is not None and same else None
+        smoother = smoother or Smoother.of(angles.time[usable])
+        exponent = None if before is None else before.derivatives.smoothing
+        filtered = smoother.derivatives(values[usable], covariance, exponent)
+    else:
+        filtered = interpolate(angles.time, values)
+    nv = angles.q.shape[1]
+    torque = np.full((filtered.time.size, measured.size), np.nan)
+    torque[:, measured] = filtered.value[:, nv:]
+    derivatives = replace(
+        filtered,
+        value=filtered.value[:, :nv],
+        rate=filtered.rate[:, :nv],
+        acceleration=filtered.acceleration[:, :nv],
+    )
+    return PreparedRecording(recording, angles, derivatives, torque, smoother, _rows(data.rig, cuts, angles, measured))
+
+
+def _rows(rig: Rig, cuts: Sequence[Layout], angles: Angles, measured: Mask) -> Array:
+    """Passive rows along the shapes that the markers can show; active rows with a measured torque."""
+    columns, start, active = [], 0, 0
+    size = len(angles.covariance)
+    for link, cut in zip(rig.links, cuts, strict=True):
+        if link.joint == "revolute":
+            if measured[active]:
+                columns.append(np.eye(size)[:, [start]])
+            active += 1
+            start += 1
+        part = slice(start, start + cut.cells.size)
+        values, vectors = np.linalg.eigh(angles.covariance[part, part])
+        shown = values > _VISIBLE * values[-1]
+        visible = np.zeros((size, int(shown.sum())))
+        visible[part] = vectors[:, shown]
+        columns.append(visible)
+        start += cut.cells.size
+    return np.hstack(columns)
