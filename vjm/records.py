@@ -108,10 +108,11 @@ class Result:
 class SimulatedResult(Result):
     """Base of the results that hold simulations of all recordings."""
 
+    experiment: Experiment
     recordings: tuple[RecordingComparison, ...]
 
     def plot_fit(self, recording: Recording | str | None = None, ax: Axes | None = None) -> NDArray[Any]:
-        """Plot for each recording its liveliest marker coordinate, measured and simulated [mm], against time [s].
+        """Plot for each recording its outermost marker, measured and simulated [mm], against time [s].
 
         Args:
             recording: the only one to plot, or the name of its file; None: all.
@@ -126,16 +127,16 @@ class SimulatedResult(Result):
         """
         from vjm.report.figures.plots import plot_fit
 
-        return plot_fit(self.recordings, recording, ax)
+        return plot_fit(self.experiment.rig, self.recordings, recording, ax)
 
     def plot_residuals(self, recording: Recording | str | None = None, ax: Axes | None = None) -> NDArray[Any]:
-        """Plot for each recording measured minus simulated marker coordinates [mm] and the noise against time [s].
+        """Plot for each recording its outermost marker's residual [mm], and the noise, against time [s].
 
         Arguments, axes and errors are those of `plot_fit`.
         """
         from vjm.report.figures.plots import plot_residuals
 
-        return plot_residuals(self.recordings, recording, ax)
+        return plot_residuals(self.experiment.rig, self.recordings, recording, ax)
 
 
 @dataclass(frozen=True)

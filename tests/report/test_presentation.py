@@ -95,23 +95,25 @@ def test_plots_draw_measurement_and_simulation(method: str) -> None:
     simulated = [each for each in fit.recordings if each.simulated is not None]
     assert len(axes) == len(simulated) < len(fit.recordings)
     assert all("[mm]" in one.get_ylabel() for one in axes)
-    assert [one.get_title() for one in axes] == [each.recording.file for each in simulated]
+    assert [one.get_title().split()[0] for one in axes] == [each.recording.file for each in simulated]
     pyplot.close("all")
     own = pyplot.figure().subplots()
     assert getattr(fit, method)("drive_1.csv", ax=own).tolist() == [own]
-    assert own.get_title() == "drive_1.csv"
-    assert getattr(fit, method)(fit.experiment.recordings[2])[0].get_title() == "drive_2.csv"
+    assert own.get_title() == "drive_1.csv (train)"
+    assert getattr(fit, method)(fit.experiment.recordings[2])[0].get_title() == "drive_2.csv (held out)"
     pyplot.close("all")
 
 
 def test_the_plotted_fit_is_the_simulation() -> None:
     fit = demo_fit()
-    first = fit.recordings[0].simulated
+    first = fit.recordings[1].simulated
     assert first is not None
     measured, simulated = fit.plot_fit(first.recording)[0].get_lines()
-    marker, coordinate = np.unravel_index(np.nanstd(first.recording.markers, axis=0).argmax(), (5, 2))
-    assert np.array_equal(1e3 * first.recording.markers[:, marker, coordinate], measured.get_ydata(), equal_nan=True)
-    assert np.array_equal(1e3 * first.simulation.markers[:, marker, coordinate], simulated.get_ydata())
+    tip = np.s_[:, 4, 1]
+    assert np.allclose(1e3 * first.recording.markers[tip], measured.get_ydata(), rtol=1e-12)
+    assert np.allclose(1e3 * first.simulation.markers[tip], simulated.get_ydata(), rtol=1e-12)
+    residual = fit.plot_residuals(first.recording)[0].get_lines()[-1]
+    assert np.allclose(1e3 * first.marker_residual[tip], residual.get_ydata(), rtol=1e-12)
     pyplot.close("all")
 
 
