@@ -73,6 +73,8 @@ def test_typical_magnitudes_scale_with_the_rig(length: float, mass: float, time:
     ]
     scaled = Rig("scaled", tuple(links))
     for effect in BUILTIN:
+        if effect.id == "in_plane_gravity":  # which is the world's, not the rig's
+            continue
         for one, other in zip(effect.variants(RIG, []), effect.variants(scaled, []), strict=True):
             assert other.coordinates == pytest.approx(one.coordinates)
             for before, after in zip(one.parameters(), other.parameters(), strict=True):

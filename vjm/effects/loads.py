@@ -52,8 +52,9 @@ class TipPayload(_TipEffect):
 class InPlaneGravity(Effect):
     """Uniform gravity in the plane, beside what is known, in the base frame: the base is tilted."""
 
-    gx: float = magnitude("m/s^2", 0.05, in_rig_units=True)
-    gy: float = magnitude("m/s^2", 0.05, in_rig_units=True)
+    # Gravity is the world's, not the rig's: a tilt of 1.5 degrees is typical, three times the earth's is impossible.
+    gx: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
+    gy: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
 
     id = "in_plane_gravity"
     description = "gravity in the plane of motion: the base is tilted"
