@@ -115,7 +115,7 @@ def test_tip_shows_the_measured_motion_and_the_simulated_one_between_frames() ->
         curves = Curve.of(
             comparison, {"simulated": "model", "reference": "", "alternative": ""}, {"simulated": fit.model}
         )
-        motion_panel(axes, signal, [*curves.values()])
+        motion_panel(axes, signal, [curves["simulated"]])
         measured, simulated = axes.lines
         assert (measured.get_label(), simulated.get_label()) == ("measured", "model")
         assert np.asarray(measured.get_ydata()) == pytest.approx(1e3 * signal.value)

@@ -11,13 +11,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from scipy.ndimage import uniform_filter1d
+from scipy.stats import binned_statistic
 
 from vjm.diagnosis.records import Cause, Diagnosis
 from vjm.diagnosis.symptoms.joints import missing_torque
 from vjm.effects.effect import Effect
 from vjm.records import REFERENCE, Array, RecordingComparison, SimulatedRecording
 from vjm.report.figures.panels import Curve, Role, Spectrum, motion_figure, recording_label, rms_figure, spectrum_panel
-from vjm.report.figures.selection import Signal, liveliest_window
+from vjm.report.figures.selection import Signal, liveliest_window, moving_recordings
 from vjm.report.figures.style import AXIS, BAND, IDENTIFIED, MEASURED, NOMINAL, Page, Picture, styled
 from vjm.report.figures.symptoms import symptom_pictures
 from vjm.report.text import capital, clause, millimetres, named, place, short
@@ -85,14 +87,8 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
     """Return held-out recordings, the largest residual first; a training one where none is held out."""
-    rig = diagnosis.model.rig
-    pairs = [(each, Signal.of(rig, each.recording)) for each in diagnosis.recordings if each.recording.kind != "quiet"]
-    usable = [
-        (each.reference.marker_rms, each, signal)
-        for each, signal in pairs
-        if each.reference is not None and each.simulated is not None and signal is not None
-    ]
-    ordered = [(each, signal) for _, each, signal in sorted(usable, key=lambda item: -item[0])]
+    usable = [each for each in diagnosis.recordings if each.simulated is not None]
+    ordered = moving_recordings(diagnosis.model.rig, usable, "reference")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
     changed = [pair for pair in held_out if pair[0].recording.condition != REFERENCE]
     return (changed or held_out)[:_MOST_HELD_OUT] or ordered[:1]
@@ -115,33 +111,19 @@ def _before_and_after(comparison: RecordingComparison, signal: Signal, diagnosis
 
 @dataclass(frozen=True)
 class _Evidence:
-    """Residuals without and with a cause against the quantity on which the cause depends.
-
-    Attributes:
-        before, after: abscissae and residuals (P,) in the units of the labels.
-        labels: of abscissa and residual, with their units.
-        noise: 1-sigma of a residual; zero where it is not known.
-        rms: draw the residual's size, not its mean.
-        title: of the panel.
-    """
+    """Residuals without and with a cause against the quantity on which the cause depends."""
 
     before: Points
     after: Points
-    labels: tuple[str, str]
-    noise: float
-    rms: bool = False
+    labels: tuple[str, str]  # of abscissa and residual, with their units
+    noise: float  # 1-sigma of a residual; zero where it is not known
+    rms: bool = False  # the residual's size matters, not its mean
     title: str = "Residual"
 
 
 @styled
 def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingComparison]) -> Figure:
-    """Draw residuals without and with a cause; beside it, the residual against what the cause adds.
-
-    Args:
-        cause: the one to show.
-        model: with the cause.
-        comparisons: recordings simulated without this cause alone, and with all causes; the first one is shown.
-    """
+    """Draw residuals of the first recording without and with a cause, and against what the cause adds."""
     clause_text = capital(clause(cause.effect, model, cause.parameters))
     page = Page.of(f"{clause_text}: {short(comparisons[0].recording.file)} without and with it", [(3.4, 2)])
     left, right = page.axes[0]
@@ -185,7 +167,7 @@ def _marker_evidence(effect: Effect, before: SimulatedRecording, after: Simulate
     elif kind == "marker":
         x, label = np.arange(1.0, shown.shape[1] + 1)[None, :, None], "marker, from the base outwards [1]"
     elif kind == "amplitude":
-        x, label = _local_rms(shown - np.nanmean(shown, axis=0)), "RMS of the motion around each instant [m]"
+        x, label = _local_rms(shown), "RMS of the motion around each instant [m]"
     else:
         x, label = (time - time[0])[:, None, None], "time since the start [s]"
     x = np.broadcast_to(x, residuals[0].shape)
@@ -195,13 +177,10 @@ def _marker_evidence(effect: Effect, before: SimulatedRecording, after: Simulate
     return _Evidence(points[0], points[1], labels, 1e3 * before.noise[0], rms)
 
 
-def _local_rms(values: Array) -> Array:
-    """Return the root mean square of values (F, k, 2) over 8 % of the recording around each frame."""
-    width = max(3, round(0.08 * len(values)))
-    kernel, squares = np.ones(width) / width, np.nan_to_num(values**2).reshape(len(values), -1)
-    weights = np.convolve(np.ones(len(values)), kernel, mode="same")
-    means = np.stack([np.convolve(column, kernel, mode="same") / weights for column in squares.T], axis=1)
-    rms: Array = np.sqrt(np.maximum(means, 0.0)).reshape(values.shape)
+def _local_rms(shown: Array) -> Array:
+    """Return the RMS of simulated motion (F, k, 2) about its mean, over 8 % of the recording around each frame."""
+    width = max(3, round(0.08 * len(shown)))
+    rms: Array = np.sqrt(uniform_filter1d((shown - shown.mean(axis=0)) ** 2, width, axis=0, mode="nearest"))
     return rms
 
 
@@ -233,7 +212,7 @@ def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
         if not evidence.rms:
             some = _some(x.size)
             axes.plot(x[some], values[some], ".", color=color, alpha=0.3, markersize=2, zorder=1)
-        centres, means = _binned(x, values**2 if evidence.rms else values, edges)
+        centres, means = binned_statistic(x, [x, values**2 if evidence.rms else values], bins=edges).statistic
         means = np.sqrt(means) if evidence.rms else means
         look: dict[str, Any] = {
             "marker": marker,
@@ -241,20 +220,11 @@ def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
             "markersize": 4.5,
         }
         axes.plot(centres, means, color=color, linewidth=1.1, **look)
-        largest = max(largest, 1.5 * float(np.abs(means).max(initial=0.0)))
+        largest = max(largest, 1.5 * float(np.nanmax(np.abs(means), initial=0.0)))
     axes.set_ylim(0.0 if evidence.rms else -largest, None if evidence.rms else largest)
     axes.set(xlabel=evidence.labels[0], ylabel=evidence.labels[1], title=evidence.title)
     if whole:
         axes.set_xticks(numbers)
-
-
-def _binned(x: Array, values: Array, edges: Array) -> Points:
-    """Return mean abscissae and mean values of the points in each bin that has any."""
-    count = max(edges.size - 1, 1)
-    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, count - 1)
-    sizes = np.bincount(bins, minlength=count)
-    kept, per = sizes > 0, np.maximum(sizes, 1)
-    return (np.bincount(bins, x, count) / per)[kept], (np.bincount(bins, values, count) / per)[kept]
 
 
 def _some(count: int) -> Array:

@@ -24,7 +24,7 @@ from vjm.report.figures.panels import (
     rms_figure,
     spectrum_panel,
 )
-from vjm.report.figures.selection import Signal, Window, few_periods, marker_name, one_of_each_repeat
+from vjm.report.figures.selection import Signal, Window, few_periods, marker_name, moving_recordings, one_of_each_repeat
 from vjm.report.figures.style import IDENTIFIED, TORQUE, Page, Picture, heat_map, styled
 from vjm.report.text import number, short
 from vjm.simulation.model import Model
@@ -33,17 +33,8 @@ _MOST_TIPS = 4
 _MOST_ROWS = 40  # recordings in the RMS figure
 _MOST_MAP_ROWS, _MOST_MAP_COLUMNS = 24, 14
 # Every file name that these pictures may have: what an earlier run left of them is out of date.
-NAMES = (
-    "fit",
-    *(f"tip_{k + 1}" for k in range(_MOST_TIPS)),
-    "residual_map",
-    "residual_spectra",
-    "correlations",
-    "shapes",
-    "angles",
-    "torque_errors",
-    "markers",
-)
+NAMES = ("fit", *(f"tip_{k + 1}" for k in range(_MOST_TIPS)), "residual_map", "residual_spectra", "correlations",
+         "shapes", "angles", "torque_errors", "markers")  # fmt: skip
 
 
 def identification_pictures(fit: Identification) -> list[Picture]:
@@ -106,12 +97,7 @@ def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tu
 
     At most two held-out recordings take the place of training ones.
     """
-    usable = []
-    for each in comparisons:
-        signal = Signal.of(rig, each.recording)
-        if each.simulated is not None and signal is not None and each.recording.kind != "quiet":
-            usable.append((each.simulated.marker_rms / each.noise[0], each, signal))
-    ordered = [(each, signal) for _, each, signal in sorted(usable, key=lambda item: -item[0])]
+    ordered = moving_recordings(rig, comparisons, "simulated")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
     train = [pair for pair in ordered if pair[0].recording.role == "train"]
     chosen = one_of_each_repeat([*held_out[:2], *train, *held_out[2:]], lambda pair: pair[0].recording)[:_MOST_TIPS]
@@ -125,7 +111,7 @@ def _tip_figure(comparison: RecordingComparison, signal: Signal, curves: dict[Ro
     least: tuple[tuple[Role, float], ...] = (("alternative", 1.05), ("reference", 0.0))
     second = [curves[role] for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4]
     sizes = [f"{curve.label} {signal.rms_text(curve.simulated)}" for curve in reversed(curves.values())]
-    title = f"{recording_label(comparison.recording)}, {signal.name}: residual {', '.join(sizes)} RMS"
+    title = f"{recording_label(comparison.recording)}, {signal.name}: residual of {', '.join(sizes)} RMS"
     residuals = [*second[:1], curves["simulated"]]
     motion = [curve for role, curve in curves.items() if role != "alternative"]
     return motion_figure(title, comparison.noise, signal, motion, residuals, _windows(signal))

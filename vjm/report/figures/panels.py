@@ -149,15 +149,9 @@ def motion_figure(
     title: str, noise: tuple[float, float], signal: Signal, motion: Sequence[Curve], residuals: Sequence[Curve],
     windows: Sequence[tuple[Window, str]],
 ) -> Figure:  # fmt: skip
-    """Draw a measured signal and simulations of it in one or two windows, and their residuals underneath.
+    """Draw a measured signal and simulations of it in one or two windows [s] with headings; below, the residuals.
 
-    Args:
-        title: of the figure.
-        noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
-        signal: as measured.
-        motion: simulations whose motion is drawn.
-        residuals: simulations whose residual is drawn.
-        windows: first and last instant [s], and heading of each.
+    `noise` is 1-sigma of a marker coordinate [m] and of an encoder [rad].
     """
     page = Page.of(title, [(2.6, len(windows)), (1.75, 1)])
     panels, (lowest,) = page.axes
@@ -219,13 +213,7 @@ class Spectrum:
 def spectrum_panel(
     axes: Axes, spectra: Sequence[tuple[Spectrum, str, str]], modes: Array | Sequence[float] = ()
 ) -> None:
-    """Draw amplitude spectra of residuals on logarithmic axes, beside white noise.
-
-    Args:
-        axes: to draw into.
-        spectra: of one recording, each with its label and its colour.
-        modes: natural frequencies to mark [Hz].
-    """
+    """Draw a recording's residual spectra, each with label and colour, beside white noise; mark frequencies [Hz]."""
     for spectrum, label, color in spectra:
         axes.plot(spectrum.frequency, 1e6 * spectrum.amplitude, color=color, linewidth=1.0, label=label)
     last = spectra[-1][0]
@@ -247,14 +235,7 @@ def spectrum_panel(
 def rms_figure(
     title: str, comparisons: Sequence[RecordingComparison], labels: Mapping[Role, str], in_noise: bool
 ) -> Figure:
-    """Draw each recording's RMS marker residual by several models on a logarithmic axis, beside the noise.
-
-    Args:
-        title: of the figure.
-        comparisons: the recordings, from the top.
-        labels: names of the models.
-        in_noise: in units of the noise, else in millimetres.
-    """
+    """Draw each recording's RMS marker residual by several models in units of the noise, or else in millimetres."""
     page = Page.of(title, [(0.7 + 0.28 * max(len(comparisons), 2), 1)])
     axes, names, values = page.axes[0][0], [], []
     for place, comparison in enumerate(comparisons):

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from scipy.signal import detrend
 
-from vjm.records import Array, Indices, Recording, Rig, SimulatedRecording
+from vjm.records import Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.report.text import millimetres, number
 
 Window = tuple[float, float]  # first and last instant [s]
@@ -117,6 +117,15 @@ def liveliest_window(time: Array, value: Array) -> Window:
     stops = np.searchsorted(time, time[whole] + length, side="right")
     best = float(time[whole[np.argmax(squares[stops] - squares[whole])]])
     return best, best + length
+
+
+def moving_recordings(
+    rig: Rig, comparisons: Sequence[RecordingComparison], role: str
+) -> list[tuple[RecordingComparison, Signal]]:
+    """Return recordings in motion that a model (`simulated` or `reference`) can simulate, by falling RMS residual."""
+    pairs = [(each, Signal.of(rig, each.recording)) for each in comparisons if each.recording.kind != "quiet"]
+    usable = [(each, signal) for each, signal in pairs if signal is not None and getattr(each, role) is not None]
+    return sorted(usable, key=lambda pair: -getattr(pair[0], role).marker_rms / pair[0].noise[0])
 
 
 def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Recording]) -> list[_Item]:

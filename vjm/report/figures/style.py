@@ -117,12 +117,7 @@ class Page:
 
     @classmethod
     def of(cls, title: str, rows: Sequence[tuple[float, int]]) -> Page:
-        """Make an empty page.
-
-        Args:
-            title: what the figure shows, in a sentence; wrapped.
-            rows: from the top, height with labels [inches] and number of panels.
-        """
+        """Make an empty page under a sentence; each row has a height with labels [inches] and a number of panels."""
         lines = textwrap.wrap(printable(title), 98)  # so many characters of the title's size fit across the page
         height = 0.42 + 0.18 * len(lines) + sum(size for size, _ in rows)  # title and legend stand above the rows
         figure = Figure(figsize=(9.2, height), layout="constrained")
@@ -142,12 +137,7 @@ class Page:
         return every[:count]
 
     def legend(self, handles: Sequence[Artist] = (), columns: int = 6) -> None:
-        """Add one legend for all panels, between title and panels.
-
-        Args:
-            handles: what it shows, each with its label; none: all labels in the panels, once each, areas last.
-            columns: so many entries in a row at most.
-        """
+        """Add one legend between title and panels, of labelled handles or of all labels in the panels, areas last."""
         labelled: dict[str, Artist] = {}
         for axes in self.figure.axes:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -177,13 +167,7 @@ def heat_map(
 ) -> None:  # fmt: skip
     """Draw a table (R, C) as coloured cells, the first row at the top; cells that are NaN are grey and empty.
 
-    Args:
-        axes: to draw into.
-        table: the values.
-        shades: colours, and what normalises the values for them.
-        names: of the rows and of the columns.
-        text: written into a cell; None: cells hold no text.
-        fontsize: of text and names [points].
+    `names` are those of the rows and of the columns; `text`, if any, is written into the cells.
     """
     colors, norm = shades
     axes.set_facecolor(BAND)
