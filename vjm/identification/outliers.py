@@ -11,17 +11,11 @@ from vjm.records import Array, Mask, Recording
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
-_AROUND = 15  # frames that say what a residual should be like
-_SPREAD_OVER = 31  # frames that say how far residuals scatter about it
-_FAR = 8.0  # standard deviations
-_BEYOND = 5.0  # times the root mean square of the residuals but the largest
-_TO_SIGMA = 1.4826  # from a median absolute deviation
-# Frames that lead to one from before, from after, and from both sides.
-_LEADING = ((-3, -2, -1), (-2, -1)), ((1, 2, 3), (1, 2)), ((-2, -1, 1, 2),)
-_LOUDEST = 5.0  # times the noise of a value, in what such frames lead to; more are too far away
-_REACH = 7  # frames that one that is wrong leads astray, with itself
-_PASSES = 3
-_MOST = 0.02  # of a recording's values; more are no outliers but something the model lacks
+_SCALE_FRAMES = 31  # whose median absolute deviation, with an error of a sixth, is the residuals' standard deviation
+_OUTLYING = 8.0  # standard deviations: beyond any of a million normal values, and tails heavier than normal
+_MAX_SHARE = 0.02  # of a recording's values; more are no outliers but something the model lacks
+# Offsets of the frames that predict one by a polynomial: from before, from after, and from both sides.
+_PREDICTORS = ((-3, -2, -1), (-2, -1)), ((1, 2, 3), (1, 2)), ((-2, -1, 1, 2),)
 
 
 def without_outliers(recording: Recording, markers: Array, noise: float) -> tuple[Recording, int]:
@@ -42,68 +36,75 @@ def without_outliers(recording: Recording, markers: Array, noise: float) -> tupl
     for index in np.ndindex(residual.shape[1:]):
         values = residual[(slice(None), *index)]
         known = np.flatnonzero(np.isfinite(values))
-        if known.size > _SPREAD_OVER:
-            wrong[(known, *index)] = _outlying(values[known]) | _leaping(values[known], recording.time[known])
+        if known.size > _SCALE_FRAMES:
+            wrong[(known, *index)] = _outlying(values[known]) | _unpredicted(values[known], recording.time[known])
     count = int(wrong.sum())
-    if count == 0 or count > max(1.0, _MOST * np.isfinite(residual).sum()):
+    if count == 0 or count > max(1.0, _MAX_SHARE * np.isfinite(residual).sum()):
         return recording, 0
     return replace(recording, markers=np.where(wrong, np.nan, recording.markers)), count
 
 
 def trimmed(run: Run) -> Observations:
-    """What was measured in a recording that a model follows, without outliers; the same where there are none."""
-    seen = run.observed
-    markers = seen.arcs.frames(run.arm, run.trajectory, seen.recording.time)
-    recording, count = without_outliers(seen.recording, markers, seen.noise[0])
-    return seen.of_recording(recording) if count else seen
+    """Return a run's observations without outliers; the same object where there are none."""
+    observed = run.observed
+    markers = observed.arcs.frames(run.arm, run.trajectory, observed.recording.time)
+    recording, count = without_outliers(observed.recording, markers, observed.noise[0])
+    return observed.of_recording(recording) if count else observed
 
 
 def _outlying(values: Array) -> Mask:
-    away = np.abs(values - median_filter(values, _AROUND, mode="nearest"))
-    scatter = _TO_SIGMA * median_filter(away, _SPREAD_OVER, mode="nearest")
-    usual = np.sort(np.abs(values))[: max(1, int((1 - _MOST) * values.size))]
-    found: Mask = away > np.maximum(_FAR * np.maximum(scatter, 1.0), _BEYOND * np.sqrt(np.mean(usual**2)))
-    return found
+    """True where a residual departs from the running median, by what the residuals around and most of all scatter."""
+    distance = np.abs(values - median_filter(values, 15, mode="nearest"))
+    typical = np.sort(np.abs(values))[: max(1, int((1 - _MAX_SHARE) * values.size))]
+    outlying: Mask = distance > np.maximum(_threshold(distance), 5 * np.sqrt(np.mean(typical**2)))
+    return outlying
 
 
-def _leaping(values: Array, time: Array) -> Mask:
-    """What neither the frames before nor those after, nor both together, lead to, however much a model misses smoothly.
+def _threshold(distance: Array) -> Array:
+    """Distance beyond which a value is outlying; 1.4826 makes a median absolute deviation a standard deviation."""
+    scale = 1.4826 * median_filter(distance, _SCALE_FRAMES, mode="nearest")
+    threshold: Array = _OUTLYING * np.maximum(scale, 1.0)
+    return threshold
 
-    Of several frames close together the worst is left out before the others are judged.
+
+def _unpredicted(values: Array, time: Array) -> Mask:
+    """True where neither the frames before nor those after, nor both together, predict a residual.
+
+    However much a model misses smoothly. Of several frames close together, seven being as far as a wrong one disturbs
+    predictions, the worst is left out before the others are judged.
     """
-    found = np.zeros(values.size, dtype=np.bool_)
-    for _ in range(_PASSES):
-        kept = np.flatnonzero(~found)
-        away = _off_course(values[kept], time[kept])
-        scatter = _TO_SIGMA * median_filter(away, _SPREAD_OVER, mode="nearest")
-        far = (away > _FAR * np.maximum(scatter, 1.0)) & (away == maximum_filter(away, _REACH))
+    wrong = np.zeros(values.size, dtype=np.bool_)
+    for _ in range(3):
+        kept = np.flatnonzero(~wrong)
+        error = _prediction_error(values[kept], time[kept])
+        far = (error > _threshold(error)) & (error == maximum_filter(error, 7))
         if not far.any():
             break
-        found[kept[far]] = True
-    return found
+        wrong[kept[far]] = True
+    return wrong
 
 
-def _off_course(values: Array, time: Array) -> Array:
-    """(T,) how far values are off the nearest of the polynomials through the frames that lead to them.
+def _prediction_error(values: Array, time: Array) -> Array:
+    """(T,) distance of values from the nearest prediction by polynomials through the frames around them.
 
-    After a step, as of a marker that slips, those after it do. Zero where frames lead to a value from one side only.
+    After a step, as of a marker that slips, that is by those after it. Zero where frames are on one side only.
     """
-    away = np.full((len(_LEADING), values.size), np.inf)
-    for side, several in zip(away, _LEADING, strict=True):
-        for offsets in several:
+    error = np.full((len(_PREDICTORS), values.size), np.inf)
+    for side, predictors in zip(error, _PREDICTORS, strict=True):
+        for offsets in predictors:
             rows = np.arange(max(0, -min(offsets)), values.size - max(0, max(offsets)))
             given = rows[:, None] + np.array(offsets)
-            weights = _lagrange(time[given], time[rows])
-            near = np.linalg.norm(weights, axis=1) < _LOUDEST
+            weights = _lagrange_weights(time[given], time[rows])
+            near = np.linalg.norm(weights, axis=1) < 5  # or the prediction is that much noisier than a value
             rows, given, weights = rows[near], given[near], weights[near]
             side[rows] = np.minimum(side[rows], np.abs(values[rows] - np.sum(weights * values[given], axis=1)))
-    return np.where(np.isinf(away[:2]).any(axis=0), 0.0, away.min(axis=0))
+    return np.where(np.isinf(error[:2]).any(axis=0), 0.0, error.min(axis=0))
 
 
-def _lagrange(nodes: Array, at: Array) -> Array:
+def _lagrange_weights(nodes: Array, at: Array) -> Array:
     """(R, m) weights of values at nodes (R, m) in the polynomial through them at (R,)."""
-    apart = nodes[:, :, None] - nodes[:, None, :]
-    away = np.broadcast_to(at[:, None, None] - nodes[:, None, :], apart.shape)
+    differences = nodes[:, :, None] - nodes[:, None, :]
+    distances = np.broadcast_to(at[:, None, None] - nodes[:, None, :], differences.shape)
     same = np.eye(nodes.shape[1], dtype=np.bool_)
-    found: Array = np.prod(np.where(same, 1.0, away / np.where(same, 1.0, apart)), axis=2)
-    return found
+    weights: Array = np.prod(np.where(same, 1.0, distances / np.where(same, 1.0, differences)), axis=2)
+    return weights
