@@ -1,4 +1,4 @@
-"""What an experiment's recordings can tell, before anything is trusted."""
+"""Check of an experiment before identification: doubtful data, identifiable parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from vjm.records import Array, Estimate, Experiment, Result
 
 @dataclass(frozen=True, repr=False)
 class Check(Result):
-    """What an experiment can tell.
+    """Doubts about an experiment, and which parameters its recordings determine.
 
     Attributes:
         experiment: the experiment.

@@ -17,7 +17,7 @@ from vjm.simulation.model import Model
 
 @dataclass(frozen=True, repr=False)
 class Comparison(SimulatedResult):
-    """How well a model follows recordings that it may never have seen.
+    """A given model beside the recordings of an experiment.
 
     Attributes:
         experiment: the recordings.

@@ -106,7 +106,7 @@ def identify(
 
 @dataclass(frozen=True)
 class _Solution:
-    """What either method identified, and how it got there."""
+    """Estimate of either method, and the decisions on the way."""
 
     parametrisation: Parametrisation
     x: Array

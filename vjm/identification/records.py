@@ -1,4 +1,4 @@
-"""What an identification returns."""
+"""Records of an identification."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def _trajectory_fit(fit: Identification, what: str) -> TrajectoryFit:
 
 
 def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -> float:
-    """Where the signed root of the likelihood ratio reaches the quantile, in the direction of a signed `std`.
+    """End of the interval, in the direction of a signed `std`: the root of the likelihood ratio reaches the quantile.
 
     Infinite where it does not within 30 standard errors: then the recordings set no limit there.
     """

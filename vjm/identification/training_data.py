@@ -1,4 +1,4 @@
-"""What is fitted: training recordings, with the angles, derivatives and torques that torque errors need."""
+"""Training recordings with the angles, derivatives and torques that torque errors need."""
 
 from __future__ import annotations
 

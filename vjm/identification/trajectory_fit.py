@@ -39,7 +39,7 @@ _HORIZON_GROWTH = 3.0  # a frequency fitted to three periods is right to far les
 
 
 class Coordinates(Protocol):
-    """What a search varies."""
+    """Coordinates that a search varies."""
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -80,7 +80,7 @@ class TrajectoryProblem(Record):
 
     @property
     def varied(self) -> Coordinates:
-        """What the search varies."""
+        """Coordinates that the search varies: the extension's, or the chain's alone."""
         return self.parametrisation if self.extension is None else self.extension
 
     @property
@@ -160,7 +160,7 @@ class Point(Record):
 
     @cached_property
     def cost(self) -> float:
-        """What the search minimises: the residuals' loss, and what the priors of x and initial states add."""
+        """Objective of the search: the residuals' loss, and the priors of x and of the initial states."""
         residual = self.problem.prior(self.x)[1]
         return sum(run.cost for run in self.runs) + float(residual @ residual)
 

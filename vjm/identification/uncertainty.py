@@ -23,7 +23,7 @@ _STRONG_CORRELATION = 0.9  # worth naming: the partner alone explains more than 
 
 @dataclass(frozen=True)
 class Information:
-    """What weighted residuals r with derivatives J say of p coordinates.
+    """Information of weighted residuals r with derivatives J on p coordinates.
 
     Attributes:
         normal: (p, p) J^T J, initial states eliminated.
@@ -54,7 +54,7 @@ class Information:
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Whether a recording's weighted residuals are white noise.
+    """Test of a recording's weighted residuals for white noise.
 
     Attributes:
         file: the recording's.

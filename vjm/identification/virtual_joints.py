@@ -1,4 +1,4 @@
-"""How many virtual joints a link needs."""
+"""Choice of the number of virtual joints of a link."""
 
 from __future__ import annotations
 

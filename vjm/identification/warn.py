@@ -1,4 +1,4 @@
-"""What a user should know before trusting an identification, in sentences with numbers."""
+"""Warnings and notes on an identification, in sentences with numbers."""
 
 from __future__ import annotations
 
