@@ -1,1 +1,1 @@
-"""What vjm found, as pictures, tables, a page and a folder of files."""
+"""Results as text, tables, pictures, a page and a folder of files."""
