@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from vjm.diagnosis.causes import _with_errors, estimate_causes
+from vjm.diagnosis.alternatives import _with_errors, estimate_causes
 from vjm.diagnosis.records import Alternative
 from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
 from vjm.identification.uncertainty import Information

@@ -11,8 +11,7 @@ from scipy import stats
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidates import CandidateSet, FamilyTest
-from vjm.diagnosis.screen import Screen
+from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.effects import (
     CameraRotation,
     CameraScale,

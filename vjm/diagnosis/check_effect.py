@@ -17,9 +17,8 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import CandidateFit, Extension, adds_joint, refit
-from vjm.diagnosis.candidates import CandidateSet
 from vjm.diagnosis.fit_cache import NOISE, StoppingRule
-from vjm.diagnosis.screen import Screen
+from vjm.diagnosis.screen import CandidateSet, Screen
 from vjm.effects.effect import Effect
 from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation

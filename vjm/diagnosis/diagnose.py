@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.alternatives import find_alternatives
+from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
 from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
 from vjm.diagnosis.candidate_fit import CandidateFit
-from vjm.diagnosis.causes import estimate_causes
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Diagnosis, Findings
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test

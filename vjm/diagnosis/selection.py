@@ -21,7 +21,6 @@ from vjm.diagnosis.candidate_fit import (
     Names,
     named,
 )
-from vjm.diagnosis.candidates import CandidateSet, FamilyTest
 from vjm.diagnosis.encoder_feedback import (
     feedback_possible,
     fit_open_loop,
@@ -29,7 +28,7 @@ from vjm.diagnosis.encoder_feedback import (
     nominal_with_feedback,
 )
 from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell
-from vjm.diagnosis.screen import Screen
+from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
