@@ -56,7 +56,7 @@ class CurveMap:
         return np.stack([np.cos(psi) @ self.weights.T, np.sin(psi) @ self.weights.T], axis=-1)
 
     def jacobian(self, phi: ArrayLike) -> Array:
-        """(..., k, 2, n) derivative of `positions` by phi [m/rad]."""
+        """Return the (..., k, 2, n) derivative of `positions` by phi [m/rad]."""
         psi = np.asarray(phi, dtype=float) @ self.node_heading.T
         by_x = np.einsum("...q,kq,qn->...kn", -np.sin(psi), self.weights, self.node_heading, optimize=True)
         by_y = np.einsum("...q,kq,qn->...kn", np.cos(psi), self.weights, self.node_heading, optimize=True)

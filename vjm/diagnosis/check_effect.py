@@ -113,30 +113,30 @@ class _Bench:
     states: tuple[Array, ...]
 
     def steps(self, arm: Arm, step: float | None = None) -> list[Trajectory]:
-        """Trajectories of all recordings, by an arm made of this chain."""
+        """Return trajectories of all recordings, by an arm made of this chain."""
         q, v = zip(*(np.split(transfer_state(self.chain, arm.chain, state), 2) for state in self.states), strict=True)
         return simulate_trajectories([arm] * len(self.states), self.recordings, q, v, step=step)
 
     def simulate(self, arm: Arm, step: float | None = None) -> list[Simulation]:
-        """Sensor readings of these trajectories at the recordings' instants."""
+        """Return sensor readings of these trajectories at the recordings' instants."""
         pairs = zip(self.recordings, self.steps(arm, step), strict=True)
         return [sensor_readings(arm, MarkerArcs.of(self.rig), *pair) for pair in pairs]
 
     def beginning(self, duration: float) -> _Bench:
-        """The first recording alone, and of that the first seconds."""
+        """Return the first recording alone, and of that the first seconds."""
         first = self.recordings[0]
         rows = int(np.searchsorted(first.time, duration, side="right"))
         columns: dict[str, Any] = {name: getattr(first, name)[:rows] for name in ("time", "theta", "tau", "markers")}
         return replace(self, recordings=(replace(first, **columns),), states=self.states[:1])
 
     def typical(self, effect: Effect) -> Effect:
-        """The last variant here with typical magnitudes; shape parameters are off by a tenth, as no search starts."""
+        """Return the last variant here with typical magnitudes; shape parameters are off by a tenth."""
         absent = effect.variants(self.rig, self.recordings)[-1]
         coordinates = np.where(np.arange(absent.coordinates.size) < absent.magnitude_count, 1.0, 0.1)
         return absent.at(np.clip(coordinates, *absent.bounds))
 
     def refusal(self, effect: Effect) -> str:
-        """Why the effect cannot be tried here, in its own words; empty where it can."""
+        """Return the effect's own reason why it cannot be tried here; empty where it can."""
         reason = effect.untestable(self.rig, self.recordings)
         return reason or ("" if effect.places(self.rig) else "there is no place for it")
 

@@ -279,7 +279,7 @@ class _SmoothBacklash(Backlash):
     """Play whose contact begins gradually."""
 
     def _contact(self, beyond: Array) -> tuple[Array, Array]:
-        """By a sigmoid, whose integral is a logarithm, instead of a corner."""
+        """Return the depth and the share by a sigmoid, whose integral is a logarithm, instead of a corner."""
         soft = 2 * _GRADUAL_CONTACT * self.gap
         return soft / 2 * np.logaddexp(0.0, 2 * beyond / soft), (1 + np.tanh(beyond / soft)) / 2
 

@@ -15,7 +15,7 @@ from vjm.records import Array, Recording, Rig
 
 
 def _frame_turns(rig: Rig) -> str:
-    """Why the camera's axes are unknown, unless markers are given in them or in a clamped first link's frame."""
+    """Return the reason why a turn cannot be seen: markers in a moving link's frame; empty where it can."""
     fixed = all(
         link.markers_frame == "base" or (i == 0 and link.joint == "clamped")
         for i, link in enumerate(rig.links)

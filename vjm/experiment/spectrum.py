@@ -43,7 +43,7 @@ class Oscillators:
                 self.inputs.append(sampled)
 
     def columns(self, values: Array) -> Array:
-        """(T, 1 + 2 m (1 + inputs)) offset, free and forced motion of m oscillators (Hz, ratio) (m, 2)."""
+        """Return (T, 1 + 2 m (1 + inputs)): offset, free and forced motion of m oscillators (Hz, ratio) (m, 2)."""
         parts = [np.ones_like(self.time)]
         for frequency, ratio in values:
             pole = 2 * np.pi * frequency * (-ratio + 1j * np.sqrt(max(1 - ratio**2, 1e-12)))

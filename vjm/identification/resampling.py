@@ -89,7 +89,7 @@ def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -
     near = best
 
     def excess(offset: float) -> float:
-        """Standard deviations by which the fit is less likely there than the best one, beyond the quantile."""
+        """Return the standard deviations by which the fit there is less likely than the best one."""
         nonlocal near
         if offset == 0.0:
             return -quantile

@@ -207,7 +207,7 @@ def estimates(
 
 
 def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, correlation: Array) -> str:
-    """Why parameter k has so large a standard error."""
+    """Explain why parameter k has so large a standard error."""
     others = np.abs(correlation)
     others[k] = 0.0
     partner = int(np.argmax(others))
@@ -223,7 +223,7 @@ def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, co
 
 
 def _remedy(coordinate: Coordinate, chain: Chain) -> str:
-    """Which recording would determine a parameter."""
+    """Name the recording that would determine a parameter."""
     group, shared = coordinate.group, coordinate.index < 0
     if group == "hub":
         return "a driven recording whose torque changes faster, so that the hub's own inertia takes more of it"

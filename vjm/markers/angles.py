@@ -178,7 +178,7 @@ class _LinkMeasurement:
         return fit_shape(places, self.markers[..., 1], link.length, settings.family, order, robust=settings.robust)
 
     def angles(self, fit: ShapeFit) -> tuple[Array, Array, Array]:
-        """Angles phi (F, n), and the tip's position (F, 2) and heading (F,) in the link frame."""
+        """Return angles phi (F, n), and the tip's position (F, 2) and heading (F,) in the link frame."""
         if self.settings.method == "points":
             points = _representative_points(fit, self.cuts.lengths)
             phi = _chord_angles(points)
@@ -191,7 +191,7 @@ class _LinkMeasurement:
         return phi, tip.positions(phi)[:, 0], phi @ tip.heading[0]
 
     def covariance(self, fit: ShapeFit, marker_noise: float, encoder_noise: float) -> Array:
-        """Noise covariance of (theta, phi) [rad^2], for small bends."""
+        """Return the noise covariance of (theta, phi) [rad^2], for small bends."""
         if self.settings.method == "curve":
             straight = np.zeros(self.cuts.cells.size)
             inverse = np.linalg.pinv(curve_map(self.cuts, self.link.markers).jacobian(straight)[:, 1, :])

@@ -191,12 +191,12 @@ class _PenalisedSpline:
         return bands
 
     def solve(self, values: Array, exponent: float) -> Array:
-        """Coefficients (size, m) for values (T, m)."""
+        """Return coefficients (size, m) for values (T, m)."""
         result: Array = solveh_banded(self._banded(exponent), self._right @ values)
         return result
 
     def gains(self, exponent: float) -> tuple[Array, float]:
-        """Noise covariance (3, 3) of value, rate, acceleration at mid-record, and the kernel's half width [s].
+        """Return the noise covariance (3, 3) of value, rate, acceleration, and the kernel's half width [s].
 
         Two per cent of the kernel's energy may lie outside the recording at the first and last instants kept.
         """

@@ -72,7 +72,7 @@ def _exponential(system: System, q: Array, v: Array, z: Array, drive: Drive) -> 
     shared = len(weights.state) == 1
 
     def multiply(states: Array, matrices: Array) -> Array:
-        """(C, m) states times the transposed matrix of each copy, or that all copies share."""
+        """Return (C, m) states times the transposed matrix of each copy, or that all copies share."""
         return np.asarray(states @ matrices[0] if shared else np.matmul(states[:, None, :], matrices)[:, 0, :])
 
     record = _Recorder(drive, q, z)

@@ -101,7 +101,7 @@ class _EquationsOfMotion:
         self.has_further_forces = self.force is not None or arm.feedback is not None
 
     def inertial_torque(self, motion: MotionSamples) -> Array:
-        """M a + h (I, nv)."""
+        """Return M a + h (I, nv)."""
         return dynamics.inverse_dynamics(self.mechanism, motion.q, motion.v, motion.a)
 
     def further_torque(self, motion: MotionSamples) -> Array:

@@ -81,7 +81,7 @@ class RecordingSymptoms:
 
 @dataclass(frozen=True)
 class Symptoms:
-    """What is wrong, before any cause is named.
+    """Symptoms: faults of the simulation, before any cause is named.
 
     Attributes:
         rig: the arm.
@@ -99,7 +99,7 @@ class Symptoms:
 
     @property
     def significant(self) -> tuple[Symptom, ...]:
-        """Those that are more than chance, at a level that allows for all that was looked for, and worth a word."""
+        """Symptoms that are more than chance, at a level that allows for all that was looked for, and worth a word."""
         level = FALSE_ALARM / max(len(self.found), 1)
         return tuple(one for one in self.found if one.p_value < level and one.local >= _LEAST_SHARE)
 
@@ -187,7 +187,7 @@ def _look_at(index: int, rig: Rig, simulated: SimulatedRecording, natural: Seque
 
 
 class _Source(NamedTuple):
-    """What a symptom was seen in: the file (None: several), its misfit, and that of all recordings."""
+    """Source of a symptom: the file (None: several), its misfit, and that of all recordings."""
 
     file: str | None
     own: float

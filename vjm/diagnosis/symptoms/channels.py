@@ -34,7 +34,7 @@ class Coefficient(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether the data determine the value."""
+        """True if the data determine the value."""
         return bool(np.isfinite(self.std))
 
     def times(self, factor: float) -> Coefficient:

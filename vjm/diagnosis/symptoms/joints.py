@@ -63,7 +63,7 @@ class JointProfile:
 
 
 class JointProfileFit(NamedTuple):
-    """What position, velocity and direction explain of a residual."""
+    """Parts of a residual that position, velocity and direction explain."""
 
     changes: tuple[Coefficient, ...]  # over the ranges of position and velocity, and from backwards to forwards
     described: tuple[float, ...]  # share of the mean square that each describes, of what the others leave

@@ -1,4 +1,4 @@
-"""What a model was identified from: markers, shapes of the links, joint angles and torque errors."""
+"""Figures of the data behind an identification: markers, shapes of the links, joint angles and torque errors."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class Signal:
 
     @property
     def is_marker(self) -> bool:
-        """Whether it is a coordinate of a marker, in metres."""
+        """True if it is a coordinate of a marker, in metres."""
         return len(self.index) == 2
 
     @property
