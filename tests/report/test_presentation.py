@@ -64,6 +64,9 @@ def test_records_with_arrays_are_told_in_a_line() -> None:
     assert first.simulated is not None
     assert fit.trajectory is not None
     records = (fit.model, first, first.simulated, first.simulated.simulation, fit.trajectory, fit.trajectory.point)
+    diagnosis = undecided()
+    chain = fit.model.chain
+    records = (*records, chain, chain.links[0], diagnosis.symptoms)  # type: ignore[assignment]
     for record in (*records, fit.torque_data[0], fit.torque_data[0].angles, fit.torque_data[0].derivatives):
         assert "\n" not in repr(record)
         assert len(repr(record)) < 400

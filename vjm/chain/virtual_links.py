@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vjm.errors import ShapeError
-from vjm.records import Array
+from vjm.records import Array, Record
 
 Distal = Literal["free", "joined"]
 
 
-@dataclass(frozen=True)
-class LinkChain:
+@dataclass(frozen=True, repr=False)
+class LinkChain(Record):
     """A flexible link as n + 1 rigid virtual links joined by n virtual joints.
 
     Virtual link 0 starts at the proximal end, along the x axis of the link frame Sigma_i; virtual joint j
@@ -127,8 +127,8 @@ _NOT_NEGATIVE = ("joint_stiffness", "joint_damping", "root_stiffness", "root_dam
 _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffness": 0, "damping": 0, "cells": 0}
 
 
-@dataclass(frozen=True)
-class Chain:
+@dataclass(frozen=True, repr=False)
+class Chain(Record):
     """An arm of flexible links as virtual-joint chains.
 
     Coordinates q run from the base outwards: for each link its active angle theta (revolute links only), the angle of

@@ -26,7 +26,7 @@ from vjm.diagnosis.symptoms.channels import (
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles, pooled
 from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeComparison, ModeDifference, compare_modes, slow_columns
 from vjm.errors import ShapeError
-from vjm.records import Array, Recording, Rig, SimulatedRecording
+from vjm.records import Array, Record, Recording, Rig, SimulatedRecording
 
 FALSE_ALARM = 0.01  # probability that clean recordings show any symptom at all, shared by all that is looked for
 _LEAST_SHARE = 0.01  # of a recording's mean square residual that a symptom describes, to be worth a sentence
@@ -79,8 +79,8 @@ class RecordingSymptoms:
     at_rest: tuple[SensorAtRest, ...] = ()  # each sensor, where nothing moves
 
 
-@dataclass(frozen=True)
-class Symptoms:
+@dataclass(frozen=True, repr=False)
+class Symptoms(Record):
     """Symptoms: faults of the simulation, before any cause is named.
 
     Attributes:
