@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.diagnosis.trajectories import FREQUENCIES, MOTION, RIG, found, simulated
-from vjm.diagnosis.symptoms import condition_of, symptoms
+from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, found, simulated
+from vjm.diagnosis.symptoms import symptoms
 from vjm.diagnosis.symptoms.channels import channels_of
-from vjm.diagnosis.symptoms.modes import free_interval
+from vjm.diagnosis.symptoms.modes import _free_interval
 from vjm.errors import ShapeError
 from vjm.experiment import Link, Recording, Rig
 from vjm.records import SimulatedRecording, Simulation
@@ -117,14 +117,16 @@ def test_free_motion_is_where_nothing_drives() -> None:
     torque = np.where(time < 4, np.sin(6 * time), 0.0)[:, None]
     blank = np.zeros((1000, 1))
     recording = Recording(time, np.zeros((1000, 5, 2)), blank, torque, kind="driven", role="train", file="a.csv")
-    stretch = free_interval(recording)
+    stretch = _free_interval(recording)
     assert stretch is not None
     assert stretch == pytest.approx((4.0, 9.99), abs=0.02)
-    assert free_interval(replace(recording, tau=np.full_like(torque, np.nan))) is None
-    assert free_interval(replace(recording, kind="decay")) == (0.0, 9.99)
+    assert _free_interval(replace(recording, tau=np.full_like(torque, np.nan))) is None
+    assert _free_interval(replace(recording, kind="decay")) == (0.0, 9.99)
 
 
 def test_conditions_are_told_in_words() -> None:
-    recording = simulated(0).recording
-    assert condition_of(recording) == ""
-    assert condition_of(replace(recording, payload=0.05, condition="reference")) == "payload 50 g, reference"
+    decay = simulated(0, clamped=True, kind="decay", duration=10)
+    loaded = replace(decay, recording=replace(decay.recording, payload=0.05, condition="reference"))
+    assert {free.condition for free in found(decay).recordings[0].modes.free} == {""}
+    result = symptoms(CLAMPED, [loaded], {0.05: FREQUENCIES})
+    assert {free.condition for free in result.recordings[0].modes.free} == {"payload 50 g, reference"}

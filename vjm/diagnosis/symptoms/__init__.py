@@ -4,32 +4,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from vjm.diagnosis.symptoms.channels import (
-    UNKNOWN,
-    Channels,
-    Coefficient,
-    SensorAtRest,
-    Tone,
-    at_rest,
-    channels_of,
-    coefficient,
-    regress,
-    sensor_delay,
-    strongest_tone,
-)
-from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles, pooled
-from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeComparison, ModeDifference, compare_modes, slow_columns
+from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, channels_of, regress
+from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
+from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeComparison, ModeDifference
 from vjm.errors import ShapeError
-from vjm.records import Array, Record, Recording, Rig, SimulatedRecording
+from vjm.records import Array, Record, Rig, SimulatedRecording
 
-FALSE_ALARM = 0.01  # probability that clean recordings show any symptom at all, shared by all that is looked for
+_FALSE_ALARM = 0.01  # probability that clean recordings show any symptom at all, shared by all that is looked for
 _LEAST_SHARE = 0.01  # of a recording's mean square residual that a symptom describes, to be worth a sentence
+
+# Sentence of each kind, and the words that stand for {way} where the value is positive and where it is negative.
+_SENTENCES = {
+    "offset": ("{name} reads {size} {way} than the model, all the time", "more", "less"),
+    "gain": ("{name} moves {size} {way} than in the model", "more", "less"),
+    "drift": ("{name} drifts away from the model, by {way}{size} over the recording", "+", "−"),
+    "delay": ("the motion {who} comes {size} {way} than in the model", "later", "earlier"),
+    "camera_lag": ("the camera shows the motion {size} {way} than the encoders do", "later", "earlier"),
+    "camera_clock": ("the camera's clock counts {size} {way} time than the encoders'", "more", "less"),
+    "amplitude": ("at {at} the arm swings {size} {way} than the model from the start", "wider", "less wide"),
+    "phase": ("at {at} the arm is {size} {way} the model from the start", "ahead of", "behind"),
+    "damping": ("the swing at {at} dies out {way} than in the model{after}", "faster", "more slowly"),
+    "frequency": ("the arm swings {size} {way} at {at} than the model{after}", "faster", "slower"),
+    "mode_shape": ("at {at} {name} moves {size} {way} than the model, set against the other markers", "more", "less"),
+    "rest_amplitude": ("its vibrations apart, the arm moves {size} {way} than the model", "more", "less"),
+    "rest_delay": ("its vibrations apart, the arm moves {size} {way} than the model", "later", "earlier"),
+    "against_angle": ("{what} {way} by {size} from low to high {motion}", "rises", "falls"),
+    "against_velocity": ("{what} {way} by {size} from fast backwards to fast forwards of {motion}", "rises", "falls"),
+    "against_sign": ("{what} jumps {way} by {size} when {motion} turns from backwards to forwards", "up", "down"),
+    "slow_drift": ("{name} wanders slowly about the model, by {size} RMS below {limit} Hz", "", ""),
+    "growth": ("the residual {way} {fold}-fold from the first to the last fifth of the recording", "grows", "shrinks"),
+    "frequency_with_amplitude": ("at {large} the swing at {at} is {here} than at {small}; the model's {own}", "", ""),
+    "damping_with_amplitude": (
+        "at {large} the damping ratio of the swing at {at} is {here} than at {small}; the model's {own}", "", "",
+    ),
+    "quiet_size": ("at rest, the noise of the {name} is {size} {way} than supposed", "larger", "smaller"),
+    "quiet_colour": (
+        "at rest, each value of the {name} {way}{value})",
+        "resembles the one before (correlation ", "opposes the one before (correlation −",
+    ),
+    "tone": ("{name} swings by {size} at {at}, which the model does not", "", ""),
+    "tone_of_model": ("at {at}, where the model swings by {swing}, {name} is off by {size}", "", ""),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,9 +84,6 @@ class Symptom:
     sentence: str
 
 
-_STILL = ModeComparison()
-
-
 @dataclass(frozen=True)
 class RecordingSymptoms:
     """All that was looked at in one recording."""
@@ -73,8 +91,7 @@ class RecordingSymptoms:
     simulated: SimulatedRecording
     sensors: tuple[Channels, ...]  # the camera and the encoders, as far as they measured anything
     misfit: float  # squared residuals, in units of the noise
-    delays: tuple[Coefficient, ...] = ()  # of each sensor against the simulation [s]
-    modes: ModeComparison = _STILL  # empty where nothing moves
+    modes: ModeComparison = field(default_factory=ModeComparison)  # empty where nothing moves or was measured
     profiles: tuple[JointProfile, ...] = ()  # residuals against the joints' motion
     at_rest: tuple[SensorAtRest, ...] = ()  # each sensor, where nothing moves
 
@@ -100,30 +117,21 @@ class Symptoms(Record):
     @property
     def significant(self) -> tuple[Symptom, ...]:
         """Symptoms that are more than chance, at a level that allows for all that was looked for, and worth a word."""
-        level = FALSE_ALARM / max(len(self.found), 1)
+        level = _FALSE_ALARM / max(len(self.found), 1)
         return tuple(one for one in self.found if one.p_value < level and one.local >= _LEAST_SHARE)
 
     def headlines(self, most: int = 8) -> tuple[Symptom, ...]:
-        """Return the largest symptom of each kind and mode; its sentence tells in how many other recordings it shows.
-
-        Args:
-            most: how many at most.
-        """
+        """Return the largest symptom of each kind and mode, at most so many, saying how many recordings share it."""
         groups: dict[tuple[str, int | None], list[Symptom]] = {}
         for symptom in self.significant:
             groups.setdefault((symptom.kind, symptom.mode), []).append(symptom)
-        # When the misfit comes is told after what it is.
-        ordered = sorted(groups.values(), key=lambda group: group[0].kind == "growth")
-        return tuple(_headline(group) for group in ordered[:most])
-
-
-def _headline(group: Sequence[Symptom]) -> Symptom:
-    first = group[0]
-    same = {each.recording for each in group if each.value * first.value > 0} - {first.recording}
-    if not same:
-        return first
-    more = "another recording" if len(same) == 1 else f"{len(same)} other recordings"
-    return replace(first, sentence=f"{first.sentence.removesuffix('.')}; likewise in {more}.")
+        headlines = []
+        for first, *others in list(groups.values())[:most]:
+            same = {each.recording for each in others if each.value * first.value > 0} - {first.recording}
+            more = "another recording" if len(same) == 1 else f"{len(same)} other recordings"
+            told = f"{first.sentence.removesuffix('.')}; likewise in {more}."
+            headlines.append(replace(first, sentence=told) if same else first)
+        return tuple(headlines)
 
 
 def symptoms(
@@ -139,51 +147,40 @@ def symptoms(
     Raises:
         ShapeError: frequencies that are not positive or are missing for a payload, or recordings of another rig.
     """
+    expected = sum(len(link.markers) for link in rig.links), len(rig.active_links)
+    recordings = []
     for one in simulated:
-        own = frequencies.get(one.recording.payload)
-        if own is None or not all(0 < f < math.inf for f in own):
-            raise ShapeError(f"frequencies of {one.recording.file}", own, "positive numbers [Hz] for its payload")
+        natural = frequencies.get(one.recording.payload)
+        if natural is None or not all(0 < f < math.inf for f in natural):
+            raise ShapeError(f"frequencies of {one.recording.file}", natural, "positive numbers [Hz] for its payload")
         shapes = one.simulation.markers.shape[1], one.simulation.theta.shape[1]
-        expected = sum(len(link.markers) for link in rig.links), len(rig.active_links)
         if shapes != expected:
             raise ShapeError(f"markers and joints of {one.recording.file}", shapes, f"{expected}, as the rig has them")
-    recordings = tuple(_look_at(k, rig, one, frequencies[one.recording.payload]) for k, one in enumerate(simulated))
+        sensors = channels_of(rig, one)
+        looked = RecordingSymptoms(one, sensors, float(sum(np.sum(sensor.residual**2) for sensor in sensors)))
+        if one.recording.kind in ("quiet", "static"):
+            rest = tuple(rest for rest in map(SensorAtRest.of, sensors) if rest is not None)
+            recordings.append(replace(looked, at_rest=rest))
+        else:
+            modes = ModeComparison.of(one.recording, sensors, natural) if sensors else ModeComparison()
+            recordings.append(replace(looked, modes=modes))
+    own, together = joint_profiles(
+        rig, [(one.simulated, one.sensors * bool(one.modes.remaining)) for one in recordings]
+    )
+    recordings = [replace(one, profiles=profiles) for one, profiles in zip(recordings, own, strict=True)]
     total = sum(one.misfit for one in recordings)
     found = [symptom for one in recordings for symptom in _of_recording(one, total)]
     found += _with_amplitude(recordings, total)
-    profiles: dict[tuple[str, str], list[JointProfile]] = {}
-    for profile in (profile for one in recordings for profile in one.profiles if profile.quantity != "residual"):
-        profiles.setdefault((profile.sensor, profile.quantity), []).append(profile)
-    together = tuple(joint for joint in map(pooled, profiles.values()) if joint is not None)
     for joint in together:
         seen = [recordings[k] for k in np.unique(joint.recording)]
         found += _against(_Source(None, sum(one.misfit for one in seen), total), joint, seen)
     both = [(one, one.modes.rest) for one in recordings if one.modes.rest[2][0].known]
     source = _Source(None, sum(one.misfit for one, _ in both), total)
     lag, clock = (_mean([rest[k][0] for _, rest in both]) for k in (2, 3))
-    described = [sum(rest[k][1] for _, rest in both) for k in (2, 3)]
-    if both:
-        words = f"{_quantity(lag.value, 's')} {_either(lag, 'later', 'earlier')} than the encoders do"
-        found.append(source.symptom("camera_lag", lag, "s", described[0], f"the camera shows the motion {words}"))
-        words = f"{_percent(clock.value)} {_either(clock, 'more', 'less')} time than the encoders'"
-        found.append(source.symptom("camera_clock", clock, "1", described[1], f"the camera's clock counts {words}"))
-    found.sort(key=lambda symptom: -symptom.share)
-    return Symptoms(rig, tuple(found), recordings, together, lag)
-
-
-def _look_at(index: int, rig: Rig, simulated: SimulatedRecording, natural: Sequence[float]) -> RecordingSymptoms:
-    sensors = channels_of(rig, simulated)
-    found = RecordingSymptoms(simulated, sensors, float(sum(np.sum(sensor.residual**2) for sensor in sensors)))
-    if simulated.recording.kind in ("quiet", "static"):
-        return replace(found, at_rest=tuple(rest for rest in map(at_rest, sensors) if rest is not None))
-    if not sensors:
-        return found
-    return replace(
-        found,
-        delays=tuple(sensor_delay(sensor) for sensor in sensors),
-        modes=compare_modes(simulated.recording, sensors, natural),
-        profiles=tuple(joint_profiles(index, rig, simulated, sensors)),
-    )
+    found.append(source.symptom("camera_lag", lag, "s", sum(rest[2][1] for _, rest in both)))
+    found.append(source.symptom("camera_clock", clock, "1", sum(rest[3][1] for _, rest in both)))
+    known = sorted((one for one in found if math.isfinite(one.std)), key=lambda symptom: -symptom.share)
+    return Symptoms(rig, tuple(known), tuple(recordings), together, lag)
 
 
 class _Source(NamedTuple):
@@ -194,90 +191,67 @@ class _Source(NamedTuple):
     total: float
 
     def symptom(
-        self,
-        kind: str,
-        found: Coefficient,
-        unit: str,
-        described: float,
-        words: str,
-        sensor: str | None = None,
-        mode: int | None = None,
-    ) -> Symptom:
-        sentence = f"{words[:1].upper()}{words[1:]}." if self.file is None else f"{self.file}: {words}."
+        self, kind: str, estimate: Coefficient, unit: str, described: float, sensor: str | None = None,
+        mode: int | None = None, template: str = "", **words: str,
+    ) -> Symptom:  # fmt: skip
+        """Return a symptom that describes so much squared misfit, its sentence filled with further words."""
+        sentence, positive, negative = _SENTENCES[template or kind]
+        more = {"name": sensor, "size": _quantity(estimate.value, unit)} | words
+        told = sentence.format(way=positive if estimate.value > 0 else negative, **more)
+        told = f"{told[:1].upper()}{told[1:]}." if self.file is None else f"{self.file}: {told}."
         share, local = (float(np.clip(described / max(m, 1e-300), 0.0, 1.0)) for m in (self.total, self.own))
-        where = (kind, self.file, sensor, mode)
-        return Symptom(*where, *found[:2], unit, found.p_value, share, local, sentence)
+        return Symptom(kind, self.file, sensor, mode, *estimate[:2], unit, estimate.p_value, share, local, told)
 
 
 def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
     source = _Source(one.simulated.recording.file, one.misfit, total)
     for rest in one.at_rest:
-        yield from _rest(source, rest)
-    if not one.delays:
+        name, colour = rest.channels.sensor, rest.colour
+        yield source.symptom("quiet_size", rest.size, "1", rest.described[0], name)
+        yield source.symptom("quiet_colour", colour, "1", rest.described[1], name, value=_plain(colour.value))
+        yield from _tone(source, rest.channels, rest.channels.residual, "quiet_tone")
+    if not one.modes.remaining:
         return
     present = [mode.simulated for mode in one.modes.modes]
-    for sensor, delay, remaining in zip(one.sensors, one.delays, one.modes.remaining, strict=True):
-        yield from _aligned(source, sensor, delay)
-        yield from _slow_drift(source, sensor, remaining, present)
-        yield from _tone(source, sensor, strongest_tone(sensor, remaining, False, present))
+    for sensor, remaining in zip(one.sensors, one.modes.remaining, strict=True):
+        yield from _aligned(source, sensor)
+        yield from _slow_drift(source, sensor, remaining, SLOW * min(present, default=0.0))
+        yield from _tone(source, sensor, remaining, "tone", present)
     for mode in one.modes.modes:
         yield from _mode(source, mode, one)
-    (gain, shared), (delay, later) = one.modes.rest[:2]
-    words = "its vibrations apart, the arm moves"
-    if gain.known:
-        more = f"{words} {_percent(gain.value)} {_either(gain, 'more', 'less')} than the model"
-        yield source.symptom("rest_amplitude", gain, "1", shared, more)
-    if delay.known:
-        more = f"{words} {_quantity(delay.value, 's')} {_either(delay, 'later', 'earlier')} than the model"
-        yield source.symptom("rest_delay", delay, "s", later, more)
+    yield source.symptom("rest_amplitude", one.modes.rest[0][0], "1", one.modes.rest[0][1])
+    yield source.symptom("rest_delay", one.modes.rest[1][0], "s", one.modes.rest[1][1])
     for profile in one.profiles:
         yield from _against(source, profile, [one])
     yield from _growth(source, one)
 
 
-def _aligned(source: _Source, sensor: Channels, delay: Coefficient) -> Iterator[Symptom]:
-    """Yield offset, gain, delay and drift of each coordinate, and the delay of the whole sensor."""
+def _aligned(source: _Source, sensor: Channels) -> Iterator[Symptom]:
+    """Yield offset, gain and drift of each coordinate, and the delay of the whole sensor."""
     for c, name in enumerate(sensor.names):
         rows = sensor.known[:, c]
         time, residual = sensor.time[rows], sensor.residual[rows, c]
-        moving, drifting = bool(sensor.moving[c]), sensor.sensor == "encoder"
-        motion = sensor.simulated[rows, c] - sensor.simulated[rows, c].mean()
-        parts = [("offset", np.ones(time.size))]
-        parts += [("gain", motion), ("delay", -sensor.rate[rows, c])] if moving else []
-        parts += [("drift", (time - time.mean()) / sensor.duration)] if drifting else []
-        columns = np.stack([column for _, column in parts], axis=1) / sensor.noise
-        found, _ = regress(columns, residual, sensor.groups[rows])
-        for (kind, _), one, column in zip(parts, found, columns.T, strict=True):
-            if not one.known:
-                continue
-            size, more = _quantity(one.value, sensor.unit), _either(one, "more", "less")
-            words, unit = {
-                "offset": (f"{name} reads {size} {more} than the model, all the time", sensor.unit),
-                "gain": (f"{name} moves {_percent(one.value)} {more} than in the model", "1"),
-                "delay": (_late(f"of {name}", one), "s"),
-                "drift": (f"{name} drifts away from the model, by {_either(one, '+', '−')}{size} over the recording",
-                          sensor.unit),
-            }[kind]  # fmt: skip
-            change = one.value * column
-            yield source.symptom(kind, one, unit, float(change @ (2 * residual - change)), words, name)
-    if delay.known:
-        change = (sensor.path(sensor.time - delay.value) - sensor.simulated) * sensor.known / sensor.noise
-        words = _late("before the camera" if sensor.sensor == "camera" else "of the joints", delay)
-        described = float(np.sum(change * (2 * sensor.residual - change)))
-        yield source.symptom("delay", delay, "s", described, words, sensor.sensor)
-
-
-def _late(who: str, delay: Coefficient) -> str:
-    when = _either(delay, "later", "earlier")
-    return f"the motion {who} comes {_quantity(delay.value, 's')} {when} than in the model"
+        parts = {"offset": np.ones(time.size)}
+        if sensor.moving[c]:
+            motion = sensor.simulated[rows, c]
+            parts |= {"gain": motion - motion.mean(), "delay": -sensor.rate[rows, c]}
+        if sensor.sensor == "encoder":
+            parts["drift"] = (time - time.mean()) / sensor.duration
+        columns = np.stack(list(parts.values()), axis=1) / sensor.noise
+        estimates, _ = regress(columns, residual, sensor.groups[rows])
+        for kind, estimate, column in zip(parts, estimates, columns.T, strict=True):
+            if kind != "delay":  # the whole sensor's is told
+                change = estimate.value * column
+                described = float(change @ (2 * residual - change))
+                yield source.symptom(kind, estimate, "1" if kind == "gain" else sensor.unit, described, name)
+    change = (sensor.path(sensor.time - sensor.delay.value) - sensor.simulated) * sensor.known / sensor.noise
+    who = "before the camera" if sensor.sensor == "camera" else "of the joints"
+    described = float(np.sum(change * (2 * sensor.residual - change)))
+    yield source.symptom("delay", sensor.delay, "s", described, sensor.sensor, who=who)
 
 
 def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iterator[Symptom]:
-    gain, phase, relative, at = mode.gain, mode.phase, mode.frequency, f"at {_plain(mode.simulated)} Hz"
-    wide = f"{_percent(math.expm1(gain.value))} {_either(gain, 'wider', 'less wide')}"
-    ahead = f"{_quantity(phase.value, 'rad')} {_either(phase, 'ahead of', 'behind')}"
-    faster = f"{_percent(relative.value)} {_either(relative, 'faster', 'slower')} {at} than the model"
-    dies = f"dies out {_either(mode.decay, 'faster', 'more slowly')} than in the model"
+    at, phase, leads, dies = f"{_plain(mode.simulated)} Hz", mode.phase, "", ""
     if one.simulated.recording.kind == "decay":  # driven, the phase does not go on growing
         # Told for the time in which the simulated motion falls to a twentieth.
         duration = min(max(s.duration for s in one.sensors), 3 / max(-mode.pole.real, 1e-9))
@@ -287,47 +261,33 @@ def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iter
         if end * turned <= 0:  # it starts ahead and falls behind, or the other way round
             end, verbs = turned, ("in", "gains", "loses")
         size = _quantity(end, "rad") if abs(end) < 2 * math.pi else f"{_plain(end / (2 * math.pi))} periods"
-        faster += f": {verbs[0]} {after} it {verbs[1] if end > 0 else verbs[2]} {size}"
+        leads = f": {verbs[0]} {after} it {verbs[1] if end > 0 else verbs[2]} {size}"
         ratio = math.exp(float(np.clip(-mode.decay.value * duration, -10, 10)))
-        size = f"{_percent(ratio - 1)} {'larger' if ratio > 1 else 'smaller'} than"
-        dies += f": after {after} its amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
-    for kind, value, unit, described, words in (
-        ("amplitude", gain, "log", mode.described[0], f"{at} the arm swings {wide} than the model from the start"),
-        ("phase", phase, "rad", mode.described[1], f"{at} the arm is {ahead} the model from the start"),
-        ("damping", mode.damping, "1", mode.described[2], f"the swing {at} {dies}"),
-        ("frequency", relative, "1", mode.described[3], f"the arm swings {faster}"),
-    ):
-        yield source.symptom(kind, value, unit, described, words, mode=mode.mode)
-    for name, value, described in mode.shapes:
-        more = f"{_percent(value.value)} {_either(value, 'more', 'less')}"
-        words = f"{at} {name} moves {more} than the model, set against the other markers"
-        yield source.symptom("mode_shape", value, "1", described, words, name, mode.mode)
+        size = f"{_quantity(ratio - 1, '1')} {'larger' if ratio > 1 else 'smaller'} than"
+        dies = f": after {after} its amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
+    for kind, estimate, unit, described, after in zip(
+        ("amplitude", "phase", "damping", "frequency"), (mode.gain, phase, mode.damping, mode.frequency),
+        ("log", "rad", "1", "1"), mode.described, ("", "", dies, leads), strict=True,
+    ):  # fmt: skip
+        yield source.symptom(kind, estimate, unit, described, mode=mode.mode, at=at, after=after)
+    for name, estimate, described in mode.shapes:
+        yield source.symptom("mode_shape", estimate, "1", described, name, mode.mode, at=at)
 
 
 def _against(source: _Source, profile: JointProfile, seen: Sequence[RecordingSymptoms]) -> Iterator[Symptom]:
     """Yield what goes with a joint's position, velocity and direction."""
-    sensors = [sensor for one in seen for sensor in one.sensors if profile.sensor in sensor.names]
-    misfit = sum(float(np.sum(s.residual[:, s.names.index(profile.sensor)] ** 2)) for s in sensors)
-    residual = profile.quantity == "residual"
-    what = f"the residual of {profile.sensor}" if residual else f"the {profile.quantity} missing at {profile.sensor}"
-    for k, kind in enumerate(("against_angle", "against_velocity", "against_sign")):
-        one = profile.fit.changes[k]
-        if not one.known:
-            continue
-        rises, size = _either(one, "rises", "falls"), _quantity(one.value, profile.unit)
-        words = {
-            "against_angle": f"{what} {rises} by {size} from low to high {profile.motion}",
-            "against_velocity": f"{what} {rises} by {size} from fast backwards to fast forwards of {profile.motion}",
-            "against_sign": f"{what} jumps {_either(one, 'up', 'down')} by {size} when {profile.motion} turns from "
-            "backwards to forwards",
-        }[kind]
-        yield source.symptom(kind, one, profile.unit, profile.fit.described[k] * misfit, words, profile.sensor)
+    name, motion = profile.sensor, profile.motion
+    sensors = [sensor for one in seen for sensor in one.sensors if name in sensor.names]
+    misfit = sum(float(np.sum(s.residual[:, s.names.index(name)] ** 2)) for s in sensors)
+    what = f"the residual of {name}" if profile.quantity == "residual" else f"the {profile.quantity} missing at {name}"
+    kinds = ("against_angle", "against_velocity", "against_sign")
+    for kind, change, described in zip(kinds, profile.fit.changes, profile.fit.described, strict=True):
+        yield source.symptom(kind, change, profile.unit, described * misfit, name, what=what, motion=motion)
 
 
-def _slow_drift(source: _Source, sensor: Channels, remaining: Array, present: Sequence[float]) -> Iterator[Symptom]:
-    """Yield the part of a residual that is slower than half the lowest natural frequency."""
-    limit = SLOW * min(present, default=0.0)
-    columns = slow_columns(sensor.time, sensor.time[0], sensor.duration, limit)
+def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: float) -> Iterator[Symptom]:
+    """Yield the part of a residual that is slower than a limit [Hz]."""
+    columns = sensor.slow_columns(sensor.time, limit)
     count = columns.shape[1] - 1
     if count < 1 or sensor.time.size < 4 * count:
         return
@@ -340,11 +300,9 @@ def _slow_drift(source: _Source, sensor: Channels, remaining: Array, present: Se
     most = int(np.argmax(described / counts))
     size = sensor.noise * math.sqrt(max(described[most] - count, 0.0) / counts[most])
     chance = float(stats.chi2.sf(described.sum(), count * described.size))
-    found = Coefficient(size, sensor.noise / math.sqrt(2 * counts[most]), chance)
-    much = f"{_quantity(size, sensor.unit)} RMS below {_plain(limit)} Hz"
-    words = f"{sensor.names[most]} wanders slowly about the model, by {much}"
+    drift = Coefficient(size, sensor.noise / math.sqrt(2 * counts[most]), chance)
     beyond = max(float(described.sum()) - count * described.size, 0.0)
-    yield source.symptom("slow_drift", found, sensor.unit, beyond, words, sensor.names[most])
+    yield source.symptom("slow_drift", drift, sensor.unit, beyond, sensor.names[most], limit=_plain(limit))
 
 
 def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
@@ -360,20 +318,11 @@ def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
     power = total / count
     # Of a residual larger than the noise, the size in a fifth goes up and down with the motion, by a third or so.
     std = math.hypot(math.sqrt(0.5 / count[0] + 0.5 / count[-1]), 0.3 if power.max() > 2 else 0.15)
-    growth = coefficient(0.5 * math.log(power[-1] / power[0]), std, 0.0, 1)
+    growth = Coefficient.of(0.5 * math.log(power[-1] / power[0]), std, 0.0, 1)
     if one.simulated.recording.kind == "decay" and growth.value < 0:  # it shrinks as the motion does
         return
     described = float(np.sum(np.maximum(total - count * total.sum() / count.sum(), 0.0)))
-    fold = f"{_plain(math.exp(abs(growth.value)))}-fold from the first to the last fifth of the recording"
-    yield source.symptom(
-        "growth", growth, "log", described, f"the residual {_either(growth, 'grows', 'shrinks')} {fold}"
-    )
-
-
-def condition_of(recording: Recording) -> str:
-    """Return what was different in a recording: its payload and its condition, in words; empty for neither."""
-    payload = f"payload {1e3 * recording.payload:.3g} g" if recording.payload else ""
-    return ", ".join(part for part in (payload, recording.condition or "") if part)
+    yield source.symptom("growth", growth, "log", described, fold=_plain(math.exp(abs(growth.value))))
 
 
 def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> Iterator[Symptom]:
@@ -381,82 +330,57 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
     groups: dict[tuple[int, str, str], list[tuple[RecordingSymptoms, FreeMotion]]] = {}
     for one in recordings:
         for free in one.modes.free:
-            groups.setdefault((free.mode, condition_of(one.simulated.recording), free.unit), []).append((one, free))
+            groups.setdefault((free.mode, free.condition, free.unit), []).append((one, free))
     for (mode, condition, unit), members in groups.items():
         amplitude = np.concatenate([free.amplitude for _, free in members])
-        if amplitude.size < 5 or amplitude.max() < 1.3 * amplitude.min():  # too little to show a change
+        largest, smallest = float(amplitude.max()), float(amplitude.min())
+        if amplitude.size < 5 or largest < 1.3 * smallest:  # too little to show a change
             continue
         source = _Source(None, sum(one.misfit for one, _ in members), total)
-        centre = float(np.concatenate([free.frequencies[:, 1] for _, free in members]).mean())
-        small, large = (_quantity(float(size), unit) for size in (amplitude.min(), amplitude.max()))
-        for of, power in (("frequency", 2), ("damping", 1)):
-            ratio = of == "damping"
-            pairs = np.concatenate([free.ratios if ratio else free.frequencies / centre for _, free in members])
-            std = np.concatenate([free.std[:, 1] if ratio else free.std[:, 0] / centre for _, free in members])
-            place = (amplitude / amplitude.max()) ** power
-            columns = np.stack([np.ones_like(place), place], axis=1) / std[:, None]
-            # Windows overlap by half, and a point is the difference of two: three in a row are taken together.
-            slope = regress(columns, (pairs[:, 0] - pairs[:, 1]) / std, np.arange(place.size) // 3)[0][1]
-            rate = 2 * np.pi * centre * slope.value * (-1 if ratio else 1j)
-            described = sum(_bent(one, free, rate, float(amplitude.max()), power) for one, free in members)
-            own = float(np.linalg.lstsq(columns, pairs[:, 1] / std, rcond=None)[0][1]) * float(np.ptp(place))
+        rates, std = (np.concatenate(parts) for parts in zip(*((f.rates, f.std) for _, f in members), strict=True))
+        centre = float(rates[:, 1, 0].mean())
+        for c, kind, power, faster, slower in ((0, "frequency", 2, "faster", "slower"),
+                                               (1, "damping", 1, "higher", "lower")):  # fmt: skip
+            values, errors = rates[..., c] / (1 if c else centre), std[:, c] / (1 if c else centre)
+            place = (amplitude / largest) ** power
+            columns = np.stack([np.ones_like(place), place], axis=1) / errors[:, None]
+            # Windows overlap by half: two in a row are taken together.
+            slope = regress(columns, (values[:, 0] - values[:, 1]) / errors, np.arange(place.size) // 2)[0][1]
+            rate = 2 * np.pi * centre * slope.value
+            described = sum(free.misfit_of(rate, largest, power) for _, free in members)
+            own = float(np.linalg.lstsq(columns, values[:, 1] / errors, rcond=None)[0][1] * np.ptp(place))
             change = slope.times(float(np.ptp(place)))
-            measured = change.value + own
-            what = f"the {'damping ratio of the ' * ratio}swing at {_plain(centre)} Hz"
-            more = [f"{_plain(v)} {'higher' if v > 0 else 'lower'}" if ratio else
-                    f"{_percent(v)} {'faster' if v > 0 else 'slower'}" for v in (measured, own)]  # fmt: skip
-            model = "is the same" if abs(own) < 0.05 * abs(measured) else f"is {more[1]}"
-            words = f"at {large} {what} is {more[0]} than at {small}; the model's {model}"
-            words += f" ({condition})" if condition else ""
-            yield source.symptom(f"{of}_with_amplitude", change, "1", described, words, mode=mode)
+            here, model = (f"{_plain(v) if c else _quantity(v, '1')} {faster if v > 0 else slower}"
+                           for v in (change.value + own, own))  # fmt: skip
+            model = "is the same" if abs(own) < 0.05 * abs(change.value + own) else f"is {model}"
+            yield source.symptom(
+                f"{kind}_with_amplitude", change, "1", described, mode=mode, here=here, at=f"{_plain(centre)} Hz",
+                own=model + (f" ({condition})" if condition else ""), large=_quantity(largest, unit),
+                small=_quantity(smallest, unit),
+            )  # fmt: skip
 
 
-def _bent(one: RecordingSymptoms, free: FreeMotion, rate: complex, largest: float, power: int) -> float:
-    """Return the squared misfit of a rate (imaginary: speed, real: decay) that goes with amplitude."""
-    camera = one.sensors[0]
-    size = np.interp(camera.time, free.time, free.amplitude / largest) ** power
-    turned = np.concatenate([[0.0], np.cumsum(0.5 * (size[1:] + size[:-1]) * np.diff(camera.time))])
-    weight = np.linalg.norm(free.wave, axis=1)
-    turned = turned - np.polyval(np.polyfit(camera.time, turned, 1, w=weight), camera.time)
-    change = camera.centred((np.expm1(rate * turned)[:, None] * free.wave).real) / camera.noise
-    return float(np.sum(change * (2 * one.modes.remaining[0] - change)))
+def _tone(
+    source: _Source, sensor: Channels, residual: Array, kind: str, modes: Sequence[float] = ()
+) -> Iterator[Symptom]:
+    tone = sensor.strongest_tone(residual, kind == "quiet_tone", modes)
+    if tone is not None:
+        template = "tone_of_model" if tone.simulated >= tone.amplitude.value else "tone"
+        at, swing = f"{_plain(tone.frequency, 3)} Hz", _quantity(tone.simulated, sensor.unit)
+        yield source.symptom(
+            kind, tone.amplitude, sensor.unit, tone.described, tone.sensor, template=template, at=at, swing=swing
+        )
 
 
-def _rest(source: _Source, rest: SensorAtRest) -> Iterator[Symptom]:
-    name, size, colour = rest.channels.sensor, rest.size, rest.colour
-    words = f"the noise of the {name} is {_percent(size.value)} {_either(size, 'larger', 'smaller')} than supposed"
-    yield source.symptom("quiet_size", size, "1", rest.described[0], f"at rest, {words}", name)
-    value = f"{_either(colour, '', '−')}{_plain(colour.value)}"
-    like = f"{_either(colour, 'resembles', 'opposes')} the one before (correlation {value})"
-    words = f"at rest, each value of the {name} {like}"
-    yield source.symptom("quiet_colour", colour, "1", rest.described[1], words, name)
-    yield from _tone(source, rest.channels, rest.tone, "quiet_tone")
-
-
-def _tone(source: _Source, sensor: Channels, tone: Tone | None, kind: str = "tone") -> Iterator[Symptom]:
-    if tone is None:
-        return
-    size, at = _quantity(tone.amplitude.value, sensor.unit), f"at {_plain(tone.frequency, 3)} Hz"
-    words = f"{tone.sensor} swings by {size} {at}, which the model does not"
-    if tone.simulated >= tone.amplitude.value:
-        swing = _quantity(tone.simulated, sensor.unit)
-        words = f"{at}, where the model swings by {swing}, {tone.sensor} is off by {size}"
-    yield source.symptom(kind, tone.amplitude, sensor.unit, tone.described, words, tone.sensor)
-
-
-def _mean(found: Sequence[Coefficient]) -> Coefficient:
+def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
     """Average several recordings' values, with an error that their scatter does not belie."""
-    known = [one for one in found if one.known and one.std > 0]
+    known = [one for one in estimates if one.known and one.std > 0]
     if not known:
-        return UNKNOWN
+        return Coefficient()
     values, weights = np.array([one.value for one in known]), np.array([one.std for one in known]) ** -2
     mean, std = float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
     scatter = math.sqrt(np.sum(weights * (values - mean) ** 2) / max(values.size - 1, 1))
-    return coefficient(mean, std, std * max(scatter, 1.0), 11 + values.size - 1)
-
-
-def _either(found: Coefficient, positive: str, negative: str) -> str:
-    return positive if found.value > 0 else negative
+    return Coefficient.of(mean, std, std * max(scatter, 1.0), 11 + values.size - 1)
 
 
 def _plain(value: float, digits: int = 2) -> str:
@@ -464,22 +388,20 @@ def _plain(value: float, digits: int = 2) -> str:
     size = abs(value)
     if size == 0 or not math.isfinite(size):
         return "0"
-    exponent = int(f"{size:.{digits - 1}e}".split("e")[1])
-    return f"{round(size, digits - 1 - exponent):.{max(digits - 1 - exponent, 0)}f}"
-
-
-def _percent(value: float) -> str:
-    return f"{_plain(100 * value)} %"
+    decimals = digits - 1 - int(f"{size:.{digits - 1}e}".split("e")[1])
+    return f"{round(size, decimals):.{max(decimals, 0)}f}"
 
 
 def _quantity(value: float, unit: str) -> str:
-    """Write a number's size in a unit that suits it: `2.0 mm`, `11 deg`, `4.0 ms`, `290 mm/s²`."""
-    size = abs(value)
+    """Write a number's size in a unit that suits it: `2.0 mm`, `11 deg`, `4.0 ms`, `290 mm/s²`, `0.40 %`."""
+    size = abs(math.expm1(value)) if unit == "log" else abs(value)
     scale, name = 1.0, unit
-    if unit in ("m", "s"):
-        steps = ((1e6, "µ"), (1e3, "m"), (1.0, ""))
-        scale, prefix = steps[0] if size < 1e-5 else steps[1] if unit == "m" or size < 1 else steps[2]
-        name = prefix + unit
+    if unit in ("1", "log"):
+        scale, name = 100.0, "%"
+    elif unit in ("m", "s") and size < 1e-5:
+        scale, name = 1e6, f"µ{unit}"
+    elif unit == "m" or (unit == "s" and size < 1):
+        scale, name = 1e3, f"m{unit}"
     elif unit == "rad":
         scale, name = (math.degrees(1.0), "deg") if size >= math.radians(0.1) else (1e3, "mrad")
     elif unit == "m/s²" and size < 1:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,27 @@ from scipy.interpolate import CubicSpline, PPoly
 
 from vjm.records import Array, Indices, Mask, Rig, SimulatedRecording
 
-T = TypeVar("T", np.float64, np.intp)
-LEAST_VALUES = 8  # measured values of a channel; with fewer than about two a coefficient nothing can be tested
+_T = TypeVar("_T", np.float64, np.intp)
+_LEAST_VALUES = 8  # measured values of a channel; with fewer than about two a coefficient nothing can be tested
 _GROUPS = 12  # stretches of time taken as independent: few, so that each outlasts the residual's correlation
 
 
 class Coefficient(NamedTuple):
-    """A coefficient of a regression."""
+    """A coefficient of a regression; by default one that the data do not determine."""
 
-    value: float
-    std: float  # standard error; infinite where the data do not determine the value
-    p_value: float  # probability that a residual without this component shows as much
+    value: float = 0.0
+    std: float = np.inf  # standard error; infinite where the data do not determine the value
+    p_value: float = 1.0  # probability that a residual without this component shows as much
+
+    @classmethod
+    def of(cls, value: float, noise_std: float, group_std: float, freedom: int) -> Coefficient:
+        """Take the larger standard error of white noise and of a few groups (Student), and the larger p-value."""
+        if not np.isfinite([value, noise_std, group_std]).all() or noise_std <= 0:
+            return cls()
+        p_value = 2 * stats.norm.sf(abs(value) / noise_std)
+        if group_std > 0:
+            p_value = max(p_value, 2 * stats.t.sf(abs(value) / group_std, max(freedom, 1)))
+        return cls(float(value), float(max(noise_std, group_std)), float(p_value))
 
     @property
     def known(self) -> bool:
@@ -42,69 +52,53 @@ class Coefficient(NamedTuple):
         return Coefficient(self.value * factor, self.std * abs(factor), self.p_value)
 
 
-UNKNOWN = Coefficient(0.0, np.inf, 1.0)
-
-
-def coefficient(value: float, noise_std: float, group_std: float, freedom: int) -> Coefficient:
-    """Return a coefficient with the larger of two standard errors and the larger of two p-values.
-
-    Args:
-        value: of the coefficient.
-        noise_std: standard error under white noise, normally distributed.
-        group_std: standard error from a few groups, with Student's distribution of so many degrees of
-        freedom: of freedom.
-    """
-    if not np.isfinite([value, noise_std, group_std]).all() or noise_std <= 0:
-        return UNKNOWN
-    p_value = 2 * stats.norm.sf(abs(value) / noise_std)
-    if group_std > 0:
-        p_value = max(p_value, 2 * stats.t.sf(abs(value) / group_std, max(freedom, 1)))
-    return Coefficient(float(value), float(max(noise_std, group_std)), float(p_value))
-
-
 def regress(columns: Array, residual: Array, groups: Indices, lost: int = 0) -> tuple[list[Coefficient], Array]:
-    """Fit columns to a residual by least squares, with standard errors that hold for a correlated residual.
+    """Fit columns (N, p) to a residual (N,) by least squares, with standard errors that hold for a correlated residual.
 
     The errors are the largest of white noise of the known size, white noise of the residual's own size, and the
-    cluster-robust sandwich over stretches of time (Liang and Zeger 1986, Biometrika 73, from statsmodels).
-
-    Args:
-        columns: (N, p) in units of the noise.
-        residual: (N,) in units of the noise.
-        groups: (N,) stretch of time of each row.
-        lost: degrees of freedom taken out of columns and residual beforehand.
-
-    Returns:
-        The coefficients (p), unknown where other columns make up the same, and the remaining residual (N,).
+    cluster-robust sandwich (Liang and Zeger 1986, Biometrika 73) over stretches of time `groups` (N,). Columns and
+    residual are in units of the noise; `lost` degrees of freedom were taken out of them beforehand. Returns the
+    coefficients (p), unknown where other columns make up the same, and the remaining residual (N,).
     """
     from statsmodels.regression.linear_model import OLS
 
     size = np.linalg.norm(columns, axis=0)
-    scaled = columns / np.where(size > 0, size, 1.0)
+    size[size == 0] = np.inf
+    scaled = columns / size
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
     dependent = eigenvalues < 1e-10 * max(float(eigenvalues[-1]), 1e-300)
     kept, own = vectors[:, ~dependent], eigenvalues[~dependent]
     # A column of which the others leave less than 1e-6 (squared sine of the angle between them) has no own coefficient.
     variances = np.sum(kept**2 / own, axis=1)
-    determined = (size > 0) & (np.sum(vectors[:, dependent] ** 2, axis=1) < 1e-3) & (variances < 1e6)
+    determined = np.isfinite(size) & (np.sum(vectors[:, dependent] ** 2, axis=1) < 1e-3) & (variances < 1e6)
     count = int(np.unique(groups).size)
     if count < 2 or residual.size <= columns.shape[1] or not determined.any():
-        return [UNKNOWN] * columns.shape[1], residual
+        return [Coefficient()] * columns.shape[1], residual
     fit = OLS(residual, scaled @ kept).fit(cov_type="cluster", cov_kwds={"groups": groups}, use_t=True)
-    left = np.asarray(fit.resid)
-    variance = max(float(left @ left) / max(left.size - columns.shape[1] - lost, 1), 1.0)
-    noise_std = np.sqrt(variance * variances)
+    remaining = np.asarray(fit.resid)
+    variance = max(float(remaining @ remaining) / max(remaining.size - columns.shape[1] - lost, 1), 1.0)
     group_std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", kept, fit.cov_params(), kept), 0.0))
-    rows = zip(kept @ fit.params, noise_std, group_std, np.where(size > 0, size, 1.0), determined, strict=True)
-    found = [coefficient(v / s, n / s, g / s, count - 1) if own else UNKNOWN for v, n, g, s, own in rows]
-    return found, left
+    values = zip(kept @ fit.params / size, np.sqrt(variance * variances) / size, group_std / size, strict=True)
+    estimates = [Coefficient.of(value, noise, group, count - 1) for value, noise, group in values]
+    return [one if own else Coefficient() for one, own in zip(estimates, determined, strict=True)], remaining
+
+
+class _Tone(NamedTuple):
+    """A sinusoid in a residual."""
+
+    frequency: float  # [Hz]
+    amplitude: Coefficient  # where it is strongest [m or rad]
+    sensor: str  # that coordinate
+    simulated: float  # amplitude of the simulation there [m or rad]
+    described: float  # squared misfit, in units of the noise
+    wave: Array  # (F, C) in units of the noise
 
 
 @dataclass(frozen=True)
 class Channels:
     """The F instants and C coordinates of one sensor in one recording, measured beside simulated."""
 
-    sensor: Literal["camera", "encoder"]
+    sensor: str  # `camera` or `encoder`
     names: tuple[str, ...]  # (C) `beam.m3.y`, `beam.m3 across` where the axes turn with the link, `beam.theta`
     places: tuple[tuple[int, int], ...]  # (C) marker and axis (0: x or along, 1: y or across), or joint and 0
     time: Array  # (F,) instants at which anything was measured [s]
@@ -150,17 +144,99 @@ class Channels:
         mean = np.sum(np.where(self.known, values, 0.0), axis=0) / np.maximum(self.known.sum(axis=0), 1)
         return np.where(self.known, values - mean, 0.0)
 
-    def stacked(self, values: NDArray[T]) -> NDArray[T]:
+    def stacked(self, values: NDArray[_T]) -> NDArray[_T]:
         """Return the known ones of values (F, C) or (F,), channel by channel, (N,)."""
         whole = np.broadcast_to(values.reshape(len(self.time), -1), self.known.shape)
         return whole.T[self.known.T]
+
+    def slow_columns(self, time: Array, highest: float) -> Array:
+        """Return cosines below a frequency [Hz] over the recording, (T, K + 1), the constant first."""
+        count = min(int(2 * self.duration * highest), 40)
+        return np.asarray(np.cos(np.pi * ((time - self.time[0]) / self.duration)[:, None] * np.arange(count + 1)))
+
+    @cached_property
+    def delay(self) -> Coefficient:
+        """Delay against the simulation [s]: the peak of their cross-correlation, then regression."""
+        if not self.moving.any() or self.step <= 0:
+            return Coefficient()
+        even = np.arange(self.time[0], self.time[-1], self.step)
+        simulated = self.centred(self.simulated) * self.moving
+        measured = (simulated + self.noise * self.residual) * self.moving
+        both = [np.stack([np.interp(even, self.time, v) for v in values.T], axis=1) for values in (measured, simulated)]
+        correlation = sum(signal.correlate(m, s, method="fft") for m, s in zip(both[0].T, both[1].T, strict=True))
+        start = self.step * float(int(np.argmax(correlation)) - (even.size - 1))
+        since = (self.time - self.time.mean())[:, None]
+        found = [Coefficient()]
+        for _ in range(3):  # the motion is not linear in a delay
+            shifted, rate = (self.path(self.time - start, order) for order in (0, 1))
+            motion = self.centred(shifted) * self.moving
+            power = np.maximum(np.sum(motion**2, axis=0), 1e-300)
+            parts = []
+            for values in (self.simulated + self.noise * self.residual - shifted, -rate, -rate * since):
+                inner = self.centred(values * self.moving)
+                own = inner - motion * (np.sum(motion * inner, axis=0) / power)  # each coordinate has a gain of its own
+                parts.append(self.stacked(own) / self.noise)
+            groups = self.stacked(self.groups)
+            found, _ = regress(np.stack(parts[1:], axis=1), parts[0], groups, 2 * len(self.names))
+            if not found[0].known:
+                return Coefficient()
+            start += found[0].value
+        return Coefficient.of(start, found[0].std, found[0].std, int(self.groups[-1]))
+
+    def spectrum(self, residual: Array, oversampling: int) -> tuple[Array, Array]:
+        """Return frequencies (L,) [Hz], and mean power (L,) of the coordinates, that of white noise being one."""
+        place = np.round((self.time - self.time[0]) / self.step).astype(np.intp)
+        even = np.zeros((int(place[-1]) + 1, residual.shape[1]))
+        even[place] = residual / np.sqrt(np.maximum(self.known.sum(axis=0), 1))
+        power = np.mean(np.abs(np.fft.rfft(even, oversampling * len(even), axis=0)[1:-1]) ** 2, axis=1)
+        return np.asarray(np.fft.rfftfreq(oversampling * len(even), self.step)[1:-1], dtype=np.float64), power
+
+    def strongest_tone(self, residual: Array, white: bool = False, modes: Sequence[float] = ()) -> _Tone | None:
+        """Return the strongest sinusoid of a residual (F, C); None where it is likely to be chance.
+
+        White noise alone, or also what a model misses is expected beside it; nothing is looked for near `modes` [Hz].
+        """
+        if self.time.size < 3 * _LEAST_VALUES:
+            return None
+        frequency, power = self.spectrum(residual, 4)
+        lowest = 2 / self.duration  # two periods
+        allowed = (frequency >= lowest) & (frequency < 0.98 * frequency[-1])
+        for mode in modes:
+            allowed &= np.abs(frequency - mode) > max(2 * lowest, 0.15 * mode)
+        if not allowed.any():
+            return None
+        best, columns = int(np.argmax(np.where(allowed, power, 0.0))), len(self.names)
+        near = np.abs(np.arange(power.size) - best)
+        beside = power[(near > 8) & (near <= 48)]  # a dozen lines on either side, without the peak's own
+        ratio = float(power[best]) / max(float(np.median(beside)) if beside.size else 1.0, 1.0)
+        # White noise is independent in every coordinate; what a model misses may be the same in all of them.
+        chance = float(stats.chi2.sf(2 * columns * ratio, 2 * columns)) if white else 0.5**ratio
+        chance *= np.count_nonzero(allowed) / 4
+        if chance > 0.01:
+            return None
+        fine = 2 * np.pi * (frequency[best] + np.linspace(-1, 1, 41) * (frequency[1] - frequency[0]))
+        total = sum(signal.lombscargle(self.time, column, fine) for column in residual.T)
+        peak = float(fine[np.argmax(total)]) / (2 * np.pi)
+        pair = np.stack([np.cos(2 * np.pi * peak * self.time), np.sin(2 * np.pi * peak * self.time)], axis=1)
+        wave, sizes = np.zeros_like(residual), np.zeros(columns)
+        for c, rows in enumerate(self.known.T):
+            found, *_ = np.linalg.lstsq(pair[rows], residual[rows, c], rcond=None)
+            wave[rows, c], sizes[c] = pair[rows] @ found, math.hypot(*found)
+        most = int(np.argmax(sizes))
+        rest = max(float(np.mean((residual - wave)[self.known] ** 2)), 1.0)
+        std = self.noise * math.sqrt(2 * rest / self.known[:, most].sum())
+        window = signal.windows.hann(self.time.size) ** 2  # lets nothing slower into the simulation's own amplitude
+        motion = self.simulated[:, most] - np.average(self.simulated[:, most], weights=window)
+        swing = 2 * abs(np.sum(window * motion * (pair[:, 0] - 1j * pair[:, 1]))) / np.sum(window)
+        size, described = Coefficient(self.noise * sizes[most], std, chance), np.sum(wave * (2 * residual - wave))
+        return _Tone(peak, size, self.names[most], float(swing), float(described), wave)
 
 
 def channels_of(rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]:
     """Return the sensors that measured anything in a recording, the camera first."""
     recording, simulation = simulated.recording, simulated.simulation
     time, count = recording.time, recording.time.size
-    if count < LEAST_VALUES:
+    if count < _LEAST_VALUES:
         return ()
     turns = _turns(rig, simulated)
     velocity = _turned(CubicSpline(time, simulation.markers)(time, 1), turns).reshape(count, -1)
@@ -169,14 +245,24 @@ def channels_of(rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]
     markers = [f"{link.name}.m{k + 1}" for link in rig.links for k in range(len(link.markers))]
     axes = [(" along", " across") if turning else (".x", ".y") for turning in np.any(turns != 0, axis=0)]
     places = [(m, axis) for m in range(len(markers)) for axis in (0, 1)]
-    names = [markers[m] + axes[m][axis] for m, axis in places]
     residual = _turned(simulated.marker_residual, turns).reshape(count, -1)
-    joints = [f"{rig.links[i].name}.theta" for i in rig.active_links]
-    angle = CubicSpline(time, simulation.theta)
-    camera = _channels("camera", names, places, path, residual, simulated)
-    own = [(j, 0) for j in range(len(joints))]
-    encoder = _channels("encoder", joints, own, angle, simulated.theta_residual, simulated)
-    return tuple(sensor for sensor in (camera, encoder) if sensor is not None)
+    joints = [(f"{rig.links[i].name}.theta", (j, 0)) for j, i in enumerate(rig.active_links)]
+    sensors: list[Channels] = []
+    for sensor, names, curve, values, noise in (
+        ("camera", [(markers[m] + axes[m][axis], (m, axis)) for m, axis in places], path, residual, 0),
+        ("encoder", joints, CubicSpline(time, simulation.theta), simulated.theta_residual, 1),
+    ):
+        kept = np.flatnonzero(np.isfinite(values).sum(axis=0) >= _LEAST_VALUES)
+        if not kept.size:
+            continue
+        rows = np.flatnonzero(np.isfinite(values[:, kept]).any(axis=1))
+        own, std, most = values[np.ix_(rows, kept)], simulated.noise[noise], min(_GROUPS, max(rows.size // 4, 2))
+        groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * most).astype(np.intp), most - 1)
+        labels, where = zip(*(names[c] for c in kept), strict=True)
+        motion = PPoly(curve.c[:, :, kept], curve.x)
+        scaled = np.nan_to_num(own) / std
+        sensors.append(Channels(sensor, labels, where, time[rows], motion, scaled, np.isfinite(own), std, groups))
+    return tuple(sensors)
 
 
 def _turns(rig: Rig, simulated: SimulatedRecording) -> Array:
@@ -199,155 +285,40 @@ def _turned(vectors: Array, turns: Array) -> Array:
     return np.stack([np.where(still, x, cosine * x + sine * y), np.where(still, y, cosine * y - sine * x)], axis=2)
 
 
-def _channels(
-    sensor: Literal["camera", "encoder"],
-    names: list[str],
-    places: list[tuple[int, int]],
-    path: PPoly,
-    residual: Array,
-    simulated: SimulatedRecording,
-) -> Channels | None:
-    kept = np.flatnonzero(np.isfinite(residual).sum(axis=0) >= LEAST_VALUES)
-    if not kept.size:
-        return None
-    time, noise = simulated.recording.time, simulated.noise[0 if sensor == "camera" else 1]
-    rows = np.flatnonzero(np.isfinite(residual[:, kept]).any(axis=1))
-    own = residual[np.ix_(rows, kept)]
-    count = min(_GROUPS, max(rows.size // 4, 2))
-    groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * count).astype(np.intp), count - 1)
-    names, places = [names[c] for c in kept], [places[c] for c in kept]
-    path, own, known = PPoly(path.c[:, :, kept], path.x), np.nan_to_num(own) / noise, np.isfinite(own)
-    return Channels(sensor, tuple(names), tuple(places), time[rows], path, own, known, noise, groups)
-
-
-def sensor_delay(sensor: Channels) -> Coefficient:
-    """Estimate the delay of a sensor against the simulation: peak of their cross-correlation, then regression."""
-    if not sensor.moving.any() or sensor.step <= 0:
-        return UNKNOWN
-    even = np.arange(sensor.time[0], sensor.time[-1], sensor.step)
-    simulated = sensor.centred(sensor.simulated) * sensor.moving
-    measured = (simulated + sensor.noise * sensor.residual) * sensor.moving
-    both = [np.stack([np.interp(even, sensor.time, v) for v in values.T], axis=1) for values in (measured, simulated)]
-    correlation = sum(signal.correlate(m, s, method="fft") for m, s in zip(both[0].T, both[1].T, strict=True))
-    start = sensor.step * float(int(np.argmax(correlation)) - (even.size - 1))
-    since = (sensor.time - sensor.time.mean())[:, None]
-    found = [UNKNOWN]
-    for _ in range(3):  # the motion is not linear in a delay
-        shifted, rate = (sensor.path(sensor.time - start, order) for order in (0, 1))
-        motion = sensor.centred(shifted) * sensor.moving
-        power = np.maximum(np.sum(motion**2, axis=0), 1e-300)
-        parts = []
-        for values in (sensor.simulated + sensor.noise * sensor.residual - shifted, -rate, -rate * since):
-            inner = sensor.centred(values * sensor.moving)
-            own = inner - motion * (np.sum(motion * inner, axis=0) / power)  # each coordinate has a gain of its own
-            parts.append(sensor.stacked(own) / sensor.noise)
-        groups = sensor.stacked(sensor.groups)
-        found, _ = regress(np.stack(parts[1:], axis=1), parts[0], groups, 2 * len(sensor.names))
-        if not found[0].known:
-            return UNKNOWN
-        start += found[0].value
-    return coefficient(start, found[0].std, found[0].std, int(sensor.groups[-1]))
-
-
-class Tone(NamedTuple):
-    """A sinusoid in a residual."""
-
-    frequency: float  # [Hz]
-    amplitude: Coefficient  # where it is strongest [m or rad]
-    sensor: str  # that coordinate
-    simulated: float  # amplitude of the simulation there [m or rad]
-    described: float  # squared misfit, in units of the noise
-    wave: Array  # (F, C) in units of the noise
-
-
 class SensorAtRest(NamedTuple):
     """A sensor while nothing moves."""
 
     channels: Channels
     size: Coefficient  # root mean square over the noise supposed, minus one
     colour: Coefficient  # correlation of one value with the next, any tone taken out
-    tone: Tone | None
+    tone: _Tone | None
     frequency: Array  # (L,) of the residual's spectrum [Hz]
     amplitude: Array  # (L,) of a sine, root mean square over the coordinates [m or rad]
     white: float  # amplitude that white noise of the size supposed gives, and
     limit: float  # that it passes anywhere in one recording of a thousand
     described: tuple[float, float]  # squared misfit beyond the noise supposed, and that the correlation describes
 
+    @classmethod
+    def of(cls, sensor: Channels) -> SensorAtRest | None:
+        """Return size, colour and tone of a sensor's residual while nothing moves; None with hardly any values."""
+        from statsmodels.stats.diagnostic import acorr_ljungbox
 
-def at_rest(sensor: Channels) -> SensorAtRest | None:
-    """Return size, colour and tone of a sensor's residual while nothing moves; None with hardly any values."""
-    from statsmodels.stats.diagnostic import acorr_ljungbox
-
-    if sensor.time.size < 3 * LEAST_VALUES:
-        return None
-    count, power = int(sensor.known.sum()), np.sum(sensor.residual**2, axis=1)
-    size = math.sqrt(power.sum() / count) - 1
-    means = np.bincount(sensor.groups, power) / np.maximum(np.bincount(sensor.groups, sensor.known.sum(axis=1)), 1)
-    scatter = float(np.std(means, ddof=1)) / math.sqrt(means.size) / 2 / (1 + size)
-    # The noise supposed may itself be off by three per cent, where it was estimated from recordings.
-    larger = coefficient(size, math.hypot((2 * count) ** -0.5, 0.03), scatter, means.size - 1)
-    tone = strongest_tone(sensor, sensor.residual, white=True)
-    clean = sensor.centred(sensor.residual - (0.0 if tone is None else tone.wave))
-    columns = [column[known] for column, known in zip(clean.T, sensor.known.T, strict=True)]
-    statistic = sum(float(acorr_ljungbox(column, lags=[1])["lb_stat"].iloc[0]) for column in columns)
-    cross, own = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
-    colour = Coefficient(cross / own, count**-0.5, float(stats.chi2.sf(statistic, len(columns))))
-    frequency, spectrum = _spectrum(sensor, sensor.residual, 1)
-    white, freedom = sensor.noise * math.sqrt(float(np.mean(4 / sensor.known.sum(axis=0)))), 2 * len(columns)
-    limit = white * math.sqrt(float(stats.chi2.isf(1e-3 / frequency.size, freedom)) / freedom)
-    described = (abs(float(power.sum()) - count), colour.value * cross)
-    return SensorAtRest(sensor, larger, colour, tone, frequency, white * np.sqrt(spectrum), white, limit, described)
-
-
-def _spectrum(sensor: Channels, residual: Array, oversampling: int) -> tuple[Array, Array]:
-    """Return frequencies (L,) [Hz], and mean power (L,) of the coordinates, that of white noise being one."""
-    place = np.round((sensor.time - sensor.time[0]) / sensor.step).astype(np.intp)
-    even = np.zeros((int(place[-1]) + 1, residual.shape[1]))
-    even[place] = residual / np.sqrt(np.maximum(sensor.known.sum(axis=0), 1))
-    power = np.mean(np.abs(np.fft.rfft(even, oversampling * len(even), axis=0)[1:-1]) ** 2, axis=1)
-    return np.asarray(np.fft.rfftfreq(oversampling * len(even), sensor.step)[1:-1], dtype=np.float64), power
-
-
-def strongest_tone(sensor: Channels, residual: Array, white: bool, modes: Sequence[float] = ()) -> Tone | None:
-    """Return the strongest sinusoid of a residual; None where it is likely to be chance.
-
-    Args:
-        sensor: whose residual it is.
-        residual: (F, C) in units of the noise.
-        white: whether the residual is expected to be white noise, and not what a model misses.
-        modes: frequencies [Hz] near which nothing is looked for.
-    """
-    if sensor.time.size < 3 * LEAST_VALUES:
-        return None
-    frequency, power = _spectrum(sensor, residual, 4)
-    lowest = 2 / sensor.duration  # two periods
-    allowed = (frequency >= lowest) & (frequency < 0.98 * frequency[-1])
-    for mode in modes:
-        allowed &= np.abs(frequency - mode) > max(2 * lowest, 0.15 * mode)
-    if not allowed.any():
-        return None
-    best, columns = int(np.argmax(np.where(allowed, power, 0.0))), len(sensor.names)
-    near = np.abs(np.arange(power.size) - best)
-    beside = power[(near > 8) & (near <= 48)]  # a dozen lines on either side, without the peak's own
-    ratio = float(power[best]) / max(float(np.median(beside)) if beside.size else 1.0, 1.0)
-    # White noise is independent in every coordinate; what a model misses may be the same in all of them.
-    chance = float(stats.chi2.sf(2 * columns * ratio, 2 * columns)) if white else 0.5**ratio
-    chance *= np.count_nonzero(allowed) / 4
-    if chance > 0.01:
-        return None
-    fine = 2 * np.pi * (frequency[best] + np.linspace(-1, 1, 41) * (frequency[1] - frequency[0]))
-    total = sum(signal.lombscargle(sensor.time, column, fine) for column in residual.T)
-    peak = float(fine[np.argmax(total)]) / (2 * np.pi)
-    pair = np.stack([np.cos(2 * np.pi * peak * sensor.time), np.sin(2 * np.pi * peak * sensor.time)], axis=1)
-    wave, sizes = np.zeros_like(residual), np.zeros(columns)
-    for c, rows in enumerate(sensor.known.T):
-        found, *_ = np.linalg.lstsq(pair[rows], residual[rows, c], rcond=None)
-        wave[rows, c], sizes[c] = pair[rows] @ found, math.hypot(*found)
-    most = int(np.argmax(sizes))
-    rest = max(float(np.mean((residual - wave)[sensor.known] ** 2)), 1.0)
-    std = sensor.noise * math.sqrt(2 * rest / sensor.known[:, most].sum())
-    window = signal.windows.hann(sensor.time.size) ** 2  # lets nothing slower into the simulation's own amplitude
-    motion = sensor.simulated[:, most] - np.average(sensor.simulated[:, most], weights=window)
-    swing = 2 * abs(np.sum(window * motion * (pair[:, 0] - 1j * pair[:, 1]))) / np.sum(window)
-    size, described = Coefficient(sensor.noise * sizes[most], std, chance), np.sum(wave * (2 * residual - wave))
-    return Tone(peak, size, sensor.names[most], float(swing), float(described), wave)
+        if sensor.time.size < 3 * _LEAST_VALUES:
+            return None
+        count, power = int(sensor.known.sum()), np.sum(sensor.residual**2, axis=1)
+        size = math.sqrt(power.sum() / count) - 1
+        means = np.bincount(sensor.groups, power) / np.maximum(np.bincount(sensor.groups, sensor.known.sum(axis=1)), 1)
+        scatter = float(np.std(means, ddof=1)) / math.sqrt(means.size) / 2 / (1 + size)
+        # The noise supposed may itself be off by three per cent, where it was estimated from recordings.
+        larger = Coefficient.of(size, math.hypot((2 * count) ** -0.5, 0.03), scatter, means.size - 1)
+        tone = sensor.strongest_tone(sensor.residual, white=True)
+        clean = sensor.centred(sensor.residual - (0.0 if tone is None else tone.wave))
+        columns = [column[known] for column, known in zip(clean.T, sensor.known.T, strict=True)]
+        statistic = sum(float(acorr_ljungbox(column, lags=[1])["lb_stat"].iloc[0]) for column in columns)
+        cross, own = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
+        colour = Coefficient(cross / own, count**-0.5, float(stats.chi2.sf(statistic, len(columns))))
+        frequency, spectrum = sensor.spectrum(sensor.residual, 1)
+        white, freedom = sensor.noise * math.sqrt(float(np.mean(4 / sensor.known.sum(axis=0)))), 2 * len(columns)
+        limit = white * math.sqrt(float(stats.chi2.isf(1e-3 / frequency.size, freedom)) / freedom)
+        described = (abs(float(power.sum()) - count), colour.value * cross)
+        return cls(sensor, larger, colour, tone, frequency, white * np.sqrt(spectrum), white, limit, described)

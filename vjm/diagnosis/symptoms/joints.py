@@ -9,7 +9,7 @@ regressed on is averaged with the same weights.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -42,7 +42,7 @@ class JointProfile:
     recording: Indices  # (P,) index of the recording
 
     @cached_property
-    def fit(self) -> JointProfileFit:
+    def fit(self) -> _JointProfileFit:
         """Regression on position, velocity and direction, each recording having a constant of its own."""
         own = (self.recording[:, None] == np.unique(self.recording)).astype(float)
         terms = np.stack([self.position, self.velocity, 0.5 * self.direction], axis=1)
@@ -59,10 +59,10 @@ class JointProfile:
         changes = tuple(one.times(reach) for one, reach in zip(found, (*ends, 1.0), strict=False))
         slopes = np.array([one.value if one.known else 0.0 for one in found[:3]])
         parts = terms * slopes
-        return JointProfileFit(changes, tuple(described), slopes, parts, left * self.std)
+        return _JointProfileFit(changes, tuple(described), slopes, parts, left * self.std)
 
 
-class JointProfileFit(NamedTuple):
+class _JointProfileFit(NamedTuple):
     """Parts of a residual that position, velocity and direction explain."""
 
     changes: tuple[Coefficient, ...]  # over the ranges of position and velocity, and from backwards to forwards
@@ -77,24 +77,49 @@ class JointProfileFit(NamedTuple):
         return np.asarray(self.remaining + self.parts.sum(axis=1))
 
 
-def joint_profiles(
-    index: int, rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Channels]
-) -> list[JointProfile]:
-    """Return the profiles of one recording.
+_Source = tuple[SimulatedRecording, Sequence[Channels]]
+_Profiles = tuple[JointProfile, ...]
+
+
+def joint_profiles(rig: Rig, recordings: Sequence[_Source]) -> tuple[list[_Profiles], _Profiles]:
+    """Return the profiles of each recording (simulated, and its sensors), and those of several together.
 
     Of every joint, the missing torque (the residual's acceleration where the rig has no hub inertia) and the residual;
     of the tip, the residual against the last joint or, on an arm without joints, its acceleration against its motion.
-
-    Args:
-        index: of the recording.
-        rig: the arm.
-        simulated: the recording.
-        sensors: of the recording.
     """
-    found: list[JointProfile | None] = []
+    profiles = [tuple(_of_recording(k, rig, *one)) for k, one in enumerate(recordings)]
+    groups: dict[tuple[str, str], list[JointProfile]] = {}
+    for profile in (profile for own in profiles for profile in own if profile.quantity != "residual"):
+        groups.setdefault((profile.sensor, profile.quantity), []).append(profile)
+    pooled = []
+    for members in groups.values():
+        if len(members) < 2 or len({profile.others.shape[1] for profile in members}) > 1:
+            continue
+        starts = np.cumsum([0, *(int(profile.groups.max()) + 1 for profile in members)])
+        names = ("values", "std", "position", "velocity", "direction", "others", "recording")
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in members]) for name in names}
+        groups_ = np.concatenate([one.groups + start for one, start in zip(members, starts, strict=False)])
+        pooled.append(replace(members[0], groups=groups_, **arrays))
+    return profiles, tuple(pooled)
+
+
+def missing_torque(rig: Rig, simulated: Sequence[SimulatedRecording], joint: str) -> JointProfile | None:
+    """Return the torque that the model misses at a joint (`beam.theta`) in driven recordings; None if not shown."""
+    driven = [(one, channels_of(rig, one)) for one in simulated if one.recording.kind == "driven"]
+    own, together = joint_profiles(rig, driven)
+    every = [*together, *(profile for profiles in own for profile in profiles)]
+    return next((profile for profile in every if profile.quantity == "torque" and profile.motion == joint), None)
+
+
+def _of_recording(
+    index: int, rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Channels]
+) -> Iterator[JointProfile]:
+    if not sensors:
+        return
     paths = [CubicSpline(simulated.recording.time, angle) for angle in simulated.simulation.theta.T]
     motions = [(f"{rig.links[i].name}.theta", "rad", path) for i, path in zip(rig.active_links, paths, strict=True)]
     camera = next((sensor for sensor in sensors if sensor.sensor == "camera"), None)
+    found: list[JointProfile | None] = []
     for sensor in sensors:
         if sensor.sensor == "encoder":
             for c, (joint, _) in enumerate(sensor.places):
@@ -106,34 +131,7 @@ def joint_profiles(
             tip = _tip(sensor)
             motion = (sensor.names[tip], "m", CubicSpline(sensor.time, sensor.simulated[:, tip]))
             found.append(_acceleration(index, sensor, tip, motion, ("acceleration", "m/s²"), 1.0, []))
-    return [profile for profile in found if profile is not None]
-
-
-def pooled(profiles: Sequence[JointProfile]) -> JointProfile | None:
-    """Return one profile of what several recordings show of the same joint; None where they have nothing in common."""
-    if len(profiles) < 2 or len({profile.others.shape[1] for profile in profiles}) > 1:
-        return None
-    starts = np.cumsum([0, *(int(profile.groups.max()) + 1 for profile in profiles)])
-    names = ("values", "std", "position", "velocity", "direction", "others", "recording")
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(profile, name) for profile in profiles]) for name in names}
-    groups = np.concatenate([p.groups + start for p, start in zip(profiles, starts, strict=False)])
-    return replace(profiles[0], groups=groups, **arrays)
-
-
-def missing_torque(rig: Rig, simulated: Sequence[SimulatedRecording], joint: str) -> JointProfile | None:
-    """Return the torque that the model misses at a joint in driven recordings; None where they do not show it.
-
-    Args:
-        rig: the arm.
-        simulated: the recordings.
-        joint: name of its encoder, such as `beam.theta`.
-    """
-    found = []
-    for k, one in enumerate(simulated):
-        if one.recording.kind == "driven":
-            own = joint_profiles(k, rig, one, channels_of(rig, one))
-            found += [profile for profile in own if profile.quantity == "torque" and profile.motion == joint]
-    return pooled(found) or next(iter(found), None)
+    yield from (profile for profile in found if profile is not None)
 
 
 _Motion = tuple[str, str, CubicSpline]  # name, unit and path of what moves

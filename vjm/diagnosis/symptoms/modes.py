@@ -14,9 +14,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
 
-from vjm.diagnosis.symptoms.channels import UNKNOWN, Channels, Coefficient, regress
+from vjm.diagnosis.symptoms.channels import Channels, Coefficient, regress
 from vjm.experiment.spectrum import Oscillators
 from vjm.records import Array, Complex, Recording
 
@@ -59,13 +60,22 @@ class FreeMotion(NamedTuple):
     """One freely oscillating mode in successive windows, P times."""
 
     mode: int  # index
+    condition: str  # payload and condition of the recording, in words; empty for neither
+    unit: str  # of the amplitude
     time: Array  # (P,) [s]
     amplitude: Array  # (P,) of the coordinate that moves most [m or rad]
-    unit: str  # of the amplitude
-    frequencies: Array  # (P, 2) measured and simulated [Hz]
-    ratios: Array  # (P, 2) measured and simulated fractions of critical damping
-    std: Array  # (P, 2) standard errors of the measured frequencies [Hz] and ratios
-    wave: Complex  # (F, C) measured motion in this mode [m or rad]
+    rates: Array  # (P, 2, 2) measured and simulated, each a frequency [Hz] and a fraction of critical damping
+    std: Array  # (P, 2) standard errors of the measured ones
+    instants: Array  # (F,) of the recording [s], and there
+    envelope: Array  # (F,) the amplitude of all coordinates together, in units of the noise
+
+    def misfit_of(self, rate: float, largest: float, power: int) -> float:
+        """Return the squared misfit of a rate [1/s] at a largest amplitude that goes with a power of the amplitude."""
+        size: Array = np.interp(self.instants, self.time, self.amplitude / largest) ** power
+        turned = np.asarray(cumulative_trapezoid(size, self.instants), dtype=np.float64)
+        turned = np.append(0.0, turned)
+        turned -= np.polyval(np.polyfit(self.instants, turned, 1, w=self.envelope), self.instants)
+        return 0.5 * float(np.sum((rate * turned * self.envelope) ** 2))
 
 
 class ModeComparison(NamedTuple):
@@ -74,60 +84,54 @@ class ModeComparison(NamedTuple):
     modes: tuple[ModeDifference, ...] = ()  # those that move
     # Gain and delay [s] of the motion outside the modes, lag of the camera behind the encoders [s] and by how much more
     # time it counts; with each the squared misfit that it describes, in units of the noise.
-    rest: tuple[tuple[Coefficient, float], ...] = ((UNKNOWN, 0.0),) * 4
+    rest: tuple[tuple[Coefficient, float], ...] = ((Coefficient(), 0.0),) * 4
     free: tuple[FreeMotion, ...] = ()
     remaining: tuple[Array, ...] = ()  # of each sensor, (F, C) the residual without all of these, in units of the noise
 
+    @classmethod
+    def of(cls, recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> ModeComparison:
+        """Compare the modes of a recording in its sensors, at least one, near the model's natural frequencies [Hz]."""
+        fit = _Fit.to_simulation(recording, sensors, natural)
+        x, jacobian = fit.solve()
+        residual = fit.stacked([s.centred(s.residual) for s in sensors])
+        left = residual - fit.change(x)
+        groups = np.concatenate([s.stacked(s.groups) for s in sensors])
+        found, _ = regress(jacobian, left + jacobian @ x, groups, sum(len(s.names) for s in sensors))
+        parts = np.split(left, np.cumsum([int(s.known.sum()) for s in sensors])[:-1])
+        remaining = []
+        for sensor, part in zip(sensors, parts, strict=True):
+            values = np.zeros(sensor.known.T.shape)
+            values[sensor.known.T] = part
+            remaining.append(values.T)
 
-def compare_modes(recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> ModeComparison:
-    """Compare the modes of one recording.
+        def described(*kept: int) -> float:
+            own = np.zeros_like(x)
+            own[list(kept)] = x[list(kept)]
+            change = fit.change(own)
+            return float(change @ (2 * residual - change))
 
-    Args:
-        recording: as measured.
-        sensors: of the recording, at least one.
-        natural: natural frequencies of the model [Hz].
-    """
-    fit = _Fit.to_simulation(recording, sensors, natural)
-    x, jacobian = fit.solve()
-    residual = fit.stacked([s.centred(s.residual) for s in sensors])
-    left = residual - fit.change(x)
-    groups = np.concatenate([s.stacked(s.groups) for s in sensors])
-    found, _ = regress(jacobian, left + jacobian @ x, groups, sum(len(s.names) for s in sensors))
-    parts = np.split(left, np.cumsum([int(s.known.sum()) for s in sensors])[:-1])
-    remaining = []
-    for sensor, part in zip(sensors, parts, strict=True):
-        values = np.zeros(sensor.known.T.shape)
-        values[sensor.known.T] = part
-        remaining.append(values.T)
-
-    def described(*kept: int) -> float:
-        own = np.zeros_like(x)
-        own[list(kept)] = x[list(kept)]
-        change = fit.change(own)
-        return float(change @ (2 * residual - change))
-
-    modes = []
-    for k, (index, pole) in enumerate(zip(fit.modes, fit.poles, strict=True)):
-        gain, phase, decay, speed = range(_TERMS * k, _TERMS * (k + 1))
-        if abs(x[gain]) > np.log(10):  # ten times as large or as small: another motion, not this one changed
-            continue
-        start = described(gain, phase)
-        shares = (described(gain), described(phase), described(gain, phase, decay) - start,
-                  described(gain, phase, speed) - start)  # fmt: skip
-        terms = (_blurred(found[gain]), _blurred(found[phase]), _blurred(found[decay]), _blurred(found[speed]))
-        modes.append(ModeDifference(index, pole, *terms, shares, fit.shapes(k, x, remaining[0])))
-    first = _TERMS * len(fit.modes)
-    rest = [(found[j], described(j)) for j in range(first, x.size)]
-    rest += [(UNKNOWN, 0.0)] * (4 - len(rest))
-    free = [fit.free_motion(k, x, free_interval(recording)) for k in range(len(fit.modes))]
-    return ModeComparison(tuple(modes), tuple(rest), tuple(f for f in free if f is not None), tuple(remaining))
+        modes = []
+        for k, (index, pole) in enumerate(zip(fit.modes, fit.poles, strict=True)):
+            gain, phase, decay, speed = range(_TERMS * k, _TERMS * (k + 1))
+            if abs(x[gain]) > np.log(10):  # ten times as large or as small: another motion, not this one changed
+                continue
+            start = described(gain, phase)
+            shares = (described(gain), described(phase), described(gain, phase, decay) - start,
+                      described(gain, phase, speed) - start)  # fmt: skip
+            terms = (_blurred(found[gain]), _blurred(found[phase]), _blurred(found[decay]), _blurred(found[speed]))
+            modes.append(ModeDifference(index, pole, *terms, shares, fit.shapes(k, x, remaining[0])))
+        first = _TERMS * len(fit.modes)
+        rest = [(found[j], described(j)) for j in range(first, x.size)]
+        rest += [(Coefficient(), 0.0)] * (4 - len(rest))
+        free = [fit.free_motion(k, x, recording) for k in range(len(fit.modes))]
+        return cls(tuple(modes), tuple(rest), tuple(f for f in free if f is not None), tuple(remaining))
 
 
 def _blurred(found: Coefficient) -> Coefficient:
     return found._replace(std=float(np.hypot(found.std, _BLUR * found.value)))
 
 
-def free_interval(recording: Recording) -> tuple[float, float] | None:
+def _free_interval(recording: Recording) -> tuple[float, float] | None:
     """Return the longest interval in which no torque drives the arm [s]; None where there is none."""
     time = recording.time
     if recording.kind == "decay" or recording.tau.shape[1] == 0:
@@ -143,12 +147,6 @@ def free_interval(recording: Recording) -> tuple[float, float] | None:
     starts, stops = edges[::2], edges[1::2] - 1
     longest = int(np.argmax(time[stops] - time[starts]))
     return float(time[starts[longest]]), float(time[stops[longest]])
-
-
-def slow_columns(time: Array, start: float, duration: float, highest: float) -> Array:
-    """Return cosines below a frequency [Hz] over a recording, (T, K + 1), the constant first."""
-    count = min(int(2 * duration * highest), 40)
-    return np.cos(np.pi * ((time - start) / duration)[:, None] * np.arange(count + 1))
 
 
 @dataclass(frozen=True)
@@ -296,59 +294,47 @@ class _Fit:
             found.append((camera.names[c], _blurred(own), described))
         return tuple(found)
 
-    def free_motion(self, k: int, x: Array, interval: tuple[float, float] | None) -> FreeMotion | None:
-        """Measure a mode in overlapping windows of two periods and more, at most 24 in a recording."""
-        camera, frequency = self.sensors[0], self.poles[k].imag / (2 * np.pi)
+    def free_motion(self, k: int, x: Array, recording: Recording) -> FreeMotion | None:
+        """Measure a mode in overlapping windows of two periods and more, each with a straight change of its own."""
+        camera, count, interval = self.sensors[0], len(self.modes), _free_interval(recording)
         if interval is None:
             return None
-        half = 0.5 * max(2 / frequency, 3 * (3 + 2 * len(self.modes)) * camera.step, (interval[1] - interval[0]) / 12)
-        count = int((interval[1] - interval[0]) / half) - 1
-        if count < 4:
-            return None
-        shape = self.weights[k][0][0] if interval[0] == camera.time[0] else self._unchanged[k][0][
-            np.searchsorted(camera.time, interval[0])
-        ]  # fmt: skip
+        start, duration = interval[0], interval[1] - interval[0]
+        half = max(2 * np.pi / self.poles[k].imag, (5 + 3 * count) * camera.step, duration / 12)
+        centres = np.linspace(start + half, start + duration - half, max(int(duration / half) - 1, 0))
+        shape = self._unchanged[k][0][np.searchsorted(camera.time, start)]
         unit = np.conj(shape) / max(float(np.linalg.norm(shape)), 1e-300)
-        changes = x[: _TERMS * len(self.modes)].reshape(-1, _TERMS)
-        poles = np.array([self.poles, [p + complex(-c[2], c[3]) for p, c in zip(self.poles, changes, strict=True)]])
-        centres = np.linspace(interval[0] + half, interval[1] - half, count)
-        amplitudes, std = np.zeros((count, 2), complex), np.full(count, np.inf)
-        for j, centre in enumerate(centres):
-            place = (camera.time - centre) / half
-            rows = (np.abs(place) <= 1) & camera.known.all(axis=1)
-            place = place[rows]
-            if rows.sum() < 2 * (3 + 2 * len(self.modes)):
-                continue
-            simulated = camera.simulated[rows]
-            pairs = (simulated, simulated + camera.noise * camera.residual[rows])
-            for n, (values, own) in enumerate(zip(pairs, poles, strict=True)):
+        changes = x[: _TERMS * count].reshape(-1, _TERMS)
+        poles = np.array([[p + complex(-c[2], c[3]) for p, c in zip(self.poles, changes, strict=True)], self.poles])
+        measured = camera.simulated + camera.noise * camera.residual
+        points = []
+        for centre in centres:
+            rows = (np.abs(camera.time - centre) <= half) & camera.known.all(axis=1)
+            place, values, own = (camera.time[rows] - centre) / half, [], poles[0]
+            for motion, own in zip((measured, camera.simulated), poles, strict=True):
                 waves = np.exp(own * (place * half)[:, None])
-                basis = np.hstack([np.stack([place**0, place, place**2], axis=1), waves.real, -waves.imag])
-                inverse = np.linalg.pinv(basis)
-                sizes = inverse @ values
-                amplitudes[j, n] = (sizes[3 + k] + 1j * sizes[3 + len(self.modes) + k]) @ unit
-                std[j] = camera.noise * float(np.linalg.norm(inverse[3 + k]))
-        clear = np.abs(amplitudes).min(axis=1) > 8 * std  # a phase known to a fiftieth of a period
-        first = np.flatnonzero(clear[2:] & clear[:-2])  # two windows that do not overlap
-        if first.size < 2:
+                waves = np.hstack([waves, waves[:, k : k + 1] * place[:, None]])
+                inverse = np.linalg.pinv(np.hstack([waves.real, -waves.imag, np.vander(place, 3)]))
+                sizes = inverse @ motion[rows] @ unit
+                amplitude, change = sizes[[k, count]] + 1j * sizes[[k + count + 1, 2 * count + 1]]
+                pole = own[k] + change / amplitude / half
+                values.append((abs(amplitude), pole.imag / (2 * np.pi), -pole.real / abs(pole)))
+                noise = camera.noise * np.linalg.norm(inverse[[k, count]], axis=1)
+            # Seen where the noise leaves the phase certain to a fiftieth of a period.
+            if rows.sum() >= 2 * (5 + 2 * count) and min(v[0] for v in values) > 8 * noise[0]:
+                points.append((centre, *values, noise[1] / half / values[0][0]))
+        if len(points) < 2:
             return None
-        second, step = first + 2, 2 * float(centres[1] - centres[0])
-        own = poles[:, k]
-        turned = np.log(amplitudes[second] / (amplitudes[first] * np.exp(own * step))) / step
-        total = own + turned
-        relative = np.hypot(std[first] / np.abs(amplitudes[first, 1]), std[second] / np.abs(amplitudes[second, 1]))
-        rate = relative / step
-        largest = float(np.abs(shape).max() / np.linalg.norm(shape))
+        times, *pairs, std = (np.array(column) for column in zip(*points, strict=True))
+        rates, largest = np.stack(pairs, axis=1), float(np.abs(shape).max() / np.linalg.norm(shape))
+        errors = np.stack([std / (2 * np.pi), std / abs(self.poles[k])], axis=1)
+        envelope = np.linalg.norm(self.waves(k, changes[k])[0] * camera.known, axis=1) / camera.noise
+        payload = f"payload {1e3 * recording.payload:.3g} g" if recording.payload else ""
+        condition = ", ".join(part for part in (payload, recording.condition or "") if part)
         return FreeMotion(
-            self.modes[k],
-            0.5 * (centres[first] + centres[second]),
-            largest * np.sqrt(np.abs(amplitudes[first, 1] * amplitudes[second, 1])),
-            camera.unit,
-            total.imag[:, ::-1] / (2 * np.pi),
-            (-total.real / np.abs(total))[:, ::-1],
-            np.stack([rate / (2 * np.pi), rate / abs(own[0])], axis=1),
-            self.waves(k, changes[k])[0],
-        )
+            self.modes[k], condition, camera.unit, times, largest * rates[:, 0, 0], rates[..., 1:], errors,
+            camera.time, envelope,
+        )  # fmt: skip
 
 
 def _slow(oscillators: Oscillators, time: Array, sensor: Channels, highest: float) -> Array:
@@ -358,7 +344,7 @@ def _slow(oscillators: Oscillators, time: Array, sensor: Channels, highest: floa
     """
     double = [signal for signal in oscillators.responses(1e-3 * highest).T[1:].real]
     rigid = [np.cumsum(column * np.gradient(time)) for column in double]
-    slow = slow_columns(time, sensor.time[0], sensor.duration, highest)
+    slow = sensor.slow_columns(time, highest)
     polynomial = np.polynomial.legendre.legvander(2 * (time - sensor.time[0]) / sensor.duration - 1, 4)[:, 1:]
     columns = [*slow.T, *polynomial.T, *rigid]
     return np.stack([c / max(float(np.abs(c).max()), 1e-300) for c in columns], axis=1)

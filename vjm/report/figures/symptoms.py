@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms, condition_of
+from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms
 from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
 from vjm.diagnosis.symptoms.joints import JointProfile
 from vjm.diagnosis.symptoms.modes import FreeMotion, ModeDifference
@@ -81,7 +81,7 @@ def _file(one: RecordingSymptoms, most: int) -> str:
 
 def _worst(found: Symptoms) -> list[RecordingSymptoms]:
     """Return the recording of the first symptom, then those with the largest residuals; one of each repeat."""
-    moving = [one for one in found.recordings if one.delays]
+    moving = [one for one in found.recordings if one.modes.remaining]
     moving.sort(key=lambda one: -one.misfit / max(sum(int(s.known.sum()) for s in one.sensors), 1))
     first = next((one.recording for one in found.headlines(len(found.found)) if one.recording is not None), None)
     moving.sort(key=lambda one: one.simulated.recording.file != first)
@@ -162,7 +162,7 @@ def _modes(found: Symptoms) -> Figure:
 def _frequency(found: Symptoms, mode: int, digits: int) -> str:
     """Write the frequency of a mode in the simulated motion, that of most recordings where it differs."""
     values = [each.simulated for one in found.recordings for each in one.modes.modes if each.mode == mode]
-    values = values or [float(f) for one in found.recordings for each in one.modes.free for f in each.frequencies[:, 1]]
+    values = values or [float(f) for one in found.recordings for each in one.modes.free for f in each.rates[:, 1, 0]]
     return number(float(np.median(values)), digits)
 
 
@@ -198,7 +198,7 @@ def _free_motion(found: Symptoms) -> dict[int, dict[str, list[FreeMotion]]]:
         for free in one.modes.free:
             groups = modes.setdefault(free.mode, {})
             if all(other[0].unit == free.unit for other in groups.values()):
-                groups.setdefault(condition_of(one.simulated.recording), []).append(free)
+                groups.setdefault(free.condition, []).append(free)
     counts = {mode: sum(f.time.size for own in groups.values() for f in own) for mode, groups in modes.items()}
     kept = sorted(sorted(modes, key=lambda mode: -counts[mode])[:_MOST_MODES])
     return {mode: modes[mode] for mode in kept}
@@ -222,7 +222,7 @@ def _with_amplitude(found: Symptoms) -> Figure:
             amplitude = scale * np.concatenate([free.amplitude for free in own])
             std = np.concatenate([free.std for free in own])
             for axes, j in ((upper, 0), (lower, 1)):
-                pairs = np.concatenate([free.ratios if j else free.frequencies for free in own])
+                pairs = np.concatenate([free.rates[..., j] for free in own])
                 scaled = std[:, j]
                 if not j:  # in per cent of the model's at the smallest amplitude, conditions lie on one axis
                     first = pairs[np.argmin(amplitude), 1]
@@ -361,7 +361,7 @@ def _draw_means(axes: Axes, place: Array, values: Array) -> None:
 
 def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
     known = [one for one in found.recordings if one.modes.rest[2][0].known]
-    known = [one for one in known if all(delay.known for delay in one.delays)]
+    known = [one for one in known if all(sensor.delay.known for sensor in one.sensors)]
     return sorted(known, key=lambda one: one.modes.rest[2][0].std)[:_MOST_ROWS]
 
 
@@ -377,8 +377,8 @@ def _lags(found: Symptoms) -> Figure:
     axes.axvline(0.0, color=AXIS, linewidth=0.8)
     handles: list[Line2D | Patch] = []
     for label, delays, offset, color, marker, face in (
-        ("camera against model", [one.delays[0] for one in shown], 0.22, MEASURED, "o", "white"),
-        ("encoder against model", [one.delays[1] for one in shown], -0.22, TORQUE, "s", "white"),
+        ("camera against model", [one.sensors[0].delay for one in shown], 0.22, MEASURED, "o", "white"),
+        ("encoder against model", [one.sensors[1].delay for one in shown], -0.22, TORQUE, "s", "white"),
         (
             "camera against encoder",
             [one.modes.rest[2][0] for one in shown],
