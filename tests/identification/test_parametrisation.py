@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from vjm.chain.layout import layout, layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError
 from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
 from vjm.records import Link
 
@@ -86,8 +85,3 @@ def test_physical_values_are_the_chains(kind: str) -> None:
             first = 1 if stem in ("stiffness", "damping") else 0
             expected = float(getattr(link, fields[stem])[int(number) - first])
         assert value == pytest.approx(expected), coordinate.name
-
-
-def test_an_unknown_parametrisation_lists_the_choices() -> None:
-    with pytest.raises(ChoiceError, match="uniform, joints, lengths, full"):
-        Parametrisation(template(), "everything", ())

@@ -19,7 +19,7 @@ from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, record
 from vjm.identification import Identification, identify
 from vjm.identification.measured_modes import _modal_assurance, _model_shapes
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.resampling import Resampled, resample
+from vjm.identification.resampling import Resampled, _resampled
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
 from vjm.identification.trajectory_method import _largest_step_multiple
 from vjm.identification.uncertainty import trajectory_information
@@ -100,7 +100,7 @@ def bound_of(point: Point) -> Array:
 def test_a_hundred_fits_scatter_as_little_as_any_can(joint: str, n: int, kind: str) -> None:
     point = truth_point(joint, n, kind)
     with ProcessPoolExecutor(2) as pool:
-        found = resample(point, 100, "noise", pool, seed=1)
+        found = _resampled(point, 100, "noise", pool, 1)
     bound = bound_of(point)
     inside = np.abs(found.values - found.truth) < 1.96 * found.std
     assert found.failed == 0
@@ -185,11 +185,11 @@ def _std(fit: object) -> Array:
 
 def test_an_executor_changes_nothing() -> None:
     point = truth_point("clamped", 2, "uniform")
-    here = resample(point, 4, "noise", seed=7)
+    here = _resampled(point, 4, "noise", None, 7)
     with ProcessPoolExecutor(2) as pool:
-        there = resample(point, 4, "noise", pool, seed=7)
+        there = _resampled(point, 4, "noise", pool, 7)
     np.testing.assert_array_equal(here.values, there.values)
-    assert not np.array_equal(here.values, resample(point, 4, "noise", seed=8).values)
+    assert not np.array_equal(here.values, _resampled(point, 4, "noise", None, 8).values)
 
 
 def test_blocks_of_residuals_scatter_the_estimates_as_the_noise_does(hub: Callable[[int], Identification]) -> None:
@@ -208,8 +208,8 @@ def test_a_dask_cluster_is_an_executor_too() -> None:
     point = truth_point("clamped", 2, "uniform")
     cluster = distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
     with cluster, distributed.Client(cluster) as client:
-        found = resample(point, 4, "noise", client.get_executor(), seed=7)
-    np.testing.assert_allclose(found.values, resample(point, 4, "noise", seed=7).values, rtol=1e-12)
+        found = _resampled(point, 4, "noise", client.get_executor(), 7)
+    np.testing.assert_allclose(found.values, _resampled(point, 4, "noise", None, 7).values, rtol=1e-12)
 
 
 # Another model's data

@@ -87,7 +87,7 @@ def test_what_was_known_before_is_kept_where_it_is_better() -> None:
     blank = seen_at(STUCK, stands(STUCK), 5)
     free = runs_of(STUCK, replace(blank, recording=replace(blank.recording, kind="driven")), moving, moving)
     markers = MarkerArcs.of(RIG).frames(STUCK, free.trajectory, time)
-    theta = free.motion[0][:, STUCK.chain.active]
+    theta = free.trajectory.angles(free.observed.recording.time)[:, STUCK.chain.active]
     observed = Observations.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
     rest = np.concatenate([stands(STUCK), np.zeros(STUCK.chain.size)])
     assert runs_of(STUCK, observed, rest, moving).state is moving
@@ -121,7 +121,7 @@ def test_a_recording_begins_with_as_much_of_a_change_as_follows_it_best(share: f
     start = InitialStatePrior.of(STUCK, blank.recording)
     true = simulate_runs([STUCK], [blank], [start], [state + share * change], 1.0)[0]
     markers = MarkerArcs.of(RIG).frames(STUCK, true.trajectory, blank.recording.time)
-    theta = true.motion[0][:, STUCK.chain.active]
+    theta = true.trajectory.angles(true.observed.recording.time)[:, STUCK.chain.active]
     observed = Observations.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
     whole = simulate_runs([STUCK], [observed], [start], [state + change], 1.0)[0]
     found = backtrack([whole], [change], 1.0)[0]

@@ -16,13 +16,7 @@ from vjm.identification.measured_modes import compare_modes
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
 from vjm.identification.records import METHODS, Identification, Method, TorqueData
 from vjm.identification.torque_method import fit_torque, weighted_torque_errors
-from vjm.identification.training_data import (
-    DERIVATIVE_METHODS,
-    DerivativeMethod,
-    PreparedRecording,
-    TrainingData,
-    read_training_data,
-)
+from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData, read_training_data
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
 from vjm.identification.uncertainty import (
@@ -33,7 +27,7 @@ from vjm.identification.uncertainty import (
     trajectory_information,
 )
 from vjm.identification.virtual_joints import JointChoice
-from vjm.identification.warn import data_warnings, fit_warnings, identification_notes, repeat_warnings
+from vjm.identification.warn import data_warnings, fit_warnings, identification_notes
 from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FamilyName
 from vjm.model.torque import objective, torque_errors
@@ -87,7 +81,7 @@ def identify(
         ("layout", layout, LAYOUTS),
         ("family", family, get_args(FamilyName)),
         ("angles", angles, (None, *get_args(AngleMethod))),
-        ("derivatives", derivatives, DERIVATIVE_METHODS),
+        ("derivatives", derivatives, get_args(DerivativeMethod)),
         ("loss", loss, LOSSES),
     ):
         if given not in choices:
@@ -186,7 +180,6 @@ def _result(
         warnings=(
             *experiment.warnings,
             *data_warnings(data, solution.joints),
-            *repeat_warnings(data),
             *solution.problems,
             *fit_warnings(recordings, parameters, solution.whiteness, modes if method == "torque" else ()),
         ),

@@ -16,7 +16,6 @@ import numpy as np
 
 from vjm.chain.layout import layout_of_lengths
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.errors import ChoiceError
 from vjm.records import Array, Mask, Recording
 from vjm.simulation.arm import Arm
 
@@ -34,7 +33,7 @@ _FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "ine
 
 
 @dataclass(frozen=True)
-class Coordinate:
+class _Coordinate:
     """One number that the optimiser varies.
 
     Attributes:
@@ -70,32 +69,28 @@ class Parametrisation:
     kind: str
     hubs: tuple[int, ...]
 
-    def __post_init__(self) -> None:
-        if self.kind not in PARAMETRISATIONS:
-            raise ChoiceError("parametrisation", self.kind, PARAMETRISATIONS)
-
     @cached_property
-    def coordinates(self) -> tuple[Coordinate, ...]:
+    def coordinates(self) -> tuple[_Coordinate, ...]:
         """The coordinates, in the optimiser's order."""
-        result: list[Coordinate] = []
+        result: list[_Coordinate] = []
         for i, link in enumerate(self.template.links):
             joints = range(link.virtual_joints)
             if self.kind == "uniform":
-                result.append(Coordinate(f"{link.name}.bending_stiffness", "N m^2", i, "stiffness", -1))
-                result.append(Coordinate(f"{link.name}.kelvin_voigt_time", "s", i, "damping", -1))
+                result.append(_Coordinate(f"{link.name}.bending_stiffness", "N m^2", i, "stiffness", -1))
+                result.append(_Coordinate(f"{link.name}.kelvin_voigt_time", "s", i, "damping", -1))
             else:
-                result += [Coordinate(f"{link.name}.stiffness_{j + 1}", "N m/rad", i, "stiffness", j) for j in joints]
-                result += [Coordinate(f"{link.name}.damping_{j + 1}", "N m s/rad", i, "damping", j) for j in joints]
+                result += [_Coordinate(f"{link.name}.stiffness_{j + 1}", "N m/rad", i, "stiffness", j) for j in joints]
+                result += [_Coordinate(f"{link.name}.damping_{j + 1}", "N m s/rad", i, "damping", j) for j in joints]
             if i in self.hubs:
-                result.append(Coordinate(f"{link.name}.hub_inertia", "kg m^2", i, "hub", -1))
+                result.append(_Coordinate(f"{link.name}.hub_inertia", "kg m^2", i, "hub", -1))
             if self.kind in ("lengths", "full"):  # the last length follows from the total
-                result += [Coordinate(f"{link.name}.length_{j}", "m", i, "length", j) for j in joints]
+                result += [_Coordinate(f"{link.name}.length_{j}", "m", i, "length", j) for j in joints]
             if self.kind == "full":
                 moving = range(_first_moving(i), link.virtual_joints + 1)
-                result += [Coordinate(f"{link.name}.mass_{j}", "kg", i, "mass", j) for j in moving[:-1]]
-                result += [Coordinate(f"{link.name}.mass_center_{j}", "m", i, "center", j) for j in moving]
+                result += [_Coordinate(f"{link.name}.mass_{j}", "kg", i, "mass", j) for j in moving[:-1]]
+                result += [_Coordinate(f"{link.name}.mass_center_{j}", "m", i, "center", j) for j in moving]
                 # Behind an active joint, virtual link 0 only turns: its inertia is the hub's.
-                result += [Coordinate(f"{link.name}.inertia_{j}", "kg m^2", i, "inertia", j) for j in moving if j > 0]
+                result += [_Coordinate(f"{link.name}.inertia_{j}", "kg m^2", i, "inertia", j) for j in moving if j > 0]
         return tuple(result)
 
     @property
@@ -127,7 +122,7 @@ class Parametrisation:
         width = np.array([_WIDTHS[c.group] for c in self.coordinates])
         return centre, np.where(self.linear, width * np.maximum(np.abs(centre), _MIN_MAGNITUDE), width)
 
-    def scale(self, coordinate: Coordinate) -> float:
+    def scale(self, coordinate: _Coordinate) -> float:
         """Return the physical size of one unit of a linear coordinate."""
         link = self.template.links[coordinate.link]
         if coordinate.group == "hub":  # a hub without inertia: in units of the rigid link's own
@@ -227,7 +222,7 @@ def _first_moving(i: int) -> int:
     return 1 if i == 0 else 0
 
 
-def _template_value(parametrisation: Parametrisation, coordinate: Coordinate) -> float:
+def _template_value(parametrisation: Parametrisation, coordinate: _Coordinate) -> float:
     link, j = parametrisation.template.links[coordinate.link], coordinate.index
     if coordinate.group == "hub":
         return link.hub_inertia / parametrisation.scale(coordinate)

@@ -185,18 +185,13 @@ def bootstrap(
         raise ChoiceError("kind", kind, get_args(ErrorKind))
     if samples < 2:
         raise ShapeError("samples", samples, "two or more")
-    return resample(_trajectory_fit(fit, "bootstrap").point, samples, kind, executor, seed, progress)
+    return _resampled(_trajectory_fit(fit, "bootstrap").point, samples, kind, executor, seed, progress)
 
 
-def resample(
-    point: Point,
-    samples: int,
-    kind: ErrorKind = "noise",
-    executor: Executor | None = None,
-    seed: int = 0,
-    progress: Progress | None = None,
+def _resampled(
+    point: Point, samples: int, kind: ErrorKind, executor: Executor | None, seed: int, progress: Progress | None = None
 ) -> Resampled:
-    """Do as `bootstrap` at any point, which need not be a minimum: with kind `noise`, data from a known truth."""
+    """The bootstrap at any point, which need not be a minimum: with kind `noise`, data from a known truth."""
     seeds = np.random.SeedSequence(seed).spawn(samples)
     bare = replace(point, runs=tuple(replace(run) for run in point.runs))  # without what can be worked out again
     run: Callable[..., object] = map if executor is None else executor.map

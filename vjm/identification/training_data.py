@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from vjm.chain.layout import DEFAULT_LAYOUT, Layout, chain_layouts, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.errors import InsufficientDataError
 from vjm.experiment.noise import sensor_noise
 from vjm.experiment.spectrum import MeasuredModes, measure_modes
 from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
@@ -21,13 +21,10 @@ from vjm.markers.smoothing import Derivatives, Smoother, interpolate
 from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Recording, Rig
 
 DerivativeMethod = Literal["smoothing", "interpolating"]
-DERIVATIVE_METHODS: tuple[str, ...] = get_args(DerivativeMethod)
 
 _MIN_MOTION = 2.0  # standard deviations of the noise: pure noise reaches one
 _MIN_FRAMES = 10  # as few as a recording may have (its file is refused below)
-_EXTRA_MODES = (
-    2  # peaks looked for beyond the modes that the shapes show: faster ones may be seen, too faint for shapes
-)
+_EXTRA_MODES = 2  # peaks looked for beyond the modes that the shapes show: faster ones may be too faint for shapes
 _VISIBLE = 1e-9  # of the angles' largest variance: directions below are rounding errors, which no shape function takes
 
 
@@ -148,11 +145,8 @@ def read_training_data(
         derivatives: `smoothing` or `interpolating`.
 
     Raises:
-        ChoiceError: an unknown method of derivatives.
         InsufficientDataError: nothing to fit, or a link without markers.
     """
-    if derivatives not in DERIVATIVE_METHODS:
-        raise ChoiceError("derivatives", derivatives, DERIVATIVE_METHODS)
     rig = experiment.rig
     recordings = _training_recordings(experiment.cleaned_recordings)
     noise = sensor_noise(rig, experiment.cleaned_recordings)

@@ -72,9 +72,9 @@ class TrajectorySearch:
 
     def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
         """Fit uniform links with so many joints, from a fit with about as many."""
-        chain = self._template(joints)
-        states = [transfer_state(run.chain, chain, run.state) for run in fit.point.runs]
         problem = self._problem(joints)
+        template = problem.parametrisation.template
+        states = [transfer_state(run.chain, template, run.state) for run in fit.point.runs]
         chain = problem.parametrisation.chain(fit.point.x)
         step_multiple = _largest_step_multiple(chain, problem.observed, states, fit.point.misfit**2)
         problem = replace(problem, step_multiple=step_multiple)
@@ -83,8 +83,7 @@ class TrajectorySearch:
     def enough_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
         """Return the fit with the fewest joints that one joint more does not improve, and what that joint would do.
 
-        Args:
-            first: of uniform links with the first of the candidate numbers of joints.
+        The search begins at `first`, of uniform links with the first of the candidate numbers of joints.
         """
         uniform, best = first, self._refined(first)
         for joints in self.candidates()[1:]:
@@ -111,12 +110,11 @@ class TrajectorySearch:
         """True if the uniform links are not what is asked for."""
         return self.rough or self.data.parameters != "uniform"
 
-    def _template(self, joints: Sequence[int]) -> Chain:
-        return nominal_chain(self.data.rig, rig_layouts(self.data.rig, joints, self.data.layout), START_KELVIN_VOIGT)
-
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
         """The problem of uniform links with so many joints."""
-        return TrajectoryProblem(Parametrisation(self._template(joints), "uniform", self.hubs), self.observed)
+        cuts = rig_layouts(self.data.rig, joints, self.data.layout)
+        template = nominal_chain(self.data.rig, cuts, START_KELVIN_VOIGT)
+        return TrajectoryProblem(Parametrisation(template, "uniform", self.hubs), self.observed)
 
     def _far(self, joints: Sequence[int]) -> TrajectoryFit:
         """Fit uniform links with so many joints, from far away.
@@ -289,14 +287,7 @@ def _comparison(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
 def _largest_step_multiple(
     chain: Chain, observed: Sequence[Observations], states: Sequence[Array], mean_square: float
 ) -> float:
-    """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error.
-
-    Args:
-        chain: the arm, about as it will be.
-        observed: the recordings.
-        states: (2 nv,) initial states, about as they will be.
-        mean_square: of the weighted residuals.
-    """
+    """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error."""
     arms = [Arm(chain)] * len(observed)
     priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
     exact = simulate_runs(arms, observed, priors, states, 1.0)

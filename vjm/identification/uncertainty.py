@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from vjm.chain.virtual_links import Chain
-from vjm.identification.parameters import Coordinate, Parametrisation
+from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.model.modes import modes
@@ -198,7 +198,7 @@ def estimates(
         elif not std[k] <= _MAX_RELATIVE_STD * max(abs(values[k]), 1e-300):
             reason = _uncertain(k, parametrisation, std[k] / max(abs(values[k]), 1e-300), correlation[k])
         if reason:
-            remedy = _remedy(coordinate, parametrisation.chain(x))
+            remedy = _remedy(parametrisation, k, x)
             if parametrisation.kind != "uniform" and at_bound[k]:
                 remedy += "; or fewer parameters (--parameters uniform)"
         error = float(std[k]) if np.isfinite(std[k]) and visible[k] else None
@@ -222,8 +222,9 @@ def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, co
     return reason
 
 
-def _remedy(coordinate: Coordinate, chain: Chain) -> str:
-    """Name the recording that would determine a parameter."""
+def _remedy(parametrisation: Parametrisation, k: int, x: Array) -> str:
+    """Name the recording that would determine parameter k."""
+    coordinate = parametrisation.coordinates[k]
     group, shared = coordinate.group, coordinate.index < 0
     if group == "hub":
         return "a driven recording whose torque changes faster, so that the hub's own inertia takes more of it"
@@ -231,19 +232,19 @@ def _remedy(coordinate: Coordinate, chain: Chain) -> str:
         return "a recording with a known payload on the tip, or with another one, or one that excites higher modes"
     if group == "stiffness" and shared:
         return "a recording in which the link bends farther beyond the camera's noise, or one with more markers on it"
-    mode = _mode_to_excite(chain, coordinate)
+    mode = _mode_to_excite(parametrisation.chain(x), coordinate.link, coordinate.index)
     if group == "stiffness":
         return f"markers nearer to this joint, or a recording that excites {mode}, which bends it most"
     more = "faster modes lose more in a period" if shared else "it bends this joint most"
     return f"a longer free decay, or one that excites {mode}: {more}"
 
 
-def _mode_to_excite(chain: Chain, coordinate: Coordinate) -> str:
+def _mode_to_excite(chain: Chain, link: int, index: int) -> str:
     """The one of the four slowest modes with most of its elastic energy in a joint; for a whole link, the second."""
     found = modes(chain, gravity=(0.0, 0.0))
     count = min(4, found.frequencies.size)  # faster ones are hard to excite
     energy = chain.stiffness[:, None] * found.shapes[:, :count] ** 2
     share = energy / np.maximum(energy.sum(axis=0), 1e-300)
-    joint = chain.passive_slices[coordinate.link].start + coordinate.index
-    mode = min(1, count - 1) if coordinate.index < 0 else int(np.argmax(share[joint]))
+    joint = chain.passive_slices[link].start + index
+    mode = min(1, count - 1) if index < 0 else int(np.argmax(share[joint]))
     return f"mode {mode + 1} (about {found.frequencies[mode]:.2g} Hz)"

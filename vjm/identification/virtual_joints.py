@@ -22,13 +22,11 @@ class JointChoice:
 
     Attributes:
         joints: n.
-        modes: number of modes it has to carry.
-        error: largest relative error of their natural frequencies, against a chain of 40 joints.
+        error: largest relative error of the visible modes' frequencies, against a chain of 40 joints.
         requested: True if a user asked for this n.
     """
 
     joints: int
-    modes: int
     error: float
     requested: bool = False
 
@@ -46,7 +44,7 @@ def choose_virtual_joints(link: Link, visible: int, joints: int | None = None) -
     def choice(n: int) -> JointChoice:
         frequencies = _frequencies(link, n)
         count = min(visible, frequencies.size)
-        return JointChoice(n, visible, float(np.max(np.abs(frequencies[:count] / reference[:count] - 1))))
+        return JointChoice(n, float(np.max(np.abs(frequencies[:count] / reference[:count] - 1))))
 
     if joints is not None:
         return choice(joints)

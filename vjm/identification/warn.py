@@ -63,7 +63,7 @@ def _joint_note(link: Link, order: int, choice: JointChoice, parameters: str) ->
 
 
 def data_warnings(data: TrainingData, joints: Sequence[JointChoice]) -> list[str]:
-    """Warn about the recordings, the modes they show and the numbers of joints."""
+    """Warn about the recordings, their repeats, the modes they show and the numbers of joints."""
     warnings = []
     for link, order, choice in zip(data.rig.links, data.shape.orders, joints, strict=True):
         if order == 1:
@@ -89,10 +89,10 @@ def data_warnings(data: TrainingData, joints: Sequence[JointChoice]) -> list[str
                 f"{one.recording.file}: the camera takes {rate:.3g} frames/s, {rate / fastest:.2g} a period of the "
                 f"{fastest:.3g} Hz mode; at least {_MIN_FRAMES_PER_PERIOD} are needed"
             )
-    return warnings
+    return warnings + _repeat_warnings(data)
 
 
-def repeat_warnings(data: TrainingData) -> list[str]:
+def _repeat_warnings(data: TrainingData) -> list[str]:
     """Warn where recordings of one label do not repeat each other: are farther apart than three times their noise."""
     groups: dict[str, list[Recording]] = {}
     for recording in data.recordings:

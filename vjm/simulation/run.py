@@ -17,11 +17,11 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations
-from vjm.simulation.sensitivity import ModalBasis, PerturbedArm, jacobian
+from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm
 from vjm.simulation.system import Trajectory
 
 _LARGEST = 1e100  # derivative, in units of the noise
-_INDEPENDENT_OF_PRIOR = ("motion", "residual", "chi2", "stride", "basis")  # cached properties
+_INDEPENDENT_OF_PRIOR = ("residual", "chi2", "stride", "basis")  # cached properties
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,6 @@ class Run:
         return self.arm.chain
 
     @cached_property
-    def motion(self) -> tuple[Array, Array]:
-        """q, v (T, nv) at the recording's instants [rad, rad/s]."""
-        q, v = self.trajectory.sample(self.observed.recording.time)
-        return q[:, 0], v[:, 0]
-
-    @cached_property
     def residual(self) -> Array:
         """(N,) measured less simulated, weighted and whitened."""
         return self.observed.residual(self.arm, self.trajectory)
@@ -140,7 +134,7 @@ class Run:
         if kept.size < trajectory.z.shape[2]:
             trajectory = replace(trajectory, z=trajectory.z[:, :, kept])
         smooth = [PerturbedArm(other.with_feedback(arm.feedback).smooth[0], step) for other, step in perturbed]
-        parts = jacobian(self.observed, arm, self.basis, smooth, trajectory, self.stride)
+        parts = Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride).jacobian()
         if self.observed.whitening is None:
             yield from parts
             return

@@ -244,43 +244,33 @@ def _propagators(coefficients: _Coefficients, interval: float) -> tuple[Array, A
     return flow * units[:, None] / units, interval * added * units[:, None]
 
 
-def jacobian(
-    observed: Observations,
-    arm: Arm,
-    basis: ModalBasis,
-    perturbed: Sequence[PerturbedArm],
-    trajectory: Trajectory,
-    stride: int,
-) -> Iterator[tuple[Indices, Array]]:
-    """Yield weighted derivatives of the measured values, one stretch of time after another.
+@dataclass(frozen=True)
+class Linearization:
+    """Derivatives of a simulation's predictions.
 
-    Args:
+    Attributes:
         observed: the measurements.
         arm: simulated.
         basis: m modes.
         perturbed: p arms, each with one parameter changed.
         trajectory: of one copy.
         stride: steps in half an interval; their number is a multiple of two strides.
-
-    Yields:
-        (r,) indices of `observed.values` in the stretch, and the derivatives (r, 2 slow + p) of their predictions,
-        times their weights, by the slow modes' initial coordinates, initial rates, and by the parameters.
     """
-    yield from _Linearization(observed, arm, basis, tuple(perturbed), trajectory, stride).jacobian()
-
-
-@dataclass(frozen=True)
-class _Linearization:
-    """A simulation's derivatives; see `jacobian`."""
 
     observed: Observations
     arm: Arm
     basis: ModalBasis
-    perturbed: tuple[PerturbedArm, ...]
+    perturbed: Sequence[PerturbedArm]
     trajectory: Trajectory
     stride: int
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
+        """Yield weighted derivatives of the measured values, one stretch of time after another.
+
+        Yields:
+            (r,) indices of `observed.values` in the stretch, and the derivatives (r, 2 slow + p) of their predictions,
+            times their weights, by the slow modes' initial coordinates, initial rates, and by the parameters.
+        """
         observed, time = self.observed, self.observed.recording.time
         # Frames show the arm at instants of their own, maybe in the stretch before, or the next.
         exposures = observed.arcs.exposure_times(self.arm, self.trajectory, time[observed.frames])
