@@ -28,9 +28,9 @@ from vjm.errors import InsufficientDataError
 from vjm.experiment import Experiment, load_experiment
 from vjm.records import Recording, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import replays
+from vjm.simulation.initial_state import fit_initial_states, simulated_recording
 from vjm.simulation.integrate import simulate
-from vjm.simulation.measurement import MarkerArcs
+from vjm.simulation.measurement import MarkerArcs, Observations
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -39,7 +39,8 @@ DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
 
 
 def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> SimulatedRecording:
-    return replays([arm], rig, [recording], marker_noise, encoder_noise)[0]
+    observed = Observations.of(rig, recording, (marker_noise, encoder_noise))
+    return simulated_recording(*fit_initial_states([arm], [observed])[0])
 
 
 def seen(chain: Chain, recording: Recording, q: Array, v: Array, noise: float = 0.0, seed: int = 0) -> Recording:

@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
-from vjm.records import Array, Recording, Rig, SimulatedRecording
+from vjm.records import Array, SimulatedRecording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import sensor_readings
 from vjm.simulation.least_squares import Damping, SquareRootInformation
@@ -104,35 +104,6 @@ def _simulate_again(runs: Sequence[Run], states: Sequence[Array], step_multiple:
     return simulate_runs(arms, observed, priors, states, step_multiple)
 
 
-def replays(
-    arms: Sequence[Arm],
-    rig: Rig,
-    recordings: Sequence[Recording],
-    marker_noise: float,
-    encoder_noise: float,
-    states: Sequence[Array | None] | None = None,
-    step_multiple: float = 1.0,
-) -> list[SimulatedRecording]:
-    """Simulate recordings open loop from their most likely initial states (Levenberg-Marquardt from rest).
-
-    Args:
-        arms: one a recording.
-        rig: says where the markers are.
-        recordings: measurements and torques.
-        marker_noise: 1-sigma [m].
-        encoder_noise: 1-sigma [rad].
-        states: (2 nv,) where to start the search for the initial states; None: at rest.
-        step_multiple: multiple of the integrator's default step.
-
-    Raises:
-        InsufficientDataError: no torque measured at an active joint.
-        SimulationDivergedError: the chain's simulation diverges even from rest.
-    """
-    observed = [Observations.of(rig, recording, (marker_noise, encoder_noise)) for recording in recordings]
-    fits = fit_initial_states(arms, observed, states, step_multiple)
-    return [simulated_recording(run, converged) for run, converged in fits]
-
-
 class _Search:
     """Levenberg-Marquardt search for one recording's most likely initial state."""
 
@@ -185,9 +156,13 @@ def fit_initial_states(
     Args:
         arms: one a recording.
         observed: the recordings.
-        states: (2 nv,) where to start; None: at rest.
+        states: (2 nv,) where to start (Levenberg-Marquardt); None: at rest.
         step_multiple: multiple of the default step.
         most: simulations to try.
+
+    Raises:
+        InsufficientDataError: no torque measured at an active joint.
+        SimulationDivergedError: a simulation diverges even from its start.
     """
     priors = [InitialStatePrior.of(arm, values.recording) for arm, values in zip(arms, observed, strict=True)]
     given = [None] * len(priors) if states is None else states

@@ -17,7 +17,8 @@ from vjm.model.modes import Modes, modes
 from vjm.model.urdf import chain_to_urdf
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import replays
+from vjm.simulation.initial_state import fit_initial_states, simulated_recording
+from vjm.simulation.measurement import Observations
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -105,7 +106,9 @@ class Model(Record):
             step_multiple: multiple of the integrator's default step.
         """
         arms = [self.arm_in(each) for each in recordings]
-        return replays(arms, self.rig, recordings, self.marker_noise, self.encoder_noise, states, step_multiple)
+        noise = self.marker_noise, self.encoder_noise
+        observed = [Observations.of(self.rig, recording, noise) for recording in recordings]
+        return [simulated_recording(*fit) for fit in fit_initial_states(arms, observed, states, step_multiple)]
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
