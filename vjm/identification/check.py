@@ -37,12 +37,9 @@ class Check(Result):
 
 
 def check(experiment: Experiment) -> Check:
-    """Say what is wrong with an experiment, what can be identified from it and what cannot be told apart.
+    """Say what is wrong with a loaded experiment, what can be identified from it and what cannot be told apart.
 
     The standard errors are those that the recordings allow at the uniform link that fits them.
-
-    Args:
-        experiment: as loaded.
     """
     rig = experiment.rig
     joints = [link.virtual_joints or 6 for link in rig.links]  # enough for the slowest few frequencies

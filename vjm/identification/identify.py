@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -113,12 +112,6 @@ class _Solution:
     whiteness: tuple[Whiteness, ...] = ()
     torque_chain: Chain | None = None
 
-    @property
-    def states(self) -> Mapping[str, Array]:
-        """(2 nv,) most likely initial states by recording file."""
-        runs = () if self.trajectory is None else self.trajectory.point.runs
-        return {run.observed.recording.file: run.state for run in runs}
-
 
 def _by_trajectory(data: TrainingData, loss: str, progress: Progress | None) -> _Solution:
     search, fit = first_fit(data, loss, progress)
@@ -149,7 +142,9 @@ def _result(
     model = Model(chain, rig, *data.noise, parameters)
     nominal = Model(nominal_chain(rig, chain_layouts(chain)), rig, *data.noise)
     torque_model = None if solution.torque_chain is None else Model(solution.torque_chain, rig, *data.noise)
-    recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, solution.states)
+    runs = () if solution.trajectory is None else solution.trajectory.point.runs
+    states = {run.observed.recording.file: run.state for run in runs}
+    recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
     modes = compare_modes(chain, data)
     prepared = data.prepared_for(chain)
     objectives = [

@@ -17,12 +17,7 @@ from vjm.records import Array, Complex, Rig
 
 
 def compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ...]:
-    """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show.
-
-    Args:
-        chain: the identified one.
-        data: the recordings; those whose modes were measured have one payload.
-    """
+    """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show."""
     found = modes(chain, data.payload)
     shapes = _model_shapes(chain, data.rig, data.payload)
     alike = [one for one in data.prepared if one.recording.payload == data.payload]

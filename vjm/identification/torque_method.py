@@ -179,12 +179,7 @@ class TorqueFit:
 
 
 def fit_torque(data: TrainingData, frequencies: bool = False, progress: Progress | None = None) -> TorqueFit:
-    """Identify by torque errors.
-
-    Args:
-        data: the recordings.
-        frequencies: whether to fit the recordings' natural frequencies as well.
-        progress: told (text, done, total) now and then.
+    """Identify by torque errors and, if `frequencies`, by the recordings' natural frequencies as well.
 
     Raises:
         InsufficientDataError: no recording has what the method needs; or no measured frequency is the model's.

@@ -95,9 +95,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     than the noise, the scores' long-run covariance is taken instead, if it is larger (sandwich): Bartlett weights over
     a bandwidth by Andrews (1991).
 
-    Args:
-        fit: the minimum.
-        noise_known: whether the sensors' noise was given, not estimated from the same data.
+    `noise_known` says whether the sensors' noise was given, not estimated from the same data.
     """
     point = fit.point
     count = point.x.size
@@ -174,13 +172,9 @@ def _whiteness(run: Run) -> Whiteness:
 def estimates(
     parametrisation: Parametrisation, x: Array, information: Information, physical: Array
 ) -> tuple[Estimate, ...]:
-    """Return every parameter with its standard error and, in words, whether the data determine it.
+    """Return every parameter at coordinates x (p,) with its standard error and whether the data determine it, in words.
 
-    Args:
-        parametrisation: what was identified.
-        x: (p,) coordinates of the fit.
-        information: what the residuals say of them.
-        physical: (p, p) covariance of the physical parameters.
+    `physical` is the (p, p) covariance of the physical parameters.
     """
     values = parametrisation.physical(x)
     std = np.sqrt(np.maximum(np.diag(physical), 0))

@@ -34,10 +34,8 @@ class JointChoice:
 def choose_virtual_joints(link: Link, visible: int, joints: int | None = None) -> JointChoice:
     """Choose the smallest n whose chain has the frequencies of the `visible` slowest modes right to 0.1 %.
 
-    Args:
-        link: nominal values; as the only link, its active joint free.
-        visible: number of modes that the markers show.
-        joints: n, where it is given: then only its error is found.
+    The link has its nominal values, is the only one and its active joint is free. Of given `joints` only the error is
+    found.
     """
     reference = _frequencies(link, _REFERENCE_JOINTS)
 

@@ -79,12 +79,7 @@ def simulate_or_rest(
 
 
 def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: float) -> list[Run]:
-    """Simulate recordings with a fifth of their states' changes or none; return whichever of the three fits best.
-
-    Args:
-        runs: with the whole of the changes.
-        changes: (2 nv,) of each initial state.
-        step_multiple: multiple of the default step.
+    """Simulate runs with a fifth of the changes (2 nv,) of their initial states, or none; return the best of the three.
 
     Raises:
         SimulationDivergedError: one of them diverged.

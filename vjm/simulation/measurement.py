@@ -206,15 +206,15 @@ class Observations:
             discretization_offset=None if offset is None else offset[kept],
         )
 
-    def rows_between(self, first: int, last: int) -> tuple[Indices, slice, slice]:
-        """Return the frames, marker coordinates and angles of rows from `first` up to `last`."""
-        begin, end = np.searchsorted(self.frames, (first, last))
+    def rows_between(self, first: int, last: int) -> tuple[slice, slice, slice]:
+        """Return the slices of frames, and of values by markers and by encoders, of rows from `first` up to `last`."""
+        begin, end = np.searchsorted(self.frames, (first, last)).tolist()
         markers = np.searchsorted(self.markers, (begin * self._width, end * self._width))
         joints = self.recording.theta.shape[1]
         angles = np.searchsorted(self.angles, (first * joints, last * joints))
         offset = self.markers.size
         return (
-            self.frames[begin:end],
+            slice(begin, end),
             slice(int(markers[0]), int(markers[1])),
             slice(offset + int(angles[0]), offset + int(angles[1])),
         )

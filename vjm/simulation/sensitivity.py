@@ -284,10 +284,9 @@ class Linearization:
             last = time.size if at_end else int(np.searchsorted(time, part.time[-1] - ahead, side="left"))
             if last <= first:
                 continue
-            frames, markers, angles = observed.rows_between(first, last)
+            camera, markers, angles = observed.rows_between(first, last)
             by_angles = self._encoder_slopes(part, angles)
-            camera = slice(*np.searchsorted(observed.frames, (first, last)).tolist())
-            by_markers = self._marker_slopes(part, exposures[..., camera], time[frames])
+            by_markers = self._marker_slopes(part, exposures[..., camera], time[observed.frames[camera]])
             flat = by_markers.reshape(-1, by_markers.shape[2])
             slopes = np.concatenate([flat[observed.markers[markers] - camera.start * by_markers.shape[1]], by_angles])
             measured = np.r_[markers, angles]
