@@ -276,6 +276,7 @@ def test_a_residual_that_grows_and_one_that_wanders() -> None:
     growth = the(growing, "growth")
     assert growth in growing.significant
     assert growth.value > 1
+    assert "growth" in [each.kind for each in growing.headlines(2)]
     slow = found(simulated(0, change=lambda t, m, theta: (m, theta + 2e-3 * np.cos(2 * np.pi * 0.5 * t)[:, None])))
     wander = the(slow, "slow_drift", "beam.theta")
     assert wander in slow.significant

@@ -87,7 +87,10 @@ def joint_profiles(rig: Rig, recordings: Sequence[_Source]) -> tuple[list[_Profi
     Of every joint, the missing torque (the residual's acceleration where the rig has no hub inertia) and the residual;
     of the tip, the residual against the last joint or, on an arm without joints, its acceleration against its motion.
     """
-    profiles = [tuple(_of_recording(k, rig, *one)) for k, one in enumerate(recordings)]
+    profiles = [
+        tuple(replace(profile, recording=np.full(profile.values.size, k)) for profile in _of_recording(rig, *one))
+        for k, one in enumerate(recordings)
+    ]
     groups: dict[tuple[str, str], list[JointProfile]] = {}
     for profile in (profile for own in profiles for profile in own if profile.quantity != "residual"):
         groups.setdefault((profile.sensor, profile.quantity), []).append(profile)
@@ -111,9 +114,7 @@ def missing_torque(rig: Rig, simulated: Sequence[SimulatedRecording], joint: str
     return next((profile for profile in every if profile.quantity == "torque" and profile.motion == joint), None)
 
 
-def _of_recording(
-    index: int, rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Channels]
-) -> Iterator[JointProfile]:
+def _of_recording(rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Channels]) -> Iterator[JointProfile]:
     if not sensors:
         return
     paths = [CubicSpline(simulated.recording.time, angle) for angle in simulated.simulation.theta.T]
@@ -123,14 +124,14 @@ def _of_recording(
     for sensor in sensors:
         if sensor.sensor == "encoder":
             for c, (joint, _) in enumerate(sensor.places):
-                found.append(_missing_torque(index, rig, simulated, sensor, c, motions[joint], camera))
-                found.append(_residual(index, sensor, c, motions[joint]))
+                found.append(_missing_torque(rig, simulated, sensor, c, motions[joint], camera))
+                found.append(_residual(sensor, c, motions[joint]))
         elif motions:
-            found.append(_residual(index, sensor, _tip(sensor), motions[-1]))
+            found.append(_residual(sensor, _tip(sensor), motions[-1]))
         else:
             tip = _tip(sensor)
             motion = (sensor.names[tip], "m", CubicSpline(sensor.time, sensor.simulated[:, tip]))
-            found.append(_acceleration(index, sensor, tip, motion, ("acceleration", "m/s²"), 1.0, []))
+            found.append(_acceleration(sensor, tip, motion, ("acceleration", "m/s²"), 1.0, []))
     yield from (profile for profile in found if profile is not None)
 
 
@@ -155,7 +156,7 @@ def _direction(velocity: Array) -> Array:
     return np.asarray(np.clip(velocity / slow, -1.0, 1.0))
 
 
-def _residual(index: int, sensor: Channels, c: int, motion: _Motion) -> JointProfile | None:
+def _residual(sensor: Channels, c: int, motion: _Motion) -> JointProfile | None:
     rows = sensor.known[:, c]
     position, velocity = (motion[2](sensor.time[rows], order) for order in (0, 1))
     if not _moves(motion, position, sensor):
@@ -164,18 +165,12 @@ def _residual(index: int, sensor: Channels, c: int, motion: _Motion) -> JointPro
     head = (sensor.names[c], motion[0], "residual", sensor.unit, motion[1])
     return JointProfile(
         *head, values, np.full(values.size, sensor.noise), position, velocity, _direction(velocity),
-        sensor.groups[rows], np.zeros((values.size, 0)), np.full(values.size, index),
+        sensor.groups[rows], np.zeros((values.size, 0)), np.zeros(values.size, int),
     )  # fmt: skip
 
 
 def _missing_torque(
-    index: int,
-    rig: Rig,
-    simulated: SimulatedRecording,
-    sensor: Channels,
-    c: int,
-    motion: _Motion,
-    camera: Channels | None,
+    rig: Rig, simulated: SimulatedRecording, sensor: Channels, c: int, motion: _Motion, camera: Channels | None
 ) -> JointProfile | None:
     """Return the torque that the equation of motion of a joint's hub leaves.
 
@@ -200,17 +195,11 @@ def _missing_torque(
         others += [driven, pull, np.gradient(pull, sensor.time)]
     words = ("torque", "N m") if inertia > 0 else ("acceleration", "rad/s²")
     others = others if len(others) > 1 else []
-    return _acceleration(index, sensor, c, motion, words, inertia if inertia > 0 else 1.0, others)
+    return _acceleration(sensor, c, motion, words, inertia if inertia > 0 else 1.0, others)
 
 
 def _acceleration(
-    index: int,
-    sensor: Channels,
-    c: int,
-    motion: _Motion,
-    words: tuple[str, str],
-    inertia: float,
-    others: Sequence[Array],
+    sensor: Channels, c: int, motion: _Motion, words: tuple[str, str], inertia: float, others: Sequence[Array]
 ) -> JointProfile | None:
     """Return accelerations of a residual times an inertia, beside other residuals (F,); None without motion."""
     rows = sensor.known[:, c]
@@ -248,5 +237,5 @@ def _acceleration(
     groups = sensor.groups[rows][: count * size : size][whole]
     return JointProfile(
         sensor.names[c], motion[0], *words, motion[1], values, sensor.noise * np.linalg.norm(parabola, axis=1),
-        averaged[0], averaged[1], averaged[2], groups, beside, np.full(values.size, index),
+        averaged[0], averaged[1], averaged[2], groups, beside, np.zeros(values.size, int),
     )  # fmt: skip

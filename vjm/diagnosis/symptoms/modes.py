@@ -323,7 +323,7 @@ class _Fit:
             # Seen where the noise leaves the phase certain to a fiftieth of a period.
             if rows.sum() >= 2 * (5 + 2 * count) and min(v[0] for v in values) > 8 * noise[0]:
                 points.append((centre, *values, noise[1] / half / values[0][0]))
-        if len(points) < 2:
+        if len(points) < 4:  # too few to show a trend
             return None
         times, *pairs, std = (np.array(column) for column in zip(*points, strict=True))
         rates, largest = np.stack(pairs, axis=1), float(np.abs(shape).max() / np.linalg.norm(shape))

@@ -296,13 +296,9 @@ def _profiles(found: Symptoms) -> Figure:
     page = _page(found, kinds, nothing, [(2.35, 3)] * len(shown))
     for axes, profile in zip(page.axes, shown, strict=True):
         _draw_profile(axes, found, profile)
-    page.legend(
-        [
-            Line2D([], [], linestyle="", marker=".", color=_DOTS, label="single values"),
-            Line2D([], [], linestyle="", marker="o", color=IDENTIFIED, label="means, two standard errors"),
-            Line2D([], [], color=NOMINAL, label="trend, or jump"),
-        ]
-    )
+    dots = Line2D([], [], linestyle="", marker=".", color=_DOTS, label="single values")
+    means = Line2D([], [], linestyle="", marker="o", color=IDENTIFIED, label="means, two standard errors")
+    page.legend([dots, means, Line2D([], [], color=NOMINAL, label="trend, or jump")])
     return page.figure
 
 
@@ -376,17 +372,11 @@ def _lags(found: Symptoms) -> Figure:
     axes.axvspan(1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std), color=_POOLED, linewidth=0)
     axes.axvline(0.0, color=AXIS, linewidth=0.8)
     handles: list[Line2D | Patch] = []
+    against_encoder = [one.modes.rest[2][0] for one in shown]
     for label, delays, offset, color, marker, face in (
         ("camera against model", [one.sensors[0].delay for one in shown], 0.22, MEASURED, "o", "white"),
         ("encoder against model", [one.sensors[1].delay for one in shown], -0.22, TORQUE, "s", "white"),
-        (
-            "camera against encoder",
-            [one.modes.rest[2][0] for one in shown],
-            0.0,
-            IDENTIFIED,
-            "D",
-            IDENTIFIED,
-        ),
+        ("camera against encoder", against_encoder, 0.0, IDENTIFIED, "D", IDENTIFIED),
     ):
         look: Any = {"linestyle": "", "marker": marker, "color": color, "markerfacecolor": face}
         errors = [2e3 * delay.std for delay in delays]
