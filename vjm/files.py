@@ -52,9 +52,9 @@ def _plain(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
-def encoded(text: str) -> bytes:
+def _encoded(content: str | bytes) -> bytes:
     """Return text as UTF-8; of half a surrogate pair (from an undecodable file name), its JSON escape."""
-    return text.encode("utf-8", "backslashreplace")
+    return content if isinstance(content, bytes) else content.encode("utf-8", "backslashreplace")
 
 
 def write_text(path: Path | str, text: str) -> None:
@@ -70,13 +70,13 @@ def write_text(path: Path | str, text: str) -> None:
     """
     target = Path(path)
     if target.exists() and not target.is_file():
-        target.write_bytes(encoded(text))
+        target.write_bytes(_encoded(text))
         return
     target = Path(os.path.realpath(target))
     # A file made in a temporary folder has the usual permissions, which one from NamedTemporaryFile has not.
     with TemporaryDirectory(prefix=".vjm-", dir=target.parent) as stage:
         temporary = Path(stage) / target.name
-        temporary.write_bytes(encoded(text))
+        temporary.write_bytes(_encoded(text))
         if target.exists():
             shutil.copymode(target, temporary)
         os.replace(temporary, target)
@@ -112,7 +112,7 @@ def check_parent(path: Path) -> None:
         raise FolderError(path, f"the folder {parent} cannot be written to", "choose another place with -o")
 
 
-def write_folder(directory: Path | str, files: Mapping[str, bytes], outdated: Iterable[str] = ()) -> Path:
+def write_folder(directory: Path | str, files: Mapping[str, str | bytes], outdated: Iterable[str] = ()) -> Path:
     """Write several files into a folder; if anything fails, the folder is as it was before.
 
     Args:
@@ -143,11 +143,11 @@ def write_folder(directory: Path | str, files: Mapping[str, bytes], outdated: It
     return folder
 
 
-def _replace(folder: Path, stage: Path, files: Mapping[str, bytes], removed: Iterable[str]) -> None:
+def _replace(folder: Path, stage: Path, files: Mapping[str, str | bytes], removed: Iterable[str]) -> None:
     """Write the new files into `stage`, then swap them with the old ones; take every step back if one fails."""
     for name, content in files.items():
         (stage / "new" / name).parent.mkdir(parents=True, exist_ok=True)
-        (stage / "new" / name).write_bytes(content)
+        (stage / "new" / name).write_bytes(_encoded(content))
     with ExitStack() as undo:
         for name in (*removed, *files):
             target, old = folder / name, stage / "old" / name

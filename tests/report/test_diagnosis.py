@@ -34,11 +34,11 @@ from vjm.report import save as saving
 from vjm.report.figures import diagnosis as drawing
 from vjm.report.figures.diagnosis import _evidence, diagnosis_pictures
 from vjm.report.model_json import read_model
-from vjm.report.page import report_page
+from vjm.report.page import report_page, summary_page
 from vjm.report.result_json import result_object
 from vjm.report.save import save
-from vjm.report.tables import candidate_table, cause_table, diagnosed_table
-from vjm.report.text import carried_points, clause, differences_text, quantity, sizes_text
+from vjm.report.tables import candidate_table, cause_table
+from vjm.report.text import clause, quantity, sizes_text
 from vjm.report.verdict import alternative_points, verdict
 
 
@@ -149,20 +149,21 @@ def test_quantities_are_in_everyday_units() -> None:
     assert quantity(math.inf, None, "N m/rad") == "–"
     assert sizes_text(InPlaneGravity(), {"gx": 0.1, "gy": -1e-9}) == "gx 0.10, gy 0.00 m/s²"
     assert sizes_text(CameraScale(), {"scale": 1.008}) == "+0.80 %"
-    assert differences_text(CameraScale(), {"scale": 4e-4}) == "off by 0.040 %"
-    assert differences_text(TipPayload(), {"mass": 4e-4}) == "0.40 g"
+    assert sizes_text(CameraScale(), {"scale": 4e-4}, from_null=True) == "off by 0.040 %"
+    assert sizes_text(TipPayload(), {"mass": 4e-4}, from_null=True) == "0.40 g"
 
 
 def test_urdf_carries_what_it_can() -> None:
     found = pair()
-    points = carried_points(replace(found.model, effects=(FRICTION, *found.model.effects)))
+    model = replace(found.model, effects=(FRICTION, *found.model.effects))
+    points = summary_page(replace(found, model=model)).sections[-1].points
     assert points[0] == "model.urdf and model.json hold: coulomb friction (beam)."
     assert "Only model.json holds" in points[1]
     assert "time offset, marker offset (beam)" in points[1]
 
 
 def test_tables(diagnosis: Diagnosis) -> None:
-    for table in (cause_table(diagnosis), candidate_table(diagnosis), diagnosed_table(diagnosis)):
+    for table in (cause_table(diagnosis), candidate_table(diagnosis)):
         assert {len(row) for row in table.rows} <= {len(table.headers)}
     few = candidate_table(diagnosis, 4)
     assert len(few.rows) == 4

@@ -19,7 +19,6 @@ from vjm.model.urdf import chain_to_urdf
 from vjm.records import Estimate
 from vjm.report.result_json import (
     bending_stiffness,
-    model_result,
     result_object,
     urdf_result,
 )
@@ -99,7 +98,7 @@ def test_joint_errors_follow_from_correlated_link_parameters() -> None:
     fit = demo_fit()
     stds = np.array([estimate.std or 0.0 for estimate in fit.parameters])
     covariance = np.outer(stds, stds) * np.array([[1.0, -0.6], [-0.6, 1.0]])
-    joint = model_result(fit.model.chain, fit.parameters, covariance)["links"][0]["virtual_joints"][1]
+    joint = result_object(replace(fit, covariance=covariance))["model"]["links"][0]["virtual_joints"][1]
     means = [estimate.value for estimate in fit.parameters]
     drawn = np.random.default_rng(1).multivariate_normal(means, covariance, 200_000)
     cell = fit.model.chain.links[0].cells[1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -97,7 +97,7 @@ def _add_identification(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD, help=text)
     text = "number of virtual joints of each link (default: the experiment file's, else chosen from the data)"
-    command.add_argument("--virtual-joints", metavar="N", type=_positive, default=None, help=text)
+    command.add_argument("--virtual-joints", metavar="N", type=_at_least(1), default=None, help=text)
     text = (
         "uniform: one bending stiffness and Kelvin-Voigt time per link (default); joints: every joint's stiffness and "
         "damping; lengths: those and the virtual links' lengths; full: masses and inertias too"
@@ -111,30 +111,25 @@ def _add_diagnosis(command: argparse.ArgumentParser) -> None:
     text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
     command.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
     for option, metavar, kind, default, words in (
-        ("--max-effects", "M", _positive, DEFAULT_MAX_EFFECTS, "number of causes at most"),
-        ("--jobs", "J", _positive, DEFAULT_JOBS, "number of processes"),
-        ("--seed", "S", _not_negative, DEFAULT_SEED, "seed of all random numbers"),
+        ("--max-effects", "M", _at_least(1), DEFAULT_MAX_EFFECTS, "number of causes at most"),
+        ("--jobs", "J", _at_least(1), DEFAULT_JOBS, "number of processes"),
+        ("--seed", "S", _at_least(0), DEFAULT_SEED, "seed of all random numbers"),
     ):
         text = f"{words} (default: {default})"
         command.add_argument(option, metavar=metavar, type=kind, default=default, help=text)
 
 
-def _positive(text: str) -> int:
-    return _whole(text, 1)
+def _at_least(least: int) -> Callable[[str], int]:
+    def whole(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+        return value
 
-
-def _not_negative(text: str) -> int:
-    return _whole(text, 0)
-
-
-def _whole(text: str, least: int) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = least - 1
-    if value < least:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
-    return value
+    return whole
 
 
 def _names(text: str) -> tuple[str, ...]:

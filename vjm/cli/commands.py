@@ -20,7 +20,7 @@ from vjm.diagnosis import Diagnosis, diagnose
 from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
 from vjm.experiment import load_experiment
-from vjm.files import FolderError, check_folder, check_parent, encoded, json_text, write_folder, write_text
+from vjm.files import FolderError, check_folder, check_parent, json_text, write_folder, write_text
 from vjm.identification import Identification, identify
 from vjm.identification.check import check
 from vjm.identification.comparison import Comparison, compare
@@ -59,8 +59,13 @@ def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progr
     return result
 
 
+def _print(text: str) -> None:
+    """Print text as UTF-8, whatever the terminal; of half a surrogate pair its escape."""
+    sys.stdout.buffer.write(text.encode("utf-8", "backslashreplace"))
+
+
 def _print_json(result: Result) -> None:
-    sys.stdout.buffer.write(encoded(json_text(result)))
+    _print(json_text(result))
 
 
 def _run(arguments: argparse.Namespace, compute: Callable[[Progress], Saved]) -> None:
@@ -115,7 +120,7 @@ def _check(arguments: argparse.Namespace) -> None:
         found = check(load_experiment(arguments.experiment))
     result = result_object(found)
     if arguments.out is not None:
-        write_folder(arguments.out, {"result.json": encoded(json_text(result))})
+        write_folder(arguments.out, {"result.json": json_text(result)})
     if arguments.json:
         _print_json(result)
     elif not arguments.quiet:
@@ -141,7 +146,7 @@ def _urdf(arguments: argparse.Namespace) -> None:
     if arguments.json:
         _print_json(urdf_result(chain, text, None if file is None else str(file)))
     elif file is None:
-        sys.stdout.buffer.write(encoded(text))
+        _print(text)
     elif not arguments.quiet:
         print(f"{file}: {chain.size} joints, {len(chain.links)} flexible links")
 

@@ -16,20 +16,21 @@ from vjm.diagnosis.records import Diagnosis
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
+from vjm.records import RecordingComparison
 from vjm.report.figures.style import Picture
 from vjm.report.tables import (
     Table,
     candidate_table,
     cause_table,
-    diagnosed_table,
     mode_table,
     parameter_table,
     recording_table,
     remedy_table,
     whiteness_table,
 )
-from vjm.report.text import carried_points, counted, listed, millimetres, number
+from vjm.report.text import counted, listed, millimetres, named, number, place
 from vjm.report.verdict import Verdict, alternative_points, verdict
+from vjm.simulation.model import Model
 
 _TORQUE_METHOD = (
     "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
@@ -88,15 +89,15 @@ def summary_page(result: Check | Identification | Comparison | Diagnosis) -> Pag
         return _page(result, _Section("", (parameters, modes, fits)), _Section("Notes", points=notes))
     if isinstance(result, Comparison):
         table = recording_table(result.recordings, "given", "nominal")
-        return _page(result, _Section("", (table,)), _Section("", points=carried_points(result.model)))
+        return _page(result, _Section("", (table,)), _Section("", points=_carried_points(result.model)))
     if isinstance(result, Check):
         return _page(result)
-    tables = (candidate_table(result, 6), diagnosed_table(result))
+    tables = (candidate_table(result, 6), _diagnosed_table(result))
     return _page(
         result,
         _Section("Symptoms of the model without effects", points=_symptoms(result, 4)),
         _Section("", (cause_table(result), *tables) if result.causes else tables),
-        _Section("", points=carried_points(result.model)),
+        _Section("", points=_carried_points(result.model)),
     )
 
 
@@ -113,7 +114,7 @@ def report_page(result: Identification | Comparison | Diagnosis, pictures: Seque
         sections = _diagnosis_sections(result, pictures)
     else:
         table = recording_table(result.recordings, "given", "nominal")
-        points = carried_points(result.model)
+        points = _carried_points(result.model)
         sections = [_Section("Fit per recording", (table,), tuple(pictures)), _Section("Effects", points=points)]
     return _template().render(page=_page(result, *sections), vjm=version("vjm"), embedded=_embedded)
 
@@ -174,9 +175,9 @@ def _diagnosis_sections(diagnosis: Diagnosis, pictures: Sequence[Picture]) -> li
         _Section("Symptoms of the model without effects", pictures=wrong, points=symptoms),
         _Section("Causes", (cause_table(diagnosis),) if diagnosis.causes else (), evidence),
         _Section("Causes that cannot be distinguished", points=tuple(alternative_points(diagnosis))),
-        _Section("Gain" if diagnosis.causes else "Fit per recording", (diagnosed_table(diagnosis),), gained),
+        _Section("Gain" if diagnosis.causes else "Fit per recording", (_diagnosed_table(diagnosis),), gained),
         _Section("Candidates", (candidate_table(diagnosis),)),
-        _Section("Model", (parameters,), points=carried_points(diagnosis.model)),
+        _Section("Model", (parameters,), points=_carried_points(diagnosis.model)),
         _Section("Method", terms=(*noise, *(("Note", note) for note in diagnosis.notes)), text=_DIAGNOSIS_METHOD),
     ]
 
@@ -217,3 +218,26 @@ def _settings(fit: Identification) -> list[tuple[str, str]]:
         rows.append((f"Used from {data.recording.file}", text))
         rows.append((f"Noise in {data.recording.file}", f"angle, rate and acceleration of the worst joint: {values}"))
     return rows
+
+
+def _carried_points(model: Model) -> tuple[str, ...]:
+    """Return which effects the URDF carries and which only model.json has, a sentence each; none without effects."""
+    points = []
+    for carried, words in (
+        (True, "model.urdf and model.json hold"),
+        (False, "Only model.json holds, because URDF cannot express it"),
+    ):
+        chosen = [
+            (named(effect.id).lower(), place(effect, model)) for effect in model.effects if effect.in_urdf is carried
+        ]
+        names = [f"{name} ({where})" if where else name for name, where in chosen]
+        points += [f"{words}: {', '.join(names)}."] if names else []
+    return tuple(points)
+
+
+def _diagnosed_table(diagnosis: Diagnosis) -> Table:
+    """Return how closely each recording is followed without and with the causes, and with the next best explanation."""
+    if diagnosis.causes:
+        return recording_table(diagnosis.recordings, "with", "without", "next best")
+    alone = [RecordingComparison(item.recording, item.noise, item.reference) for item in diagnosis.recordings]
+    return recording_table(alone, "residual", "without")

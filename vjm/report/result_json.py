@@ -21,16 +21,12 @@ from vjm.simulation.model import Model
 
 Result = dict[str, Any]
 Uncertain = Any  # a float, or a ufloat of the package uncertainties
+_IDENTIFIABLE = ("identifiable", "reason", "remedy")  # fields of an Estimate
+_ESTIMATED = ("value", "std", "unit")
 
 
-def model_result(chain: Chain, estimates: Sequence[Estimate] = (), covariance: Array | None = None) -> Result:
-    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'.
-
-    Args:
-        chain: the model.
-        estimates: what was identified.
-        covariance: (p, p) of those with a standard error; None: uncorrelated.
-    """
+def _model(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
+    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'."""
     known = _uncertain(estimates, covariance)
     return {"links": [_link(link, known) for link in chain.links]}
 
@@ -45,7 +41,8 @@ def bending_stiffness(
 
     Args:
         link: the identified link.
-        estimates, covariance: as of `model_result`.
+        estimates: those with a standard error count.
+        covariance: (p, p) of those; None: uncorrelated.
     """
     bending = _bending_stiffness(link, _uncertain(estimates, covariance))
     return float(uncertainties.nominal_value(bending)), _std(bending)
@@ -135,28 +132,35 @@ def _plain(value: Any) -> Any:
 def _identification(fit: Identification) -> Result:
     summary = fit.trajectory
     misfit = {"torque": fit.objective, "trajectory_chi2_per_sample": summary.chi2_per_sample if summary else None}
+    # None for a recording that whole trajectories were not fitted to
+    whiteness = {
+        test.file: {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation, "coloured": test.coloured}
+        for test in reversed(fit.whiteness)
+    }
     frequencies = [(mode.frequency_model, mode.frequency_measured, mode.frequency_std) for mode in fit.modes]
     return {
         "notes": fit.notes,
         "method": fit.method,
         "parameters": fit.parametrisation,
-        "model": model_result(fit.model.chain, fit.parameters, fit.covariance),
+        "model": _model(fit.model.chain, fit.parameters, fit.covariance),
         "frequencies_hz": [dict(zip(("model", "measured", "measured_std"), row, strict=True)) for row in frequencies],
         "damping_ratios": [{"model": mode.damping_model, "measured": mode.damping_measured} for mode in fit.modes],
         "mode_shape_mac": [mode.mac for mode in fit.modes],
         "objective": misfit,
-        "recordings": [{**_recording(item), "whiteness": _whiteness(fit, item)} for item in fit.recordings],
+        "recordings": [
+            {**_recording(item), "whiteness": whiteness.get(item.recording.file)} for item in fit.recordings
+        ],
         "status": fit.status,
         "remedy": fit.remedy,
-        "identifiable": _identifiable(fit.parameters),
-        "estimates": _estimates(fit.parameters),
+        "identifiable": _estimates(fit.parameters, *_IDENTIFIABLE),
+        "estimates": _estimates(fit.parameters, *_ESTIMATED),
     }
 
 
 def _comparison(comparison: Comparison) -> Result:
     model = comparison.model
     return {
-        "model": model_result(model.chain, model.estimates, comparison.covariance),
+        "model": _model(model.chain, model.estimates, comparison.covariance),
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in model.modes().frequencies],
         "effects": [{**_place(effect, model), "parameters": effect.values} for effect in model.effects],
         "recordings": [_recording(item) for item in comparison.recordings],
@@ -181,22 +185,7 @@ def _rms(simulated: SimulatedRecording | None) -> float | None:
     return simulated.marker_rms if simulated else None
 
 
-def _whiteness(fit: Identification, item: RecordingComparison) -> Result | None:
-    """Return whether a recording's residual is noise; None for one that whole trajectories were not fitted to."""
-    for test in fit.whiteness:
-        if test.file == item.recording.file:
-            numbers = {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation}
-            return {**numbers, "coloured": bool(test.coloured)}
-    return None
-
-
-def _identifiable(estimates: Sequence[Estimate]) -> list[Result]:
-    names = ("identifiable", "reason", "remedy")
-    return [{"parameter": item.name, **{name: getattr(item, name) for name in names}} for item in estimates]
-
-
-def _estimates(estimates: Sequence[Estimate]) -> list[Result]:
-    names = ("value", "std", "unit")
+def _estimates(estimates: Sequence[Estimate], *names: str) -> list[Result]:
     return [{"parameter": item.name, **{name: getattr(item, name) for name in names}} for item in estimates]
 
 
@@ -212,7 +201,7 @@ def _check(check: Check) -> Result:
         "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in check.modes],
         "recordings": recordings,
-        "identifiable": {kind: _identifiable(estimates) for kind, estimates in check.identifiable.items()},
+        "identifiable": {kind: _estimates(estimates, *_IDENTIFIABLE) for kind, estimates in check.identifiable.items()},
     }
 
 
@@ -247,8 +236,8 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
         "next_experiment": diagnosis.next_experiment,
         "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
         "noise": diagnosis.noise,
-        "model": model_result(model.chain, diagnosis.parameters),
-        "estimates": _estimates(diagnosis.parameters),
+        "model": _model(model.chain, diagnosis.parameters),
+        "estimates": _estimates(diagnosis.parameters, *_ESTIMATED),
     }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from vjm.diagnosis.records import Diagnosis
-from vjm.files import check_folder, encoded, json_text, write_folder
+from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
 from vjm.report.figures import diagnosis as diagnosis_figures
@@ -50,5 +50,4 @@ def save(result: Identification | Comparison | Diagnosis, directory: Path | str)
         "result.json": json_text(result_object(result)),  # last: it describes the others
     }
     images = {f"figures/{picture.name}.png": picture.png for picture in pictures}
-    files = images | {name: encoded(text) for name, text in texts.items()}
-    return write_folder(folder, files, [f"figures/{name}.png" for name in _PICTURES])
+    return write_folder(folder, {**images, **texts}, [f"figures/{name}.png" for name in _PICTURES])

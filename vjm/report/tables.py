@@ -14,7 +14,6 @@ from vjm.records import Estimate, RecordingComparison
 from vjm.report.text import (
     UNKNOWN,
     counted,
-    differences_text,
     interval,
     millimetres,
     named,
@@ -160,30 +159,16 @@ def recording_table(
             number(theta, 2),
         )
         rows.append(row)
-        notes.append("; ".join(_remarks(item)))
+        remarks = [f"not simulated: {item.problem}"] if simulated is None else []
+        if simulated is not None and simulated.status != "converged":
+            remarks.append("the search for the initial state has not converged: the residual may be too large")
+        if simulated is not None and item.left_out:
+            remarks.append(f"{counted(item.left_out, 'marker coordinate')} left out")
+        notes.append("; ".join(remarks))
     numbers = (reference, alternative, model, "noise", f"{model} / noise", "encoder [mrad]")
     caption = "Fit per recording: RMS marker residual of an open-loop simulation"
     table = Table(caption, ("recording", "role", "kind", *numbers), tuple(rows), words=3, notes=tuple(notes))
     return table.without_empty(reference, alternative, "encoder [mrad]")
-
-
-def _remarks(comparison: RecordingComparison) -> list[str]:
-    if comparison.simulated is None:
-        return [f"not simulated: {comparison.problem}"]
-    remarks = []
-    if comparison.simulated.status != "converged":
-        remarks.append("the search for the initial state has not converged: the residual may be too large")
-    if comparison.left_out:
-        remarks.append(f"{counted(comparison.left_out, 'marker coordinate')} left out")
-    return remarks
-
-
-def diagnosed_table(diagnosis: Diagnosis) -> Table:
-    """Return how closely each recording is followed without and with the causes, and with the next best explanation."""
-    if diagnosis.causes:
-        return recording_table(diagnosis.recordings, "with", "without", "next best")
-    alone = [RecordingComparison(item.recording, item.noise, item.reference) for item in diagnosis.recordings]
-    return recording_table(alone, "residual", "without")
 
 
 def cause_table(diagnosis: Diagnosis) -> Table:
@@ -220,7 +205,7 @@ def candidate_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
             number(candidate.z, 3),
             probability(candidate.p_value) if candidate.testable else UNKNOWN,
             sizes_text(effect, candidate.sizes),
-            differences_text(effect, candidate.smallest_detectable),
+            sizes_text(effect, candidate.smallest_detectable, from_null=True),
         )
         rows.append(row)
     headers = ("candidate", "where", "", "z", "p, whole search", "size, by itself", "smallest detectable")

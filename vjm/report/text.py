@@ -170,31 +170,21 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = 
     return f"{effect.description or effect.id}{where}{': ' if values else ''}{values}"
 
 
-def sizes_text(effect: Effect, sizes: Mapping[str, float]) -> str:
+def sizes_text(effect: Effect, sizes: Mapping[str, float], from_null: bool = False) -> str:
     """Return sizes of an effect's parameters, without errors: `13 g`, or `gx 0.10, gy 0.02 m/s²`.
 
-    A dimensionless parameter whose null is not zero, such as a scale, is told by the difference: `+0.04 %`.
+    A dimensionless parameter whose null is not zero, such as a scale, is told by the difference: `+0.04 %`, or
+    `off by 0.04 %` where `sizes` are themselves differences `from_null`.
     """
-    scale = _scale(effect, sizes)
-    if scale is None or not math.isfinite(scale[1]):
-        return _together(effect, sizes)
-    difference = scale[1] - scale[0]
-    return f"{'+' if difference >= 0 else '-'}{number(100 * abs(difference), 2)} %"
-
-
-def differences_text(effect: Effect, sizes: Mapping[str, float]) -> str:
-    """Return sizes that are given as differences from the null: `0.40 g`, or `off by 0.04 %` if that is not zero."""
-    scale = _scale(effect, sizes)
-    return _together(effect, sizes) if scale is None else f"off by {number(100 * scale[1], 2)} %"
-
-
-def _scale(effect: Effect, sizes: Mapping[str, float]) -> tuple[float, float] | None:
-    """Return null and size of an effect's only size if it is a dimensionless one whose null is not zero."""
     for parameter in effect.parameters():
-        off = bool(parameter.null) and math.isfinite(parameter.null)
-        if off and not parameter.unit and list(sizes) == [parameter.name]:
-            return parameter.null, sizes[parameter.name]
-    return None
+        scale = bool(parameter.null) and math.isfinite(parameter.null) and not parameter.unit
+        if scale and list(sizes) == [parameter.name]:
+            size = sizes[parameter.name]
+            if from_null:
+                return f"off by {number(100 * size, 2)} %"
+            if math.isfinite(size):
+                return f"{'+' if size >= parameter.null else '-'}{number(100 * abs(size - parameter.null), 2)} %"
+    return _together(effect, sizes)
 
 
 def _together(effect: Effect, sizes: Mapping[str, float]) -> str:
@@ -208,20 +198,3 @@ def _together(effect: Effect, sizes: Mapping[str, float]) -> str:
         return f"{', '.join(values)} {name}".rstrip()
     texts = [(name, quantity(value, None, units.get(name, ""))) for name, value in sizes.items()]
     return texts[0][1] if len(texts) == 1 else ", ".join(f"{name} {text}" for name, text in texts) or UNKNOWN
-
-
-def carried_points(model: Model) -> tuple[str, ...]:
-    """Return which effects the URDF carries and which only model.json has, a sentence each; none without effects."""
-    points = []
-    for carried, words in (
-        (True, "model.urdf and model.json hold"),
-        (False, "Only model.json holds, because URDF cannot express it"),
-    ):
-        chosen = [effect for effect in model.effects if effect.in_urdf is carried]
-        names = [f"{named(effect.id).lower()}{_at(effect, model)}" for effect in chosen]
-        points += [f"{words}: {', '.join(names)}."] if names else []
-    return tuple(points)
-
-
-def _at(effect: Effect, model: Model) -> str:
-    return f" ({place(effect, model)})" if effect.link is not None else ""

@@ -16,16 +16,17 @@ from vjm.report.text import (
     capital,
     clause,
     counted,
-    differences_text,
     listed,
     millimetres,
     named,
     number,
     probability,
     short,
+    sizes_text,
     unit,
     with_error,
 )
+from vjm.simulation.model import Model
 
 _MOST_NAMED = 3  # of a list in a sentence; the tables have all
 Grade = Literal["good", "fair", "poor"]
@@ -93,22 +94,18 @@ def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     """Return a sentence on each of the worst held-out recordings, then one on the worst of the others."""
     points = []
     for role, words, most in (("holdout", "held out", _MOST_NAMED), ("train", "train", 1)):
-        group = [item for item in comparisons if item.simulated is not None and item.recording.role == role]
-        alone = len(group) == 1 or role == "holdout"
-        for item in sorted(group, key=_ratio, reverse=True)[:most]:
-            points.append(_recording_point(item, words if alone else f"worst of {words}"))
+        group = sorted((item for item in comparisons if item.recording.role == role), key=_ratio, reverse=True)
+        shown = [(item, item.simulated) for item in group if item.simulated is not None]
+        name = words if len(shown) == 1 or role == "holdout" else f"worst of {words}"
+        for item, simulated in shown[:most]:
+            recording = item.recording
+            duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
+            others = [("torque method", item.alternative), ("nominal values", item.reference)]
+            beside = ", ".join(f"{other}: {millimetres(sim.marker_rms)}" for other, sim in others if sim is not None)
+            rms = f"{millimetres(simulated.marker_rms)} RMS over its whole {duration}, open loop"
+            text = f"{short(recording.file)} ({name}): {rms}{f' ({beside})' if beside else ''}"
+            points.append(f"{text}; the camera's noise is {millimetres(item.noise[0])}.")
     return points
-
-
-def _recording_point(comparison: RecordingComparison, words: str) -> str:
-    recording = comparison.recording
-    rms = millimetres(comparison.simulated.marker_rms if comparison.simulated else None)
-    duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
-    others = [("torque method", comparison.alternative), ("nominal values", comparison.reference)]
-    beside = [f"{name}: {millimetres(other.marker_rms)}" for name, other in others if other is not None]
-    text = f"{short(recording.file)} ({words}): {rms} RMS over its whole {duration}, open loop"
-    text += f" ({', '.join(beside)})" if beside else ""
-    return f"{text}; the camera's noise is {millimetres(comparison.noise[0])}."
 
 
 def _stiffness_points(fit: Identification) -> list[str]:
@@ -159,14 +156,8 @@ def _share(estimates: Sequence[Estimate]) -> str:
 
 
 def _diagnosis_verdict(diagnosis: Diagnosis) -> Verdict:
-    headline, grade = {
-        "none": (_none_headline, "good"),
-        "named": (_named_headline, "good"),
-        "set": (_set_headline, "fair"),
-        "unknown": (_unknown_headline, "poor"),
-        "insufficient": (_insufficient_headline, "poor"),
-    }[diagnosis.verdict]
-    points = [_cause_point(cause) for cause in diagnosis.causes] + _gain_points(diagnosis) + _residual_points(diagnosis)
+    headline, grade = _diagnosis_headline(diagnosis)
+    points = _cause_points(diagnosis) + _gain_points(diagnosis) + _residual_points(diagnosis)
     if diagnosis.verdict == "none":
         more = _detectable(diagnosis)[2 : 2 + _MOST_NAMED]
         points += [f"Also, {listed(more)} would have been detected."] if more else []
@@ -176,14 +167,42 @@ def _diagnosis_verdict(diagnosis: Diagnosis) -> Verdict:
         points += [f"Significant by their p-values, but too small to matter: {listed(names)}."] if names else []
     if diagnosis.verdict != "insufficient":
         points += _next_point(diagnosis)
-    return Verdict(headline(diagnosis), grade, tuple(points))  # type: ignore[arg-type]
+    return Verdict(headline, grade, tuple(points))
 
 
-def _none_headline(diagnosis: Diagnosis) -> str:
-    testable = sum(candidate.testable for candidate in diagnosis.candidates)
-    small = _detectable(diagnosis)[:2]
-    as_small = f", and an effect as small as {' or '.join(small)} would have been detected" if small else ""
-    return f"Nothing is missing: none of the {counted(testable, 'candidate')} is needed{as_small}."
+def _diagnosis_headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
+    kind, gain = diagnosis.verdict, diagnosis.gain
+    if kind == "none":
+        testable = sum(candidate.testable for candidate in diagnosis.candidates)
+        small = _detectable(diagnosis)[:2]
+        as_small = f", and an effect as small as {' or '.join(small)} would have been detected" if small else ""
+        return f"Nothing is missing: none of the {counted(testable, 'candidate')} is needed{as_small}.", "good"
+    if kind == "insufficient":
+        why = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "they show too little"
+        return f"These recordings cannot support a diagnosis: {why}.", "poor"
+    causes = "; and ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in diagnosis.causes)
+    if kind == "named":
+        return f"{capital(causes)}. {_improvement(diagnosis)}".rstrip(), "good"
+    if kind == "set":
+        choices = "; and ".join(_choice(cause, diagnosis.model) for cause in diagnosis.causes)
+        text = f"{capital(choices)}: these recordings cannot distinguish them. {_improvement(diagnosis)}"
+        return text.rstrip(), "fair"
+    description = diagnosis.remaining.description.rstrip(".")
+    ending = f": {description}" if description else ""
+    # Causes lead where what they leave unexplained is about as large as the noise.
+    if diagnosis.causes and gain is not None and gain.after < 1.5 * gain.noise:
+        return f"{capital(causes)}, and something more that no candidate explains{ending}.", "poor"
+    part = f" A part of it looks like this: {causes}." if diagnosis.causes else ""
+    return f"Something is missing that no candidate explains{ending}.{part}", "poor"
+
+
+def _choice(cause: Cause, model: Model) -> str:
+    """Return a cause and what cannot be told from it: `either A, or B`."""
+    own = clause(cause.effect, model, cause.parameters)
+    others = [clause(item.effect, model) for item in cause.alternatives[:2]]
+    more = len(cause.alternatives) - len(others)
+    others += [f"{counted(more, 'other')} (see below)"] if more else []
+    return f"either {own}, or {', or '.join(others)}" if others else own
 
 
 def _detectable(diagnosis: Diagnosis) -> list[str]:
@@ -192,19 +211,11 @@ def _detectable(diagnosis: Diagnosis) -> list[str]:
     for candidate in sorted(diagnosis.candidates, key=lambda candidate: not candidate.effect.common):
         if candidate.testable and len(candidate.smallest_detectable) == 1:
             chosen.setdefault(candidate.effect.id.replace("_", " "), candidate)
-    sizes = {words: differences_text(item.effect, item.smallest_detectable) for words, item in chosen.items()}
+    sizes = {words: sizes_text(item.effect, item.smallest_detectable, from_null=True) for words, item in chosen.items()}
     return [
         f"{'an' if words[0] in 'aeiou' else 'a'} {words} {'' if size.startswith('off') else 'of '}{size}"
         for words, size in sizes.items()
     ]
-
-
-def _named_headline(diagnosis: Diagnosis) -> str:
-    return f"{capital(_clauses(diagnosis))}. {_improvement(diagnosis)}".rstrip()
-
-
-def _clauses(diagnosis: Diagnosis) -> str:
-    return "; and ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in diagnosis.causes)
 
 
 def _improvement(diagnosis: Diagnosis) -> str:
@@ -217,37 +228,13 @@ def _improvement(diagnosis: Diagnosis) -> str:
     return f"{with_them} the held-out error {change} to {millimetres(gain.after)} (noise {millimetres(gain.noise)})."
 
 
-def _set_headline(diagnosis: Diagnosis) -> str:
-    parts = []
+def _cause_points(diagnosis: Diagnosis) -> list[str]:
+    points = []
     for cause in diagnosis.causes:
-        own = clause(cause.effect, diagnosis.model, cause.parameters)
-        others = [clause(item.effect, diagnosis.model) for item in cause.alternatives[:2]]
-        more = len(cause.alternatives) - len(others)
-        others += [f"{counted(more, 'other')} (see below)"] if more else []
-        parts.append(f"either {own}, or {', or '.join(others)}" if others else own)
-    both = capital("; and ".join(parts))
-    return f"{both}: these recordings cannot distinguish them. {_improvement(diagnosis)}".rstrip()
-
-
-def _unknown_headline(diagnosis: Diagnosis) -> str:
-    description, gain = diagnosis.remaining.description.rstrip("."), diagnosis.gain
-    ending = f": {description}" if description else ""
-    # Causes lead where what they leave unexplained is about as large as the noise.
-    if diagnosis.causes and gain is not None and gain.after < 1.5 * gain.noise:
-        return f"{capital(_clauses(diagnosis))}, and something more that no candidate explains{ending}."
-    part = f" A part of it looks like this: {_clauses(diagnosis)}." if diagnosis.causes else ""
-    return f"Something is missing that no candidate explains{ending}.{part}"
-
-
-def _insufficient_headline(diagnosis: Diagnosis) -> str:
-    why = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "they show too little"
-    return f"These recordings cannot support a diagnosis: {why}."
-
-
-def _cause_point(cause: Cause) -> str:
-    evidence = f": {cause.evidence.rstrip('.')}" if cause.evidence else ""
-    chance = f"the probability that noise alone makes any candidate look as necessary is {probability(cause.p_value)}"
-    return f"{named(cause.effect.id)}{evidence}; {chance}."
+        evidence = f": {cause.evidence.rstrip('.')}" if cause.evidence else ""
+        chance = f"noise alone makes any candidate look as necessary is {probability(cause.p_value)}"
+        points.append(f"{named(cause.effect.id)}{evidence}; the probability that {chance}.")
+    return points
 
 
 def _gain_points(diagnosis: Diagnosis) -> list[str]:
