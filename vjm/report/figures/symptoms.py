@@ -1,4 +1,4 @@
-"""The pictures of what is wrong, before any cause is named."""
+"""Pictures of the symptoms: what is wrong, before any cause is named."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ from vjm.report.text import number, short
 
 # Every file name that these pictures may have.
 NAMES = tuple(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet"))
-_MOST_ROWS, _MOST_MODES, _MOST_SHOWN = 24, 3, 3
-_MEASURED: Any = {"color": "#bdbdbd", "linewidth": 4.0, "solid_capstyle": "round"}
-_WINDOW, _DOTS, _POOLED = "#fbe3c8", "#cfcfcf", "#c9d6e6"
+_MOST_ROWS = 24  # recordings on a page: more could not be read
+_DOTS, _POOLED = "#cfcfcf", "#c9d6e6"
 _UNITS = {"m": (1e3, "mm"), "rad": (float(np.degrees(1.0)), "deg"), "N m": (1e3, "mN m")}
 
 
@@ -89,7 +88,7 @@ def _worst(found: Symptoms) -> list[RecordingSymptoms]:
     for one in moving:
         recording = one.simulated.recording
         kept.setdefault(recording.repeat or f"file {recording.file}", one)
-    return list(kept.values())[:_MOST_SHOWN]
+    return list(kept.values())[:3]
 
 
 @styled
@@ -120,7 +119,7 @@ def _overview(found: Symptoms) -> Figure:
 def _modes(found: Symptoms) -> Figure:
     """Draw frequency, damping, amplitude and phase of every mode and recording, measured against simulated."""
     rows = [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]
-    modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:_MOST_MODES]
+    modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
     nothing = "Frequency, damping, amplitude and phase of all modes are as simulated"
     kinds = ("frequency", "damping", "amplitude", "phase", "rest_amplitude", "rest_delay")
     page = _page(found, kinds, nothing, [(0.8 + 0.28 * max(len(rows), 2), 1)])
@@ -200,7 +199,7 @@ def _free_motion(found: Symptoms) -> dict[int, dict[str, list[FreeMotion]]]:
             if all(other[0].unit == free.unit for other in groups.values()):
                 groups.setdefault(free.condition, []).append(free)
     counts = {mode: sum(f.time.size for own in groups.values() for f in own) for mode, groups in modes.items()}
-    kept = sorted(sorted(modes, key=lambda mode: -counts[mode])[:_MOST_MODES])
+    kept = sorted(sorted(modes, key=lambda mode: -counts[mode])[:3])
     return {mode: modes[mode] for mode in kept}
 
 
