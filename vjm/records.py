@@ -125,7 +125,7 @@ class SimulatedResult(Result):
             ChoiceError: a recording that is not among the result's.
             InsufficientDataError: nothing that could be simulated.
         """
-        from vjm.report.figures.plots import plot_fit
+        from vjm.report.figures.panels import plot_fit
 
         return plot_fit(self.experiment.rig, self.recordings, recording, ax)
 
@@ -134,7 +134,7 @@ class SimulatedResult(Result):
 
         Arguments, axes and errors are those of `plot_fit`.
         """
-        from vjm.report.figures.plots import plot_residuals
+        from vjm.report.figures.panels import plot_residuals
 
         return plot_residuals(self.experiment.rig, self.recordings, recording, ax)
 
