@@ -83,17 +83,17 @@ def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]
     own = screened.R[:, screened.parts[0]] @ size  # what the cause does to the residuals
     power = float(own @ own)
     guesses: dict[int, Array]
-    diverges_from_data, guesses = np.full(len(screened.effects), np.inf), {}
+    remaining_chi2, guesses = np.full(len(screened.effects), np.inf), {}
     for k in range(1, len(screened.effects)):
         columns = screened.R[:, screened.parts[k]]
         if screened.absorbed[k] or not np.isfinite(columns).all():
             continue
         guess = np.asarray(np.linalg.lstsq(columns, own, rcond=1e-10)[0])
         guesses[k] = guess
-        diverges_from_data[k] = power - float(np.sum((columns @ guess) ** 2))
+        remaining_chi2[k] = power - float(np.sum((columns @ guess) ** 2))
     # A linear guess is the worse the larger the effect.
-    close = [k for k in range(1, len(screened.effects)) if diverges_from_data[k] < _NEAR * tolerance + 0.02 * power]
-    chosen = screened.first_of_each(sorted(close, key=lambda k: float(diverges_from_data[k])))[:_MOST]
+    close = [k for k in range(1, len(screened.effects)) if remaining_chi2[k] < _NEAR * tolerance + 0.02 * power]
+    chosen = screened.first_of_each(sorted(close, key=lambda k: float(remaining_chi2[k])))[:_MOST]
     return {k: guesses[k] for k in chosen}
 
 

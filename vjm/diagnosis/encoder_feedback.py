@@ -113,10 +113,10 @@ def simulate_open_loop(
         return fit_initial_states(arms, observed, states, step_multiple)
     known = [True] * len(observed)
     if states is None:
-        search_start = fit_initial_states(
+        initial_fits = fit_initial_states(
             arms, [_guided(each, _nominal(candidate_fit)) for each in observed], step_multiple=step_multiple
         )
-        states, known = [run.state for run, _ in search_start], [found for _, found in search_start]
+        states, known = [run.state for run, _ in initial_fits], [found for _, found in initial_fits]
     return [
         (run, found)
         for (run, _), found in zip(fit_initial_states(arms, observed, states, step_multiple, _FEW), known, strict=True)

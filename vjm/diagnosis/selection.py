@@ -116,31 +116,28 @@ class Search:
         search_start = replace(self.search_start, start=start, diverges_from_data=False)
         return Search(self.rig, search_start, self.effects, self.rules, self.tell, self.workers)
 
-    def run(
-        self, search_start: SearchResult, ended: Callable[[SearchResult], bool] = lambda found: False
-    ) -> SearchResult:
+    def run(self, so_far: SearchResult, ended: Callable[[SearchResult], bool] = lambda found: False) -> SearchResult:
         """Add effects while they are needed.
 
         Args:
-            search_start: where to go on.
+            so_far: where to go on.
             ended: whether the search should go no further.
         """
-        best, family, p_values = search_start.best, search_start.last, dict(search_start.p_values)
-        found = search_start
+        best, family, p_values = so_far.best, so_far.last, dict(so_far.p_values)
+        found = so_far
         while len(best.effects) < self.rules.most + len(self.start.effects) and not ended(found):
             needed = self.needed(best, family)
             if not needed:
                 break
-            trial = self._best_addition(best, search_start.first, family, needed)
+            trial = self._best_addition(best, so_far.first, family, needed)
             if trial is None or not self._worth(best, trial):
                 break
             best = self.trials.correct_discretization(self.trials.converge(self._without_idle(trial)))
             p_values |= {
-                key: min(_p_value(each, key) for each in (family, search_start.first))
-                for key in best.names - p_values.keys()
+                key: min(_p_value(each, key) for each in (family, so_far.first)) for key in best.names - p_values.keys()
             }
             family = self.screen(best)
-            found = SearchResult(best, search_start.first, family, p_values)
+            found = SearchResult(best, so_far.first, family, p_values)
         return found
 
     def _best_addition(
@@ -163,9 +160,9 @@ class Search:
         smooth, nonsmooth = self._apart(family, first, best, steps)
         if self.trials.linearization_point(best) is not best or best.uses_feedback:
             smooth, nonsmooth = steps, []  # over first periods only, or with feedback, nothing takes long
-        self.successive_halving(best, family, first, smooth)
+        self.refit_candidates(best, family, first, smooth)
         if not self.trials.explained(len(best.effects) + 1):
-            self.successive_halving(best, family, first, nonsmooth)
+            self.refit_candidates(best, family, first, nonsmooth)
         return self.trials.best(len(best.effects) + 1)
 
     def screen(self, candidate_fit: CandidateFit) -> FamilyTest:
@@ -204,7 +201,7 @@ class Search:
                 )
         return least
 
-    def successive_halving(
+    def refit_candidates(
         self, best: CandidateFit, family: FamilyTest, first: FamilyTest, steps: Sequence[Step]
     ) -> None:
         """Refit models, giving up those that will not come near the best."""
@@ -251,7 +248,7 @@ class Search:
 
     def needed(self, best: CandidateFit, family: FamilyTest) -> list[int]:
         """Return candidates that are needed beside a model, one variant each, the most needed first."""
-        screened, least, diverges_from_data = (
+        screened, least, unreliable = (
             family.screen,
             self.least_decrease(best),
             self.trials.screen_unreliable(best),
@@ -259,7 +256,7 @@ class Search:
         needed = screened.one_each(
             k
             for k in range(len(screened.effects))
-            if (diverges_from_data and not screened.absorbed[k])
+            if (unreliable and not screened.absorbed[k])
             or (family.p_values[k] < self.rules.alpha and screened.statistics[k] > least)
         )
         if best is self.start:
@@ -310,7 +307,7 @@ def _p_value(family: FamilyTest, key: Key) -> float:
     return min((p for effect, p in found if effect.key == key), default=1.0)
 
 
-def select_effects(search: Search, search_start: SearchResult) -> tuple[Search, SearchResult]:
+def select_effects(search: Search, so_far: SearchResult) -> tuple[Search, SearchResult]:
     """Add effects while they are needed, fitted open loop as far as that is a guide.
 
     A joint that sticks a moment too early is off for good, so that open-loop fits of stick-slip are lost among local
@@ -318,14 +315,14 @@ def select_effects(search: Search, search_start: SearchResult) -> tuple[Search, 
 
     Args:
         search: open loop.
-        search_start: what it has found so far.
+        so_far: what it has found so far.
 
     Returns:
         The search that found the best model, and its result.
     """
     if not feedback_possible(search.start):
-        return search, search.run(search_start)
-    found, asked = search_start, set[Names]()
+        return search, search.run(so_far)
+    found, asked = so_far, set[Names]()
     while True:
         found = search.run(found, lambda each: each.best.names not in asked and _may_stick(search, each))
         if found.best.names in asked or not _may_stick(search, found):
