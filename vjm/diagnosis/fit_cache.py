@@ -1,4 +1,4 @@
-"""Fits of candidate models: begun, compared and finished by successive halving, and kept for later questions.
+"""Fits of candidate models: begun, compared and finished in two stages, and kept for later questions.
 
 Many refits are begun and few are finished: those that will not come near the best are given up early (successive
 halving: Jamieson and Talwalkar, AISTATS 2016). All fits share what is known of the chain's discretization error.
