@@ -30,7 +30,7 @@ def main() -> None:
     )
     header(f"torque errors of {SAMPLES:,} samples, n = {JOINTS}")
     line("pin.rneaInParallel, median", 1e3 * float(np.median(times["bare"])), "ms")
-    line("vjm.torque.torque_errors, median", 1e3 * float(np.median(times["vjm"])), "ms")
+    line("vjm.model.torque.torque_errors, median", 1e3 * float(np.median(times["vjm"])), "ms")
     line("ratio, median over rounds", float(np.median(times["vjm"] / times["bare"])), "", 1.3)
 
 

@@ -179,8 +179,9 @@ def test_the_report_neither_simulates_nor_fits() -> None:
 
 def test_a_simulation_in_the_report_is_found(tmp_path: Path) -> None:
     module = tmp_path / "page.py"
-    module.write_text("from vjm.simulation.run import run_all\ndef f(model, recording):\n    model.replay(recording)\n")
-    assert simulating(module, tmp_path) == ["page.py:1 imports vjm.simulation.run.run_all", "page.py:3 calls replay"]
+    name = "simulate_runs"
+    module.write_text(f"from vjm.simulation.run import {name}\ndef f(model, recording):\n    model.replay(recording)\n")
+    assert simulating(module, tmp_path) == [f"page.py:1 imports vjm.simulation.run.{name}", "page.py:3 calls replay"]
 
 
 def named_effects(path: Path, package: Path = PACKAGE) -> list[str]:
