@@ -46,7 +46,7 @@ REPORT_READS = {
     "vjm.simulation.measurement.MarkerArcs",
     "vjm.identification.check.Check",
     "vjm.identification.comparison.Comparison",
-    "vjm.identification.uncertainty.Whiteness",
+    "vjm.identification.training_data.PreparedRecording",
 }
 
 # Where each heavy library may be imported; a folder stands for all that is in it.

@@ -17,12 +17,11 @@ from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
 from tests.identification.test_recovery import SHARED, chain_recordings, demo
 from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
 from vjm.identification import Identification, identify
-from vjm.identification.measured_modes import _modal_assurance, _model_shapes
+from vjm.identification.comparison import _modal_assurance, _model_shapes
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.resampling import Resampled, _resampled
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
 from vjm.identification.trajectory_method import _largest_step_multiple
-from vjm.identification.uncertainty import trajectory_information
+from vjm.identification.uncertainty import Resampled, _resampled, trajectory_information
 from vjm.records import Experiment, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations

@@ -16,12 +16,11 @@ from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.records import Identification, ModeComparison, TorqueData
+from vjm.identification.records import Identification, ModeComparison, Whiteness
+from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
-from vjm.identification.uncertainty import Whiteness
 from vjm.markers.angles import ShapeSettings, estimate_angles
 from vjm.markers.smoothing import Smoother
-from vjm.model.torque import torque_errors
 from vjm.records import Estimate, RecordingComparison, SimulatedRecording
 from vjm.report.figures.identification import identification_pictures
 from vjm.report.figures.style import Picture
@@ -53,7 +52,7 @@ def with_rms(simulated: SimulatedRecording, rms: float) -> SimulatedRecording:
 
 
 def _first_state(model: Model, recording: Recording) -> tuple[Array, Array]:
-    data = _torque_data(model, model, recording)
+    data = _prepared(model, recording)
     at = int(np.argmin(np.abs(data.derivatives.time - recording.time[0])))
     return data.derivatives.value[at], data.derivatives.rate[at]
 
@@ -62,19 +61,14 @@ def _shape(rig: Rig) -> ShapeSettings:
     return ShapeSettings("cantilever", tuple(min(3, max(1, len(link.markers) - 2)) for link in rig.links))
 
 
-def _torque_data(model: Model, nominal: Model, recording: Recording) -> TorqueData:
+def _prepared(model: Model, recording: Recording) -> PreparedRecording:
     rig = model.rig
     cuts = [Layout(link.lengths, link.cells, link.distal) for link in model.chain.links]
     angles = estimate_angles(rig, cuts, recording, _shape(rig), model.marker_noise, model.encoder_noise)
     rows = np.isfinite(angles.q).all(axis=1)
-    derivatives = Smoother.of(angles.time[rows]).derivatives(angles.q[rows], angles.covariance)
-    torque = angles.torque[rows]
-    state = (derivatives.value, derivatives.rate, derivatives.acceleration, torque)
-    before, after = (
-        torque_errors(each.chain, *state, payload=recording.payload, gravity=recording.gravity)
-        for each in (nominal, model)
-    )
-    return TorqueData(recording, angles, derivatives, torque, before, after)
+    smoother = Smoother.of(angles.time[rows])
+    derivatives = smoother.derivatives(angles.q[rows], angles.covariance)
+    return PreparedRecording(recording, angles, derivatives, angles.torque[rows], smoother, np.eye(model.chain.size))
 
 
 def make_fit(
@@ -115,7 +109,7 @@ def make_fit(
         objective_nominal=2.3e-2,
         trajectory=None if before is None else _trajectory(model, train),
         whiteness=() if before is None else _whiteness(train),
-        torque_data=tuple(_torque_data(model, nominal, recording) for recording in train),
+        torque_data=tuple(_prepared(model, recording) for recording in train),
         recordings=tuple(_fit(model, nominal, before, recording, replayer) for recording in experiment.recordings),
         status="converged",
         remedy="",

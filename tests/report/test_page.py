@@ -12,8 +12,7 @@ import pytest
 
 from tests.report.fits import demo_fit, elbow_fit, pictures_of, torque_fit, with_rms
 from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification
-from vjm.identification.uncertainty import Whiteness
+from vjm.identification.records import Identification, Whiteness
 from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import report_page
 from vjm.report.tables import (

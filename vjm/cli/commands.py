@@ -24,7 +24,7 @@ from vjm.files import FolderError, check_folder, check_parent, json_text, write_
 from vjm.identification import Identification, identify
 from vjm.identification.check import check
 from vjm.identification.comparison import Comparison, compare
-from vjm.identification.virtual_joints import choose_virtual_joints
+from vjm.identification.training_data import choose_virtual_joints
 from vjm.markers.shape import visible_modes
 from vjm.records import Progress
 from vjm.report.model_json import load_model, read_model

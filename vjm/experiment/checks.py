@@ -291,15 +291,26 @@ def _torque_difference(first: Recording, second: Recording) -> float:
     The recordings are aligned at their starts and compared where they overlap; zero where they cannot be compared.
     """
     largest = 0.0
-    for own, other in zip(first.tau.T, second.tau.T, strict=True):
-        mine, others = np.isfinite(own), np.isfinite(other)
-        if mine.sum() < 2 or others.sum() < 2:
-            continue
-        times, other_times = first.time[mine] - first.time[0], second.time[others] - second.time[0]
-        overlap = (times >= other_times[0]) & (times <= other_times[-1])
-        torque = own[mine][overlap]
-        difference = np.interp(times[overlap], other_times, other[others]) - torque
-        size, change = (float(np.sqrt((x**2).mean())) if x.size else 0.0 for x in (torque, difference))
+    for columns in zip(first.tau.T, second.tau.T, strict=True):
+        torque, repeated = overlapping_samples(first, second, *columns)
+        size, change = (float(np.sqrt((x**2).mean())) if x.size else 0.0 for x in (torque, repeated - torque))
         if change > 0.0:
             largest = max(largest, change / size if size > 0.0 else np.inf)
     return largest
+
+
+def overlapping_samples(first: Recording, second: Recording, own: Array, other: Array) -> tuple[Array, Array]:
+    """Return one signal of two recordings at the same times after their starts, (N,) and (N,), where both overlap.
+
+    Args:
+        first: recording whose instants are taken.
+        second: recording that is interpolated there.
+        own: (T1,) the signal in the first; NaN where it was not measured.
+        other: (T2,) the signal in the second.
+    """
+    mine, others = np.isfinite(own), np.isfinite(other)
+    if mine.sum() < 2 or others.sum() < 2:
+        return np.zeros(0), np.zeros(0)
+    times, other_times = first.time[mine] - first.time[0], second.time[others] - second.time[0]
+    overlap = (times >= other_times[0]) & (times <= other_times[-1])
+    return own[mine][overlap], np.interp(times[overlap], other_times, other[others])

@@ -2,8 +2,8 @@
 
 from vjm.identification.identify import identify
 from vjm.identification.parameters import PARAMETRISATIONS
-from vjm.identification.records import METHODS, Identification, ModeComparison, TorqueData, VirtualJointAngles
-from vjm.identification.resampling import ProfileInterval, Resampled, bootstrap, profile_interval
+from vjm.identification.records import METHODS, Identification, ModeComparison, VirtualJointAngles
+from vjm.identification.uncertainty import ProfileInterval, Resampled, bootstrap, profile_interval
 
 __all__ = [
     "METHODS",
@@ -12,7 +12,6 @@ __all__ = [
     "ModeComparison",
     "ProfileInterval",
     "Resampled",
-    "TorqueData",
     "VirtualJointAngles",
     "bootstrap",
     "identify",

@@ -1,18 +1,29 @@
-"""Check of an experiment before identification: doubtful data, identifiable parameters."""
+"""Check of an experiment before identification, and warnings about data and fits, in sentences with numbers."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import InsufficientDataError
+from vjm.experiment.checks import camera_rate, overlapping_samples
 from vjm.identification.parameters import PARAMETRISATIONS
+from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_uniform_torque
-from vjm.identification.training_data import TrainingData, read_training_data
+from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData, read_training_data
 from vjm.identification.uncertainty import estimates, torque_information
-from vjm.identification.warn import data_warnings, marker_warnings
+from vjm.markers.shape import required_markers, visible_modes
 from vjm.model.modes import modes
-from vjm.records import Array, Estimate, Experiment, Result
+from vjm.records import Array, Estimate, Experiment, Link, Recording, RecordingComparison, Result
+
+# Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
+# fifth. What is certain but smaller needs no warning.
+_LARGE_RESIDUAL = 1.5  # RMS over noise, and mean square of weighted residuals
+_STRONG_CORRELATION = 0.2  # of neighbouring residuals
+_MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,11 +60,11 @@ def check(experiment: Experiment) -> Check:
         identifiable = {kind: _identifiable(each) for kind, each in data.items()}
     except InsufficientDataError as error:
         problem = str(error)
-        about_markers = [text for link in rig.links for text in marker_warnings(link, link.virtual_joints)]
+        about_markers = [text for link in rig.links for text in _marker_warnings(link, link.virtual_joints)]
         return Check(experiment, (*experiment.warnings, *about_markers, problem), expected, (), {}, problem)
-    choices = data["uniform"].joints
-    warnings = (*experiment.warnings, *data_warnings(data["uniform"], choices))
-    return Check(experiment, warnings, expected, tuple(choice.joints for choice in choices), identifiable)
+    warnings = (*experiment.warnings, *data_warnings(data["uniform"]))
+    choices = tuple(choice.joints for choice in data["uniform"].joints)
+    return Check(experiment, warnings, expected, choices, identifiable)
 
 
 def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
@@ -61,6 +72,140 @@ def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
     if data.parameters != "uniform":
         problem = fit.refined(data.parameters)
         fit = problem.evaluate(problem.parametrisation.start)
-    parametrisation, information = fit.problem.parametrisation, torque_information(fit)
-    covariance = parametrisation.physical_covariance(fit.x, information.covariance)
-    return estimates(parametrisation, fit.x, information, covariance)
+    return estimates(fit.problem.parametrisation, fit.x, torque_information(fit))
+
+
+def identification_notes(data: TrainingData, decisions: Sequence[str]) -> tuple[str, ...]:
+    """Say which modes links show, how many joints they got, what was decided, and what only the masses determine."""
+    rig, links = data.rig, zip(data.rig.links, data.shape.orders, data.joints, strict=True)
+    notes = [*(_joint_note(*link, data.parameters) for link in links), *decisions]
+    torque = any(np.isfinite(recording.tau).any() for recording in data.recordings)
+    weight = any(any(recording.gravity) for recording in data.recordings)
+    payload = any(recording.payload for recording in data.recordings) or any(link.payload for link in rig.links)
+    if not (torque or weight or payload):
+        names = " and ".join(link.name for link in rig.links)
+        notes.append(
+            "without torque, gravity or a known payload only stiffness relative to mass is seen: the bending stiffness "
+            f"of {names} is as right as the mass in the experiment file; "
+            "a recording with a known payload would tell both"
+        )
+    return tuple(notes)
+
+
+def _joint_note(link: Link, order: int, choice: JointChoice, parameters: str) -> str:
+    plural = "s" if len(link.markers) > 1 else ""
+    modes = "only mode 1 is" if order == 1 else f"modes 1 to {order} are"
+    text = f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual joints"
+    if parameters == "uniform":
+        text += f", whose natural frequencies are right to {100 * choice.error:.2g} %"
+    return text
+
+
+def data_warnings(data: TrainingData) -> list[str]:
+    """Warn about the recordings, their repeats, the modes they show and the numbers of joints."""
+    warnings = []
+    for link, order, choice in zip(data.rig.links, data.shape.orders, data.joints, strict=True):
+        if order == 1:
+            warnings.append(_joint_note(link, order, choice, data.parameters))
+        if data.parameters == "uniform" and choice.error > 10 * FREQUENCY_TOLERANCE:
+            warnings.append(f"link {link.name}: n = {choice.joints} is too small for the modes seen; ask for more")
+        warnings += _marker_warnings(link, choice.joints if choice.requested else None)
+    for one in data.prepared:
+        angles, name = one.angles, one.recording.file
+        if angles.unsolved:
+            frames = f"{angles.unsolved} of {len(angles.time)} frames"
+            warnings.append(f"{name}: {frames} give no angles and were left out")
+        motion = float(np.max(np.nanstd(angles.q, axis=0) / np.sqrt(np.maximum(np.diag(angles.covariance), 1e-300))))
+        if motion < 10.0:  # a stiffness is right to no better than some per cent
+            warnings.append(f"{name}: the arm moves only {motion:.1f} times its angles' noise; it can tell little")
+    fastest = max((float(m.frequencies[-1]) for m in data.modes if m.frequencies.size), default=0.0)
+    for one in data.prepared:
+        rate = camera_rate(one.recording)
+        if fastest and rate < _MIN_FRAMES_PER_PERIOD * fastest:
+            warnings.append(
+                f"{one.recording.file}: the camera takes {rate:.3g} frames/s, {rate / fastest:.2g} a period of the "
+                f"{fastest:.3g} Hz mode; at least {_MIN_FRAMES_PER_PERIOD} are needed"
+            )
+    return warnings + _repeat_warnings(data)
+
+
+def _marker_warnings(link: Link, joints: int | None) -> list[str]:
+    """Warn where a link's markers are too few for the modes asked for (eq. 1): as many as the joints asked for."""
+    if joints is None or required_markers(joints) <= len(link.markers):
+        return []
+    return [
+        f"link {link.name}: {len(link.markers)} markers show {visible_modes(len(link.markers))} bending mode(s); the "
+        f"{joints} modes of {joints} virtual joints need {required_markers(joints)} markers (k >= 2 l / lambda_min, "
+        "eq. 1)"
+    ]
+
+
+def _repeat_warnings(data: TrainingData) -> list[str]:
+    """Warn where recordings of one label do not repeat each other: are farther apart than three times their noise."""
+    groups: dict[str, list[Recording]] = {}
+    for recording in data.recordings:
+        if recording.repeat is not None:
+            groups.setdefault(recording.repeat, []).append(recording)
+    warnings = []
+    for label, (first, *others) in groups.items():
+        for other in others:
+            distance, noise = _distance(first, other), data.noise[0]
+            if distance > 3 * np.sqrt(2) * noise:
+                warnings.append(
+                    f"{first.file} and {other.file} are labelled repeats of {label!r}, but their markers are "
+                    f"{1e3 * distance:.3g} mm rms apart, {distance / noise:.3g} times the noise: something changed "
+                    "between them"
+                )
+    return warnings
+
+
+def _distance(one: Recording, other: Recording) -> float:
+    """RMS distance of the same coordinates at the same time after the start [m]."""
+    columns = zip(*(recording.markers.reshape(recording.time.size, -1).T for recording in (one, other)), strict=True)
+    pairs = [overlapping_samples(one, other, *column) for column in columns]
+    differences = np.concatenate([np.zeros(0), *(mine - theirs for mine, theirs in pairs)])
+    return float(np.sqrt(np.mean(differences**2))) if differences.size else 0.0
+
+
+def fit_warnings(
+    recordings: Sequence[RecordingComparison],
+    parameters: Sequence[Estimate] = (),
+    whiteness: Sequence[Whiteness] = (),
+    modes: Sequence[ModeComparison] = (),
+) -> list[str]:
+    """Warn where residuals are no noise, modes differ, recordings are not followed or parameters not determined."""
+    warnings = [
+        f"{test.file}: what the model leaves is {test.chi2**0.5:.3g} times the noise, and no noise (neighbouring "
+        f"residuals correlate by up to {test.correlation:.2g}): it lacks something; the standard errors allow for "
+        "that, the values may be off by more"
+        for test in whiteness
+        if test.coloured and (test.correlation > _STRONG_CORRELATION or test.chi2 > _LARGE_RESIDUAL)
+    ]
+    for number, mode in enumerate(modes, start=1):
+        error = 0.0 if mode.frequency_measured is None else mode.frequency_model / mode.frequency_measured - 1
+        if abs(error) > 0.02:  # 4 % of a stiffness
+            warnings.append(
+                f"mode {number}: the model's {mode.frequency_model:.4g} Hz is {100 * abs(error):.2g} % "
+                f"{'above' if error > 0 else 'below'} the recordings' {mode.frequency_measured:.4g} Hz; "
+                "method torque+frequency holds it there"
+            )
+    warnings += [f"{item.recording.file}: {item.problem}" for item in recordings if item.problem]
+    warnings += [
+        f"{item.recording.file}: {item.left_out} marker coordinate{'s' if item.left_out > 1 else ''} left out: "
+        "impossible beside the other markers, clipped, or far from the frames around"
+        for item in recordings
+        if item.left_out
+    ]
+    for item in recordings:
+        if item.simulated is not None and item.simulated.marker_rms > _LARGE_RESIDUAL * item.noise[0]:
+            rms = item.simulated.marker_rms
+            warnings.append(
+                f"{item.recording.file}: the model misses the markers by {1e3 * rms:.3g} mm rms, "
+                f"{rms / item.noise[0]:.3g} times their noise"
+            )
+        if item.simulated is not None and item.simulated.status != "converged":
+            warnings.append(f"{item.recording.file}: no initial state was found that follows the recording")
+    missing = [estimate.name for estimate in parameters if not estimate.identifiable]
+    if missing:
+        warnings.append(f"not determined by the recordings: {', '.join(missing)}")
+    return warnings

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -10,26 +10,23 @@ import numpy as np
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, chain_layouts, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.identification.comparison import compare_recordings
-from vjm.identification.measured_modes import compare_modes
+from vjm.identification.check import data_warnings, fit_warnings, identification_notes
+from vjm.identification.comparison import compare_modes, compare_recordings
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
-from vjm.identification.records import METHODS, Identification, Method, TorqueData
-from vjm.identification.torque_method import fit_torque, weighted_torque_errors
-from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData, read_training_data
+from vjm.identification.records import METHODS, Identification, Method, Whiteness
+from vjm.identification.torque_method import fit_torque
+from vjm.identification.training_data import (
+    DerivativeMethod,
+    JointChoice,
+    TrainingData,
+    read_training_data,
+)
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
-from vjm.identification.uncertainty import (
-    Information,
-    Whiteness,
-    estimates,
-    torque_information,
-    trajectory_information,
-)
-from vjm.identification.virtual_joints import JointChoice
-from vjm.identification.warn import data_warnings, fit_warnings, identification_notes
+from vjm.identification.uncertainty import Information, estimates, torque_information, trajectory_information
 from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FamilyName
-from vjm.model.torque import objective, torque_errors
+from vjm.model.torque import objective
 from vjm.records import Array, Experiment, Progress
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.model import Model
@@ -135,6 +132,7 @@ def _result(
     experiment: Experiment, method: str, data: TrainingData, solution: _Solution, progress: Progress | None
 ) -> Identification:
     rig, parametrisation, information = data.rig, solution.parametrisation, solution.information
+    data = replace(data, joints=solution.joints)
     chain = parametrisation.chain(solution.x)
     covariance = parametrisation.physical_covariance(solution.x, information.covariance)
     parameters = estimates(parametrisation, solution.x, information, covariance)
@@ -147,9 +145,12 @@ def _result(
     recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
     modes = compare_modes(chain, data)
     prepared = data.prepared_for(chain)
+    factors = [one.noise_factor(chain) for one in prepared]  # the same weights for both models
     objectives = [
-        objective(weighted_torque_errors(each, prepared, chain)) if prepared else None
-        for each in (chain, nominal.chain)
+        objective(one.weighted_errors(either, factor) for one, factor in zip(prepared, factors, strict=True))
+        if prepared
+        else None
+        for either in (chain, nominal.chain)
     ]
     return Identification(
         experiment=experiment,
@@ -166,7 +167,7 @@ def _result(
         objective_nominal=objectives[1],
         trajectory=solution.trajectory,
         whiteness=solution.whiteness,
-        torque_data=tuple(_torque_data(one, nominal.chain, chain) for one in prepared),
+        torque_data=prepared,
         recordings=recordings,
         status="converged" if solution.converged else "not converged",
         remedy=""
@@ -174,18 +175,9 @@ def _result(
         else "the search stopped early: ask for fewer parameters, or give recordings that move more",
         warnings=(
             *experiment.warnings,
-            *data_warnings(data, solution.joints),
+            *data_warnings(data),
             *solution.problems,
             *fit_warnings(recordings, parameters, solution.whiteness, modes if method == "torque" else ()),
         ),
-        notes=tuple(identification_notes(data, solution.joints, solution.notes)),
+        notes=identification_notes(data, solution.notes),
     )
-
-
-def _torque_data(prepared: PreparedRecording, nominal: Chain, identified: Chain) -> TorqueData:
-    recording, d = prepared.recording, prepared.derivatives
-    before, after = (
-        torque_errors(chain, d.value, d.rate, d.acceleration, prepared.torque, recording.payload, recording.gravity)
-        for chain in (nominal, identified)
-    )
-    return TorqueData(recording, prepared.angles, d, prepared.torque, before, after)

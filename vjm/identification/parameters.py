@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
+from scipy.optimize import approx_fprime
 
 from vjm.chain.layout import layout_of_lengths
 from vjm.chain.virtual_links import Chain, LinkChain
@@ -156,12 +157,8 @@ class Parametrisation:
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivative (p, p) of the physical parameters by the coordinates."""
-        base = self.physical(x)
-        steps = 1e-6 * np.maximum(np.abs(x), 1e-3)  # forward differences, 1e-8 the root of the rounding error
-        columns = [
-            (self.physical(x + step * unit) - base) / step for step, unit in zip(steps, np.eye(x.size), strict=True)
-        ]
-        return np.stack(columns, axis=1)
+        steps = 1e-6 * np.maximum(np.abs(x), 1e-3)  # 1e-8 is the root of the rounding error
+        return np.reshape(approx_fprime(x, self.physical, steps), (x.size, x.size))
 
     def physical_covariance(self, x: Array, covariance: Array) -> Array:
         """Return the covariance (p, p) of the physical parameters at x (p,), from that of the coordinates."""

@@ -9,10 +9,9 @@ import numpy as np
 
 from vjm.chain.layout import chain_layouts
 from vjm.errors import ChoiceError
+from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.identification.uncertainty import Whiteness
-from vjm.markers.angles import Angles, ShapeSettings, estimate_angles
-from vjm.markers.smoothing import Derivatives
+from vjm.markers.angles import ShapeSettings, estimate_angles
 from vjm.records import Array, Estimate, Experiment, Record, Recording, RecordingComparison, SimulatedResult
 from vjm.simulation.model import Model
 
@@ -39,27 +38,6 @@ class ModeComparison:
     damping_model: float
     damping_measured: float | None
     mac: float | None = None
-
-
-@dataclass(frozen=True, repr=False)
-class TorqueData(Record):
-    """One training recording as the torque method sees it.
-
-    Attributes:
-        recording: its source.
-        angles: of the markers, at the camera's frames.
-        derivatives: (S, nv) angles, rates and accelerations.
-        torque: (S, n_a) active joint torques, through the same filter [N m]; NaN where none was measured.
-        errors_before: (S, nv) torque errors (eq. 14) of the nominal model [N m]; NaN on rows without measured torque.
-        errors_after: those of the identified model.
-    """
-
-    recording: Recording
-    angles: Angles
-    derivatives: Derivatives
-    torque: Array
-    errors_before: Array
-    errors_after: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,7 +97,7 @@ class Identification(SimulatedResult):
     objective_nominal: float | None
     trajectory: TrajectoryFit | None
     whiteness: tuple[Whiteness, ...]
-    torque_data: tuple[TorqueData, ...]
+    torque_data: tuple[PreparedRecording, ...]
     recordings: tuple[RecordingComparison, ...]
     status: Literal["converged", "not converged"]
     remedy: str
@@ -158,3 +136,20 @@ class Identification(SimulatedResult):
         if comparison.simulated is not None:
             simulated = comparison.simulated.simulation.q[:, chain.passive]
         return VirtualJointAngles(time, measured, simulated)
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Test of a recording's weighted residuals for white noise.
+
+    Attributes:
+        file: the recording's.
+        chi2: their mean square: one where they are noise.
+        correlation: largest correlation of a residual with those up to ten samples later, over all sensors.
+        coloured: True if they are certainly no white noise.
+    """
+
+    file: str
+    chi2: float
+    correlation: float
+    coloured: bool

@@ -7,36 +7,37 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, cholesky, solve_triangular
 
-from vjm.chain.layout import DEFAULT_LAYOUT, Layout, chain_layouts, rig_layouts
+from vjm.chain.layout import DEFAULT_LAYOUT, Layout, chain_layouts, layout, rig_layouts, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.noise import sensor_noise
 from vjm.experiment.spectrum import MeasuredModes, measure_modes
-from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
 from vjm.markers.angles import AngleMethod, Angles, ShapeSettings, estimate_angles
 from vjm.markers.shape import choose_order
 from vjm.markers.smoothing import Derivatives, Smoother, interpolate
-from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Recording, Rig
+from vjm.model import dynamics
+from vjm.model.modes import modes
+from vjm.model.torque import torque_errors
+from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Record, Recording, Rig
 
 DerivativeMethod = Literal["smoothing", "interpolating"]
 
-_MIN_MOTION = 2.0  # standard deviations of the noise: pure noise reaches one
-_MIN_FRAMES = 10  # as few as a recording may have (its file is refused below)
-_EXTRA_MODES = 2  # peaks looked for beyond the modes that the shapes show: faster ones may be too faint for shapes
+FREQUENCY_TOLERANCE = 1e-3  # relative; of the order to which a few seconds of recording show a frequency
+_MOST_JOINTS = 20  # tried; beside twice as many, frequencies count as exact: 16 times as exact at fourth order
 _VISIBLE = 1e-9  # of the angles' largest variance: directions below are rounding errors, which no shape function takes
 
 
-@dataclass(frozen=True)
-class PreparedRecording:
-    """One recording, ready for torque errors.
+@dataclass(frozen=True, repr=False)
+class PreparedRecording(Record):
+    """One recording as the torque method sees it.
 
     Attributes:
         recording: its source.
-        angles: at the camera's frames.
-        derivatives: (S, nv) angles, rates, accelerations at the instants used.
-        torque: (S, n_a) through the same filter [N m]; NaN where none was measured.
+        angles: of the markers, at the camera's frames.
+        derivatives: (S, nv) angles, rates and accelerations at the instants used.
+        torque: (S, n_a) active joint torques, through the same filter [N m]; NaN where none was measured.
         smoother: of the recording's complete frames; None for interpolation.
         rows: (nv, r) maps torque errors to those that the data determine: passive ones along the shape functions,
             active ones where a torque was measured.
@@ -49,11 +50,29 @@ class PreparedRecording:
     smoother: Smoother | None
     rows: Array
 
-    @property
-    def interior(self) -> tuple[Array, Array, Array, Array]:
-        """Angles [rad], rates, accelerations (S, nv) and torques (S, n_a) [N m] away from the recording's ends."""
-        d, inside = self.derivatives, self.derivatives.interior
-        return d.value[inside], d.rate[inside], d.acceleration[inside], self.torque[inside]
+    def errors(self, chain: Chain, at: Mask | slice = slice(None)) -> Array:
+        """Return torque errors (S, nv) of a chain (eq. 14) `at` some instants [N m]; NaN without measured torque."""
+        d, recording = self.derivatives, self.recording
+        state = d.value[at], d.rate[at], d.acceleration[at]
+        return torque_errors(chain, *state, self.torque[at], recording.payload, recording.gravity)
+
+    def weighted_errors(self, chain: Chain, noise_factor: Array) -> Array:
+        """Return torque errors (S, r) in units of their noise, away from the ends, in the rows determined."""
+        errors = np.nan_to_num(self.errors(chain, self.derivatives.interior)) @ self.rows
+        return np.asarray(solve_triangular(noise_factor, errors.T, lower=True).T)
+
+    def noise_factor(self, chain: Chain) -> Array:
+        """Return the Cholesky factor (r, r) of the noise covariance of a chain's torque errors [N m]."""
+        d = self.derivatives
+        mechanism = dynamics.build(chain, self.recording.payload, self.recording.gravity)
+        inertia = dynamics.mass_matrix(mechanism, d.value[d.interior].mean(axis=0)[None])[0]
+        terms = [self.rows.T @ A for A in (np.diag(chain.stiffness), np.diag(chain.damping), inertia)]
+        pairs = [(i, j) for i in range(3) for j in range(3)]
+        noise = self.angles.covariance
+        covariance = np.asarray(sum(d.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
+        covariance = (covariance + covariance.T) / 2
+        ridge = 1e-12 * np.trace(covariance)  # keeps exact data's covariance invertible
+        return cholesky(covariance + ridge * np.eye(len(covariance)), lower=True)
 
     @property
     def driving_torque(self) -> tuple[Array, Array] | None:
@@ -68,6 +87,41 @@ class PreparedRecording:
             shape.coefficients @ np.linalg.cholesky(np.linalg.inv(shape.covariance)) for shape in self.angles.shapes
         ]
         return measure_modes(self.angles.time, np.hstack(signals), marker_noise, most, self.driving_torque)
+
+
+@dataclass(frozen=True)
+class JointChoice:
+    """A number of virtual joints and its discretisation error.
+
+    Attributes:
+        joints: n.
+        error: largest relative error of the visible modes' frequencies, against a chain of 40 joints.
+        requested: True if a user asked for this n.
+    """
+
+    joints: int
+    error: float
+    requested: bool = False
+
+
+def choose_virtual_joints(link: Link, visible: int, joints: int | None = None) -> JointChoice:
+    """Choose the smallest n whose chain has the frequencies of the `visible` slowest modes right to 0.1 %.
+
+    The link has its nominal values, is the only one and its active joint is free. Of given `joints` only the error is
+    found.
+    """
+
+    def frequencies(n: int) -> Array:
+        return modes(Chain(link.name, (uniform_chain(link, layout(link.length, n)),))).frequencies[:visible]
+
+    exact = frequencies(2 * _MOST_JOINTS)
+    choice = JointChoice(joints or _MOST_JOINTS, np.inf)
+    for n in range(visible + 1, _MOST_JOINTS + 1) if joints is None else [joints]:
+        found = frequencies(n)
+        choice = JointChoice(n, float(np.max(np.abs(found / exact[: found.size] - 1))))
+        if choice.error < FREQUENCY_TOLERANCE:
+            break
+    return choice
 
 
 @dataclass(frozen=True)
@@ -150,7 +204,7 @@ def read_training_data(
     rig = experiment.rig
     recordings = _training_recordings(experiment.cleaned_recordings)
     noise = sensor_noise(rig, experiment.cleaned_recordings)
-    if max(_relative_motion(recording, noise) for recording in recordings) < _MIN_MOTION:
+    if max(_relative_motion(recording, noise) for recording in recordings) < 2.0:  # pure noise reaches one
         raise InsufficientDataError(
             "identification",
             "in no training recording does the arm move by more than its sensors' noise",
@@ -183,7 +237,7 @@ def _with_prepared(data: TrainingData) -> TrainingData:
             problems.append(str(error))
     payloads = [one.recording.payload for one in prepared] or [recording.payload for recording in data.recordings]
     payload = max(sorted(set(payloads)), key=payloads.count)
-    most = max(data.shape.orders) + _EXTRA_MODES
+    most = max(data.shape.orders) + 2  # faster ones may be too faint for shapes
     modes = tuple(one.modes(data.noise[0], most) for one in prepared if one.recording.payload == payload)
     return replace(data, prepared=tuple(prepared), problems=tuple(problems), modes=modes, payload=payload)
 
@@ -254,7 +308,7 @@ def _prepare(
     measured = np.asarray(np.isfinite(angles.torque).any(axis=0))
     values = np.hstack([angles.q, angles.torque[:, measured]])
     usable = np.isfinite(values).all(axis=1)
-    if usable.sum() < _MIN_FRAMES:
+    if usable.sum() < 10:  # as few as a recording may have
         raise InsufficientDataError(
             f"identification from {recording.file}",
             f"only {int(usable.sum())} frames have all markers, encoders and torques it needs",

@@ -14,9 +14,8 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_uniform_torque
-from vjm.identification.training_data import TrainingData
+from vjm.identification.training_data import JointChoice, TrainingData, choose_virtual_joints
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
-from vjm.identification.virtual_joints import JointChoice, choose_virtual_joints
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states

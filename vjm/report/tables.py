@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.records import Diagnosis
-from vjm.identification.records import ModeComparison
-from vjm.identification.uncertainty import Whiteness
+from vjm.identification.records import ModeComparison, Whiteness
 from vjm.records import Estimate, RecordingComparison
 from vjm.report.text import (
     UNKNOWN,

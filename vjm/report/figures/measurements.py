@@ -13,7 +13,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from vjm.chain.curve import link_poses, rotate
 from vjm.chain.virtual_links import Chain
-from vjm.identification.records import Identification, TorqueData
+from vjm.identification.records import Identification
+from vjm.identification.training_data import PreparedRecording
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording, Rig
 from vjm.report.figures.selection import Signal, Window, liveliest_window, moving_axis, one_of_each_repeat
@@ -50,7 +51,7 @@ def data_pictures(fit: Identification) -> Iterator[Picture]:
             "Residual of the equation of motion, joint by joint (eq. 14). Of a complete model, it is what the noise of "
             "the accelerations explains."
         )
-        yield Picture("torque_errors", caption, _torque_errors(chain, fit.torque_data))
+        yield Picture("torque_errors", caption, _torque_errors(fit))
     shown = _spread_over(recordings, 8 // min(len(rig.links), _MOST_LINKS))
     if shown:
         part = "" if len(shown) == len(recordings) else f" ({len(shown)} of {len(recordings)})"
@@ -118,7 +119,7 @@ def _draw_markers(axes: Axes, recording: Recording, markers: slice, window: Wind
 
 
 @styled
-def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[TorqueData]) -> Figure:
+def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]) -> Figure:
     """Draw each link in its own frame at five instants, lateral deflection magnified; a column for each recording."""
     residuals = np.concatenate([fit.residuals.ravel() for data in recordings for fit in data.angles.shapes])
     rms = float(np.sqrt(np.nanmean(residuals**2))) if np.isfinite(residuals).any() else 0.0
@@ -134,7 +135,7 @@ def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[TorqueData]) -> Fi
     return page.figure
 
 
-def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: TorqueData, i: int) -> None:
+def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: PreparedRecording, i: int) -> None:
     fit, length = data.angles.shapes[i], chain.links[i].length
     arcs = np.linspace(0.0, fit.length, 80)
     lateral, slopes = fit.evaluate(arcs), fit.evaluate(arcs, 1)
@@ -157,7 +158,7 @@ def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: TorqueData, i: int) -
     axes.set(xlabel=f"along {name} [m]", ylabel="lateral [mm]", xlim=(-0.02 * length, 1.14 * length))
 
 
-def _instants(data: TorqueData, deflection: Array) -> Indices:
+def _instants(data: PreparedRecording, deflection: Array) -> Indices:
     """Return five frames from one extreme of the tip's deflection (F,) to the other, where it moves most."""
     time = data.angles.time
     complete = np.flatnonzero(np.isfinite(data.angles.q).all(axis=1) & np.isfinite(deflection))
@@ -169,7 +170,7 @@ def _instants(data: TorqueData, deflection: Array) -> Indices:
     return np.unique([near[np.argmin(np.abs(deflection[near] - level))] for level in levels])
 
 
-def _link_frame_markers(rig: Rig, chain: Chain, data: TorqueData, i: int) -> Array:
+def _link_frame_markers(rig: Rig, chain: Chain, data: PreparedRecording, i: int) -> Array:
     """Return (F, k_i, 2) measured markers of link i in its own frame [m]; a missing x is the marker's arc length."""
     markers, link = data.recording.markers[data.recording.frames][:, rig.marker_slices[i]], rig.links[i]
     if link.markers_frame == "base":
@@ -180,7 +181,7 @@ def _link_frame_markers(rig: Rig, chain: Chain, data: TorqueData, i: int) -> Arr
 
 
 @styled
-def _joint_angles(chain: Chain, data: TorqueData) -> Figure:
+def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
     """Draw angles, rates and accelerations of the virtual joints where a recording moves most, with 2-sigma bands."""
     links, parts = range(min(len(chain.links), _MOST_LINKS)), chain.passive_slices
     derivatives, inside = data.derivatives, data.derivatives.interior  # the noise is known there
@@ -223,24 +224,27 @@ def _joint_angles(chain: Chain, data: TorqueData) -> Figure:
 
 
 @styled
-def _torque_errors(chain: Chain, recordings: Sequence[TorqueData]) -> Figure:
+def _torque_errors(fit: Identification) -> Figure:
     """Draw torque errors (eq. 14) by both models: over time where they are largest, and each joint's RMS."""
+    chain, recordings = fit.model.chain, fit.torque_data
     inside = [data.derivatives.interior for data in recordings]
-    largest = [np.nan_to_num(_rms([data.errors_before[rows]])) for data, rows in zip(recordings, inside, strict=True)]
+    nominal = [data.errors(fit.nominal.chain, rows) for data, rows in zip(recordings, inside, strict=True)]
+    identified = [data.errors(chain, rows) for data, rows in zip(recordings, inside, strict=True)]
+    largest = [np.nan_to_num(_rms([errors])) for errors in nominal]
     worst = int(np.argmax([values.max() for values in largest]))
     data, joint = recordings[worst], int(np.argmax(largest[worst]))
-    before = _rms([data.errors_before[rows] for data, rows in zip(recordings, inside, strict=True)])
-    after = _rms([data.errors_after[rows] for data, rows in zip(recordings, inside, strict=True)])
+    before, after = _rms(nominal), _rms(identified)
     noise = _torque_noise(chain, recordings)
     total = [f"{number(float(np.sqrt(np.nansum((1e3 * each) ** 2))), 2)} mN m" for each in (before, after, noise)]
     title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, noise alone "
     page = Page.of(f"{title}would give {total[2]} (RMS, all joints)", [(2.35, 1)] * (2 if chain.size > 1 else 1))
     trace, time = page.axes[0][0], data.derivatives.time
     start, stop = liveliest_window(time, np.nan_to_num(data.derivatives.value[:, joint]))
-    rows = (time >= start) & (time <= stop) & inside[worst]
+    time = time[inside[worst]]
+    rows = (time >= start) & (time <= stop)
     trace.axhline(0.0, color=AXIS, linewidth=0.6)
-    trace.plot(time[rows], 1e3 * data.errors_after[rows, joint], color=IDENTIFIED, label="identified")
-    trace.plot(time[rows], 1e3 * data.errors_before[rows, joint], color=NOMINAL, ls=(0, (4, 2)), label="nominal")
+    trace.plot(time[rows], 1e3 * identified[worst][rows, joint], color=IDENTIFIED, label="identified")
+    trace.plot(time[rows], 1e3 * nominal[worst][rows, joint], color=NOMINAL, ls=(0, (4, 2)), label="nominal")
     name, file = printable(chain.joint_names[joint]), printable(short(data.recording.file))
     trace.set(xlabel="time [s]", ylabel="error [mN m]", title=f"{name}, where the nominal model errs most, in {file}")
     if chain.size > 1:
@@ -273,7 +277,7 @@ def _rms(errors: Sequence[Array]) -> Array:
     return rms
 
 
-def _torque_noise(chain: Chain, recordings: Sequence[TorqueData]) -> Array:
+def _torque_noise(chain: Chain, recordings: Sequence[PreparedRecording]) -> Array:
     """Return (nv,) RMS torque errors that the noise of angles, rates and accelerations makes, the arm near rest."""
     variance, samples = np.zeros(chain.size), 0
     for data in recordings:
