@@ -11,7 +11,6 @@ from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, foun
 from vjm.diagnosis.symptoms import symptoms
 from vjm.diagnosis.symptoms.channels import channels_of
 from vjm.diagnosis.symptoms.modes import _free_interval
-from vjm.errors import ShapeError
 from vjm.experiment import Link, Recording, Rig
 from vjm.records import SimulatedRecording, Simulation
 
@@ -23,16 +22,6 @@ def cut(whole: SimulatedRecording, rows: object, **changes: object) -> Simulated
     own = {name: getattr(simulation, name)[rows] for name in ("time", "theta", "markers", "q", "v")}
     recording = replace(recording, **(measured | changes))  # type: ignore[arg-type]
     return replace(whole, recording=recording, simulation=replace(simulation, **own))
-
-
-def test_arrays_that_do_not_fit_are_refused() -> None:
-    good = simulated(0)
-    with pytest.raises(ShapeError, match="as the rig has them"):
-        symptoms(replace(RIG, links=(replace(RIG.links[0], markers=(0.5, 1.0)),)), [good], {0.0: FREQUENCIES})
-    with pytest.raises(ShapeError, match="positive numbers"):
-        symptoms(RIG, [good], {0.0: (1.0, -2.0)})
-    with pytest.raises(ShapeError, match=r"drive.csv"):
-        symptoms(RIG, [good], {0.05: FREQUENCIES})
 
 
 @pytest.mark.parametrize("count", [1, 2, 9, 40, 200])

@@ -39,7 +39,7 @@ def test_nothing_is_said_of_clean_recordings_and_errors_are_right() -> None:
             for each in result.found:
                 chances.append(each.p_value)
                 pulls[each.kind].append(each.value / each.std)
-    for kind in ("offset", "gain", "delay", "drift", "amplitude", "phase", "frequency", "damping", "rest_delay"):
+    for kind in ("offset", "gain", "delay", "drift", "amplitude", "phase", "frequency", "damping", "slow_delay"):
         assert 0.75 < np.std(pulls[kind]) < 1.25, kind
     assert np.mean(np.array(chances) < 0.01) < 0.01  # chances do not promise too much
 

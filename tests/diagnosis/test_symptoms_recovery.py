@@ -88,8 +88,8 @@ def test_amplitude_and_phase(seed: int) -> None:
 @seeds
 def test_what_is_no_vibration(seed: int) -> None:
     result = found(simulated(seed, replace(MOTION, slew=(0.303, 0.3))))
-    assert_found(result, the(result, "rest_amplitude"), 0.01)
-    assert "moves 1.0 % more" in the(result, "rest_amplitude").sentence
+    assert_found(result, the(result, "slow_amplitude"), 0.01)
+    assert "moves 1.0 % more" in the(result, "slow_amplitude").sentence
     assert not kinds(result) & {"frequency", "phase", "damping", "camera_lag"}
 
 
@@ -214,8 +214,8 @@ def test_noise_at_rest(seed: int) -> None:
     louder = found(
         simulated(seed, STILL, STILL, kind="quiet", noise=lambda r, like: 1.5 * r.standard_normal(like.shape))
     )
-    assert the(louder, "quiet_size", "camera").value == pytest.approx(0.5, abs=0.05)
-    assert {"quiet_size"} == kinds(louder)
+    assert the(louder, "noise_size", "camera").value == pytest.approx(0.5, abs=0.05)
+    assert {"noise_size"} == kinds(louder)
 
     def coloured(rng: np.random.Generator, like: Array) -> Array:
         white = rng.standard_normal(like.shape)
@@ -225,8 +225,8 @@ def test_noise_at_rest(seed: int) -> None:
         return values
 
     red = found(simulated(seed, STILL, STILL, kind="quiet", noise=coloured))
-    assert_found(red, the(red, "quiet_colour", "encoder"), 0.6)
-    assert "resembles the one before (correlation 0." in the(red, "quiet_colour", "encoder").sentence
+    assert_found(red, the(red, "noise_correlation", "encoder"), 0.6)
+    assert "resembles the one before (correlation 0." in the(red, "noise_correlation", "encoder").sentence
 
 
 @seeds

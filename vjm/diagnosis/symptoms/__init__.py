@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, channels_of, regress
+from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, Tone, channels_of, explained, regress
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
 from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeComparison, ModeDifference
-from vjm.errors import ShapeError
 from vjm.records import Array, Record, Rig, SimulatedRecording
 
 _FALSE_ALARM = 0.01  # probability that clean recordings show any symptom at all, shared by all that is looked for
@@ -32,8 +31,8 @@ _SENTENCES = {
     "damping": ("the swing at {at} dies out {way} than in the model{after}", "faster", "more slowly"),
     "frequency": ("the arm swings {size} {way} at {at} than the model{after}", "faster", "slower"),
     "mode_shape": ("at {at} {name} moves {size} {way} than the model, set against the other markers", "more", "less"),
-    "rest_amplitude": ("its vibrations apart, the arm moves {size} {way} than the model", "more", "less"),
-    "rest_delay": ("its vibrations apart, the arm moves {size} {way} than the model", "later", "earlier"),
+    "slow_amplitude": ("its vibrations apart, the arm moves {size} {way} than the model", "more", "less"),
+    "slow_delay": ("its vibrations apart, the arm moves {size} {way} than the model", "later", "earlier"),
     "against_angle": ("{what} {way} by {size} from low to high {motion}", "rises", "falls"),
     "against_velocity": ("{what} {way} by {size} from fast backwards to fast forwards of {motion}", "rises", "falls"),
     "against_sign": ("{what} jumps {way} by {size} when {motion} turns from backwards to forwards", "up", "down"),
@@ -43,8 +42,8 @@ _SENTENCES = {
     "damping_with_amplitude": (
         "at {large} the damping ratio of the swing at {at} is {here} than at {small}; the model's {own}", "", "",
     ),
-    "quiet_size": ("at rest, the noise of the {name} is {size} {way} than supposed", "larger", "smaller"),
-    "quiet_colour": (
+    "noise_size": ("at rest, the noise of the {name} is {size} {way} than supposed", "larger", "smaller"),
+    "noise_correlation": (
         "at rest, each value of the {name} {way}{value})",
         "resembles the one before (correlation ", "opposes the one before (correlation −",
     ),
@@ -143,27 +142,17 @@ def symptoms(
         rig: the arm.
         simulated: the recordings.
         frequencies: the model's natural frequencies [Hz] with each payload of the recordings [kg], as many with each.
-
-    Raises:
-        ShapeError: frequencies that are not positive or are missing for a payload, or recordings of another rig.
     """
-    expected = sum(len(link.markers) for link in rig.links), len(rig.active_links)
     recordings = []
     for one in simulated:
-        natural = frequencies.get(one.recording.payload)
-        if natural is None or not all(0 < f < math.inf for f in natural):
-            raise ShapeError(f"frequencies of {one.recording.file}", natural, "positive numbers [Hz] for its payload")
-        shapes = one.simulation.markers.shape[1], one.simulation.theta.shape[1]
-        if shapes != expected:
-            raise ShapeError(f"markers and joints of {one.recording.file}", shapes, f"{expected}, as the rig has them")
         sensors = channels_of(rig, one)
-        looked = RecordingSymptoms(one, sensors, float(sum(np.sum(sensor.residual**2) for sensor in sensors)))
+        misfit = float(sum(np.sum(sensor.residual**2) for sensor in sensors))
+        modes, at_rest = ModeComparison(), list[SensorAtRest]()
         if one.recording.kind in ("quiet", "static"):
-            rest = tuple(rest for rest in map(SensorAtRest.of, sensors) if rest is not None)
-            recordings.append(replace(looked, at_rest=rest))
-        else:
-            modes = ModeComparison.of(one.recording, sensors, natural) if sensors else ModeComparison()
-            recordings.append(replace(looked, modes=modes))
+            at_rest = [rest for rest in map(SensorAtRest.of, sensors) if rest is not None]
+        elif sensors:
+            modes = ModeComparison.of(one.recording, sensors, frequencies[one.recording.payload])
+        recordings.append(RecordingSymptoms(one, sensors, misfit, modes, at_rest=tuple(at_rest)))
     own, together = joint_profiles(
         rig, [(one.simulated, one.sensors * bool(one.modes.remaining)) for one in recordings]
     )
@@ -171,15 +160,14 @@ def symptoms(
     total = sum(one.misfit for one in recordings)
     found = [symptom for one in recordings for symptom in _of_recording(one, total)]
     found += _with_amplitude(recordings, total)
-    for joint in together:
-        seen = [recordings[k] for k in np.unique(joint.recording)]
-        found += _against(_Source(None, sum(one.misfit for one in seen), total), joint, seen)
-    both = [(one, one.modes.rest) for one in recordings if one.modes.rest[2][0].known]
-    source = _Source(None, sum(one.misfit for one, _ in both), total)
-    lag, clock = (_mean([rest[k][0] for _, rest in both]) for k in (2, 3))
-    found.append(source.symptom("camera_lag", lag, "s", sum(rest[2][1] for _, rest in both)))
-    found.append(source.symptom("camera_clock", clock, "1", sum(rest[3][1] for _, rest in both)))
-    known = sorted((one for one in found if math.isfinite(one.std)), key=lambda symptom: -symptom.share)
+    for profile in together:
+        pooled = [recordings[k] for k in np.unique(profile.recording)]
+        found += _against(_Source.of(pooled, total), profile, pooled)
+    both = [one for one in recordings if one.modes.camera_lag.known]
+    lag, clock = (_mean([getattr(one.modes, kind) for one in both]) for kind in ("camera_lag", "camera_clock"))
+    found.append(_Source.of(both, total).symptom("camera_lag", lag, "s"))
+    found.append(_Source.of(both, total).symptom("camera_clock", clock, "1"))
+    known = sorted((symptom for symptom in found if math.isfinite(symptom.std)), key=lambda symptom: -symptom.share)
     return Symptoms(rig, tuple(known), tuple(recordings), together, lag)
 
 
@@ -187,40 +175,45 @@ class _Source(NamedTuple):
     """Source of a symptom: the file (None: several), its misfit, and that of all recordings."""
 
     file: str | None
-    own: float
+    misfit: float
     total: float
 
+    @classmethod
+    def of(cls, recordings: Sequence[RecordingSymptoms], total: float) -> _Source:
+        """Several recordings together."""
+        return cls(None, sum(one.misfit for one in recordings), total)
+
     def symptom(
-        self, kind: str, estimate: Coefficient, unit: str, described: float, sensor: str | None = None,
-        mode: int | None = None, template: str = "", **words: str,
+        self, kind: str, estimate: Coefficient, unit: str, sensor: str | None = None, mode: int | None = None,
+        template: str = "", **words: str,
     ) -> Symptom:  # fmt: skip
-        """Return a symptom that describes so much squared misfit, its sentence filled with further words."""
+        """Return a symptom, its sentence filled with further words."""
         sentence, positive, negative = _SENTENCES[template or kind]
-        more = {"name": sensor, "size": _quantity(estimate.value, unit)} | words
-        told = sentence.format(way=positive if estimate.value > 0 else negative, **more)
+        words = {"name": sensor or "", "size": _quantity(estimate.value, unit)} | words
+        told = sentence.format(way=positive if estimate.value > 0 else negative, **words)
         told = f"{told[:1].upper()}{told[1:]}." if self.file is None else f"{self.file}: {told}."
-        share, local = (float(np.clip(described / max(m, 1e-300), 0.0, 1.0)) for m in (self.total, self.own))
+        share, local = (float(np.clip(estimate.explained / max(m, 1e-300), 0, 1)) for m in (self.total, self.misfit))
         return Symptom(kind, self.file, sensor, mode, *estimate[:2], unit, estimate.p_value, share, local, told)
 
 
 def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
-    source = _Source(one.simulated.recording.file, one.misfit, total)
+    source, modes = _Source(one.simulated.recording.file, one.misfit, total), one.modes
     for rest in one.at_rest:
-        name, colour = rest.channels.sensor, rest.colour
-        yield source.symptom("quiet_size", rest.size, "1", rest.described[0], name)
-        yield source.symptom("quiet_colour", colour, "1", rest.described[1], name, value=_plain(colour.value))
-        yield from _tone(source, rest.channels, rest.channels.residual, "quiet_tone")
-    if not one.modes.remaining:
+        name, correlation = rest.channels.sensor, rest.correlation
+        yield source.symptom("noise_size", rest.size, "1", name)
+        yield source.symptom("noise_correlation", correlation, "1", name, value=_plain(correlation.value))
+        yield from _tone(source, rest.channels, rest.tone, "quiet_tone")
+    if not modes.remaining:
         return
-    present = [mode.simulated for mode in one.modes.modes]
-    for sensor, remaining in zip(one.sensors, one.modes.remaining, strict=True):
+    present = [mode.simulated for mode in modes.modes]
+    for sensor, remaining in zip(one.sensors, modes.remaining, strict=True):
         yield from _aligned(source, sensor)
         yield from _slow_drift(source, sensor, remaining, SLOW * min(present, default=0.0))
-        yield from _tone(source, sensor, remaining, "tone", present)
-    for mode in one.modes.modes:
+        yield from _tone(source, sensor, sensor.strongest_tone(remaining, modes=present), "tone")
+    for mode in modes.modes:
         yield from _mode(source, mode, one)
-    yield source.symptom("rest_amplitude", one.modes.rest[0][0], "1", one.modes.rest[0][1])
-    yield source.symptom("rest_delay", one.modes.rest[1][0], "s", one.modes.rest[1][1])
+    yield source.symptom("slow_amplitude", modes.slow_gain, "1")
+    yield source.symptom("slow_delay", modes.slow_delay, "s")
     for profile in one.profiles:
         yield from _against(source, profile, [one])
     yield from _growth(source, one)
@@ -241,13 +234,10 @@ def _aligned(source: _Source, sensor: Channels) -> Iterator[Symptom]:
         estimates, _ = regress(columns, residual, sensor.groups[rows])
         for kind, estimate, column in zip(parts, estimates, columns.T, strict=True):
             if kind != "delay":  # the whole sensor's is told
-                change = estimate.value * column
-                described = float(change @ (2 * residual - change))
-                yield source.symptom(kind, estimate, "1" if kind == "gain" else sensor.unit, described, name)
-    change = (sensor.path(sensor.time - sensor.delay.value) - sensor.simulated) * sensor.known / sensor.noise
+                alone = estimate._replace(explained=explained(estimate.value * column, residual))
+                yield source.symptom(kind, alone, "1" if kind == "gain" else sensor.unit, name)
     who = "before the camera" if sensor.sensor == "camera" else "of the joints"
-    described = float(np.sum(change * (2 * sensor.residual - change)))
-    yield source.symptom("delay", sensor.delay, "s", described, sensor.sensor, who=who)
+    yield source.symptom("delay", sensor.delay, "s", sensor.sensor, who=who)
 
 
 def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iterator[Symptom]:
@@ -265,24 +255,24 @@ def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iter
         ratio = math.exp(float(np.clip(-mode.decay.value * duration, -10, 10)))
         size = f"{_quantity(ratio - 1, '1')} {'larger' if ratio > 1 else 'smaller'} than"
         dies = f": after {after} its amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
-    for kind, estimate, unit, described, after in zip(
-        ("amplitude", "phase", "damping", "frequency"), (mode.gain, phase, mode.damping, mode.frequency),
-        ("log", "rad", "1", "1"), mode.described, ("", "", dies, leads), strict=True,
-    ):  # fmt: skip
-        yield source.symptom(kind, estimate, unit, described, mode=mode.mode, at=at, after=after)
-    for name, estimate, described in mode.shapes:
-        yield source.symptom("mode_shape", estimate, "1", described, name, mode.mode, at=at)
+    for kind, estimate, unit, after in (("amplitude", mode.gain, "log", ""), ("phase", phase, "rad", ""),
+                                        ("damping", mode.damping, "1", dies),
+                                        ("frequency", mode.frequency, "1", leads)):  # fmt: skip
+        yield source.symptom(kind, estimate, unit, mode=mode.mode, at=at, after=after)
+    for name, estimate in mode.shapes:
+        yield source.symptom("mode_shape", estimate, "1", name, mode.mode, at=at)
 
 
-def _against(source: _Source, profile: JointProfile, seen: Sequence[RecordingSymptoms]) -> Iterator[Symptom]:
+def _against(source: _Source, profile: JointProfile, recordings: Sequence[RecordingSymptoms]) -> Iterator[Symptom]:
     """Yield what goes with a joint's position, velocity and direction."""
     name, motion = profile.sensor, profile.motion
-    sensors = [sensor for one in seen for sensor in one.sensors if name in sensor.names]
+    sensors = [sensor for one in recordings for sensor in one.sensors if name in sensor.names]
     misfit = sum(float(np.sum(s.residual[:, s.names.index(name)] ** 2)) for s in sensors)
     what = f"the residual of {name}" if profile.quantity == "residual" else f"the {profile.quantity} missing at {name}"
-    kinds = ("against_angle", "against_velocity", "against_sign")
-    for kind, change, described in zip(kinds, profile.fit.changes, profile.fit.described, strict=True):
-        yield source.symptom(kind, change, profile.unit, described * misfit, name, what=what, motion=motion)
+    for kind, change in zip(("angle", "velocity", "sign"), profile.fit.changes, strict=True):
+        share = change.explained / max(change.explained + profile.fit.misfit, 1e-300)
+        change = change._replace(explained=share * misfit)
+        yield source.symptom(f"against_{kind}", change, profile.unit, name, what=what, motion=motion)
 
 
 def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: float) -> Iterator[Symptom]:
@@ -291,18 +281,16 @@ def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: floa
     count = columns.shape[1] - 1
     if count < 1 or sensor.time.size < 4 * count:
         return
-    described = np.zeros(len(sensor.names))
+    power = np.zeros(len(sensor.names))
     for c, rows in enumerate(sensor.known.T):
         residual = remaining[rows, c] - remaining[rows, c].mean()
         sizes, *_ = np.linalg.lstsq(columns[rows], residual, rcond=1e-6)
-        described[c] = np.sum(residual**2) - np.sum((residual - columns[rows] @ sizes) ** 2)
-    counts = sensor.known.sum(axis=0)
-    most = int(np.argmax(described / counts))
-    size = sensor.noise * math.sqrt(max(described[most] - count, 0.0) / counts[most])
-    chance = float(stats.chi2.sf(described.sum(), count * described.size))
-    drift = Coefficient(size, sensor.noise / math.sqrt(2 * counts[most]), chance)
-    beyond = max(float(described.sum()) - count * described.size, 0.0)
-    yield source.symptom("slow_drift", drift, sensor.unit, beyond, sensor.names[most], limit=_plain(limit))
+        power[c] = explained(columns[rows] @ sizes, residual)
+    most = int(np.argmax(power / sensor.counts))
+    size = sensor.noise * math.sqrt(max(power[most] - count, 0.0) / sensor.counts[most])
+    chance, beyond = float(stats.chi2.sf(power.sum(), count * power.size)), float(power.sum()) - count * power.size
+    drift = Coefficient(size, sensor.noise / math.sqrt(2 * sensor.counts[most]), chance, max(beyond, 0.0))
+    yield source.symptom("slow_drift", drift, sensor.unit, sensor.names[most], limit=_plain(limit))
 
 
 def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
@@ -321,8 +309,9 @@ def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
     growth = Coefficient.of(0.5 * math.log(power[-1] / power[0]), std, 0.0, 1)
     if one.simulated.recording.kind == "decay" and growth.value < 0:  # it shrinks as the motion does
         return
-    described = float(np.sum(np.maximum(total - count * total.sum() / count.sum(), 0.0)))
-    yield source.symptom("growth", growth, "log", described, fold=_plain(math.exp(abs(growth.value))))
+    beyond = float(np.sum(np.maximum(total - count * total.sum() / count.sum(), 0.0)))
+    growth = growth._replace(explained=beyond)
+    yield source.symptom("growth", growth, "log", fold=_plain(math.exp(abs(growth.value))))
 
 
 def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> Iterator[Symptom]:
@@ -336,7 +325,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
         largest, smallest = float(amplitude.max()), float(amplitude.min())
         if amplitude.size < 5 or largest < 1.3 * smallest:  # too little to show a change
             continue
-        source = _Source(None, sum(one.misfit for one, _ in members), total)
+        source = _Source.of([one for one, _ in members], total)
         rates, std = (np.concatenate(parts) for parts in zip(*((f.rates, f.std) for _, f in members), strict=True))
         centre = float(rates[:, 1, 0].mean())
         for c, kind, power, faster, slower in ((0, "frequency", 2, "faster", "slower"),
@@ -347,29 +336,24 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
             # Windows overlap by half: two in a row are taken together.
             slope = regress(columns, (values[:, 0] - values[:, 1]) / errors, np.arange(place.size) // 2)[0][1]
             rate = 2 * np.pi * centre * slope.value
-            described = sum(free.misfit_of(rate, largest, power) for _, free in members)
+            beyond = sum(free.misfit_of(rate, largest, power) for _, free in members)
             own = float(np.linalg.lstsq(columns, values[:, 1] / errors, rcond=None)[0][1] * np.ptp(place))
-            change = slope.times(float(np.ptp(place)))
+            change = slope.times(float(np.ptp(place)))._replace(explained=beyond)
             here, model = (f"{_plain(v) if c else _quantity(v, '1')} {faster if v > 0 else slower}"
                            for v in (change.value + own, own))  # fmt: skip
             model = "is the same" if abs(own) < 0.05 * abs(change.value + own) else f"is {model}"
             yield source.symptom(
-                f"{kind}_with_amplitude", change, "1", described, mode=mode, here=here, at=f"{_plain(centre)} Hz",
+                f"{kind}_with_amplitude", change, "1", mode=mode, here=here, at=f"{_plain(centre)} Hz",
                 own=model + (f" ({condition})" if condition else ""), large=_quantity(largest, unit),
                 small=_quantity(smallest, unit),
             )  # fmt: skip
 
 
-def _tone(
-    source: _Source, sensor: Channels, residual: Array, kind: str, modes: Sequence[float] = ()
-) -> Iterator[Symptom]:
-    tone = sensor.strongest_tone(residual, kind == "quiet_tone", modes)
+def _tone(source: _Source, sensor: Channels, tone: Tone | None, kind: str) -> Iterator[Symptom]:
     if tone is not None:
         template = "tone_of_model" if tone.simulated >= tone.amplitude.value else "tone"
         at, swing = f"{_plain(tone.frequency, 3)} Hz", _quantity(tone.simulated, sensor.unit)
-        yield source.symptom(
-            kind, tone.amplitude, sensor.unit, tone.described, tone.sensor, template=template, at=at, swing=swing
-        )
+        yield source.symptom(kind, tone.amplitude, sensor.unit, tone.coordinate, template=template, at=at, swing=swing)
 
 
 def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
@@ -380,7 +364,8 @@ def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
     values, weights = np.array([one.value for one in known]), np.array([one.std for one in known]) ** -2
     mean, std = float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
     scatter = math.sqrt(np.sum(weights * (values - mean) ** 2) / max(values.size - 1, 1))
-    return Coefficient.of(mean, std, std * max(scatter, 1.0), 11 + values.size - 1)
+    together = Coefficient.of(mean, std, std * max(scatter, 1.0), 11 + values.size - 1)
+    return together._replace(explained=sum(one.explained for one in estimates))
 
 
 def _plain(value: float, digits: int = 2) -> str:

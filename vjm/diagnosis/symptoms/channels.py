@@ -11,16 +11,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal, stats
 from scipy.interpolate import CubicSpline, PPoly
 
 from vjm.records import Array, Indices, Mask, Rig, SimulatedRecording
 
-_T = TypeVar("_T", np.float64, np.intp)
 _LEAST_VALUES = 8  # measured values of a channel; with fewer than about two a coefficient nothing can be tested
 _GROUPS = 12  # stretches of time taken as independent: few, so that each outlasts the residual's correlation
 
@@ -31,16 +29,17 @@ class Coefficient(NamedTuple):
     value: float = 0.0
     std: float = np.inf  # standard error; infinite where the data do not determine the value
     p_value: float = 1.0  # probability that a residual without this component shows as much
+    explained: float = 0.0  # decrease of the residual's sum of squares by it, in units of the noise
 
     @classmethod
-    def of(cls, value: float, noise_std: float, group_std: float, freedom: int) -> Coefficient:
-        """Take the larger standard error of white noise and of a few groups (Student), and the larger p-value."""
-        if not np.isfinite([value, noise_std, group_std]).all() or noise_std <= 0:
+    def of(cls, value: float, white_std: float, cluster_std: float, freedom: int) -> Coefficient:
+        """Take the larger standard error of white noise and of a few clusters (Student), and the larger p-value."""
+        if not np.isfinite([value, white_std, cluster_std]).all() or white_std <= 0:
             return cls()
-        p_value = 2 * stats.norm.sf(abs(value) / noise_std)
-        if group_std > 0:
-            p_value = max(p_value, 2 * stats.t.sf(abs(value) / group_std, max(freedom, 1)))
-        return cls(float(value), float(max(noise_std, group_std)), float(p_value))
+        p_value = 2 * stats.norm.sf(abs(value) / white_std)
+        if cluster_std > 0:
+            p_value = max(p_value, 2 * stats.t.sf(abs(value) / cluster_std, max(freedom, 1)))
+        return cls(float(value), float(max(white_std, cluster_std)), float(p_value))
 
     @property
     def known(self) -> bool:
@@ -49,7 +48,12 @@ class Coefficient(NamedTuple):
 
     def times(self, factor: float) -> Coefficient:
         """Return the coefficient in another unit."""
-        return Coefficient(self.value * factor, self.std * abs(factor), self.p_value)
+        return self._replace(value=self.value * factor, std=self.std * abs(factor))
+
+
+def explained(change: Array, residual: Array) -> float:
+    """Return by how much a change of the simulation lowers the sum of squares of a residual, both of any shape."""
+    return float(np.sum(change * (2 * residual - change)))
 
 
 def regress(columns: Array, residual: Array, groups: Indices, lost: int = 0) -> tuple[list[Coefficient], Array]:
@@ -67,36 +71,38 @@ def regress(columns: Array, residual: Array, groups: Indices, lost: int = 0) -> 
     scaled = columns / size
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
     dependent = eigenvalues < 1e-10 * max(float(eigenvalues[-1]), 1e-300)
-    kept, own = vectors[:, ~dependent], eigenvalues[~dependent]
+    kept = vectors[:, ~dependent]
     # A column of which the others leave less than 1e-6 (squared sine of the angle between them) has no own coefficient.
-    variances = np.sum(kept**2 / own, axis=1)
+    variances = np.sum(kept**2 / eigenvalues[~dependent], axis=1)
     determined = np.isfinite(size) & (np.sum(vectors[:, dependent] ** 2, axis=1) < 1e-3) & (variances < 1e6)
     count = int(np.unique(groups).size)
     if count < 2 or residual.size <= columns.shape[1] or not determined.any():
         return [Coefficient()] * columns.shape[1], residual
     fit = OLS(residual, scaled @ kept).fit(cov_type="cluster", cov_kwds={"groups": groups}, use_t=True)
-    remaining = np.asarray(fit.resid)
-    variance = max(float(remaining @ remaining) / max(remaining.size - columns.shape[1] - lost, 1), 1.0)
-    group_std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", kept, fit.cov_params(), kept), 0.0))
-    values = zip(kept @ fit.params / size, np.sqrt(variance * variances) / size, group_std / size, strict=True)
-    estimates = [Coefficient.of(value, noise, group, count - 1) for value, noise, group in values]
-    return [one if own else Coefficient() for one, own in zip(estimates, determined, strict=True)], remaining
+    remaining, values = np.asarray(fit.resid), kept @ fit.params
+    noise = max(float(remaining @ remaining) / max(remaining.size - columns.shape[1] - lost, 1), 1.0)
+    white, cluster = np.sqrt(noise * variances), np.sqrt(np.maximum(np.diag(kept @ fit.cov_params() @ kept.T), 0.0))
+    coefficients = [Coefficient()] * columns.shape[1]
+    for k in np.flatnonzero(determined):
+        coefficient = Coefficient.of(values[k], white[k], cluster[k], count - 1).times(1 / size[k])
+        # Without the column, the others fitted again, the sum of squares would be so much larger.
+        coefficients[k] = coefficient._replace(explained=float(values[k] ** 2 / variances[k]))
+    return coefficients, remaining
 
 
-class _Tone(NamedTuple):
+class Tone(NamedTuple):
     """A sinusoid in a residual."""
 
     frequency: float  # [Hz]
-    amplitude: Coefficient  # where it is strongest [m or rad]
-    sensor: str  # that coordinate
+    amplitude: Coefficient  # where it is largest [m or rad]
+    coordinate: str  # that coordinate
     simulated: float  # amplitude of the simulation there [m or rad]
-    described: float  # squared misfit, in units of the noise
     wave: Array  # (F, C) in units of the noise
 
 
 @dataclass(frozen=True)
 class Channels:
-    """The F instants and C coordinates of one sensor in one recording, measured beside simulated."""
+    """The F instants and C coordinates of one sensor in one recording, measured and simulated."""
 
     sensor: str  # `camera` or `encoder`
     names: tuple[str, ...]  # (C) `beam.m3.y`, `beam.m3 across` where the axes turn with the link, `beam.theta`
@@ -118,11 +124,31 @@ class Channels:
         """(F, C) of the simulation [m/s or rad/s]."""
         return np.asarray(self.path(self.time, 1), dtype=np.float64)
 
+    @property
+    def measured(self) -> Array:
+        """(F, C) [m or rad]; the simulated values where nothing was measured."""
+        return self.simulated + self.noise * self.residual
+
     @cached_property
     def moving(self) -> Mask:
         """(C,) whether the simulated motion stands out of the noise (three sigma)."""
-        power = np.sum(self.centred(self.simulated) ** 2, axis=0) / np.maximum(self.known.sum(axis=0), 1)
+        power = np.sum(self.centred(self.simulated) ** 2, axis=0) / self.counts
         return np.asarray(np.sqrt(power) > 3 * self.noise)
+
+    @cached_property
+    def counts(self) -> Array:
+        """(C,) numbers of measured values, at least one."""
+        return np.asarray(np.maximum(self.known.sum(axis=0), 1), dtype=np.float64)
+
+    @property
+    def unknown(self) -> int:
+        """Number of values that were not measured."""
+        return int(np.sum(~self.known))
+
+    @property
+    def all_groups(self) -> Indices:
+        """(F C,) stretch of time of each value."""
+        return np.repeat(self.groups, len(self.names))
 
     @property
     def unit(self) -> str:
@@ -141,57 +167,56 @@ class Channels:
 
     def centred(self, values: Array) -> Array:
         """Return values (F, C) minus each channel's mean over what is known; zero elsewhere."""
-        mean = np.sum(np.where(self.known, values, 0.0), axis=0) / np.maximum(self.known.sum(axis=0), 1)
-        return np.where(self.known, values - mean, 0.0)
-
-    def stacked(self, values: NDArray[_T]) -> NDArray[_T]:
-        """Return the known ones of values (F, C) or (F,), channel by channel, (N,)."""
-        whole = np.broadcast_to(values.reshape(len(self.time), -1), self.known.shape)
-        return whole.T[self.known.T]
+        return np.where(self.known, values - np.sum(np.where(self.known, values, 0.0), axis=0) / self.counts, 0.0)
 
     def slow_columns(self, time: Array, highest: float) -> Array:
         """Return cosines below a frequency [Hz] over the recording, (T, K + 1), the constant first."""
         count = min(int(2 * self.duration * highest), 40)
         return np.asarray(np.cos(np.pi * ((time - self.time[0]) / self.duration)[:, None] * np.arange(count + 1)))
 
+    def _evenly(self, values: Array) -> Array:
+        """Return values (F, C) on an even grid of instants, zero where nothing was measured."""
+        place = np.round((self.time - self.time[0]) / self.step).astype(np.intp)
+        even = np.zeros((int(place[-1]) + 1, values.shape[1]))
+        even[place] = values
+        return even
+
     @cached_property
     def delay(self) -> Coefficient:
         """Delay against the simulation [s]: the peak of their cross-correlation, then regression."""
         if not self.moving.any() or self.step <= 0:
             return Coefficient()
-        even = np.arange(self.time[0], self.time[-1], self.step)
-        simulated = self.centred(self.simulated) * self.moving
-        measured = (simulated + self.noise * self.residual) * self.moving
-        both = [np.stack([np.interp(even, self.time, v) for v in values.T], axis=1) for values in (measured, simulated)]
-        correlation = sum(signal.correlate(m, s, method="fft") for m, s in zip(both[0].T, both[1].T, strict=True))
-        start = self.step * float(int(np.argmax(correlation)) - (even.size - 1))
+        both = [self._evenly(self.centred(values * self.moving)) for values in (self.measured, self.simulated)]
+        pairs = zip(both[0].T, both[1].T, strict=True)
+        correlation = np.sum([signal.correlate(*pair, method="fft") for pair in pairs], axis=0)
+        start = self.step * (int(np.argmax(correlation)) - correlation.size // 2)
         since = (self.time - self.time.mean())[:, None]
-        found = [Coefficient()]
+        estimate = Coefficient()
         for _ in range(3):  # the motion is not linear in a delay
             shifted, rate = (self.path(self.time - start, order) for order in (0, 1))
             motion = self.centred(shifted) * self.moving
             power = np.maximum(np.sum(motion**2, axis=0), 1e-300)
             parts = []
-            for values in (self.simulated + self.noise * self.residual - shifted, -rate, -rate * since):
+            for values in (self.measured - shifted, -rate, -rate * since):  # residual, delay, and another clock
                 inner = self.centred(values * self.moving)
                 own = inner - motion * (np.sum(motion * inner, axis=0) / power)  # each coordinate has a gain of its own
-                parts.append(self.stacked(own) / self.noise)
-            groups = self.stacked(self.groups)
-            found, _ = regress(np.stack(parts[1:], axis=1), parts[0], groups, 2 * len(self.names))
-            if not found[0].known:
+                parts.append(own.ravel() / self.noise)
+            lost = 2 * len(self.names) + self.unknown
+            estimate = regress(np.stack(parts[1:], axis=1), parts[0], self.all_groups, lost)[0][0]
+            if not estimate.known:
                 return Coefficient()
-            start += found[0].value
-        return Coefficient.of(start, found[0].std, found[0].std, int(self.groups[-1]))
+            start += estimate.value
+        change = (self.path(self.time - start) - self.simulated) * self.known / self.noise
+        delay = Coefficient.of(start, estimate.std, estimate.std, int(self.groups[-1]))
+        return delay._replace(explained=explained(change, self.residual))
 
     def spectrum(self, residual: Array, oversampling: int) -> tuple[Array, Array]:
         """Return frequencies (L,) [Hz], and mean power (L,) of the coordinates, that of white noise being one."""
-        place = np.round((self.time - self.time[0]) / self.step).astype(np.intp)
-        even = np.zeros((int(place[-1]) + 1, residual.shape[1]))
-        even[place] = residual / np.sqrt(np.maximum(self.known.sum(axis=0), 1))
+        even = self._evenly(residual / np.sqrt(self.counts))
         power = np.mean(np.abs(np.fft.rfft(even, oversampling * len(even), axis=0)[1:-1]) ** 2, axis=1)
         return np.asarray(np.fft.rfftfreq(oversampling * len(even), self.step)[1:-1], dtype=np.float64), power
 
-    def strongest_tone(self, residual: Array, white: bool = False, modes: Sequence[float] = ()) -> _Tone | None:
+    def strongest_tone(self, residual: Array, white: bool = False, modes: Sequence[float] = ()) -> Tone | None:
         """Return the strongest sinusoid of a residual (F, C); None where it is likely to be chance.
 
         White noise alone, or also what a model misses is expected beside it; nothing is looked for near `modes` [Hz].
@@ -206,30 +231,29 @@ class Channels:
         if not allowed.any():
             return None
         best, columns = int(np.argmax(np.where(allowed, power, 0.0))), len(self.names)
-        near = np.abs(np.arange(power.size) - best)
-        beside = power[(near > 8) & (near <= 48)]  # a dozen lines on either side, without the peak's own
-        ratio = float(power[best]) / max(float(np.median(beside)) if beside.size else 1.0, 1.0)
+        distance = np.abs(np.arange(power.size) - best)
+        around = power[(distance > 8) & (distance <= 48)]  # a dozen lines on either side, without the peak's own
+        ratio = float(power[best]) / max(float(np.median(around)) if around.size else 1.0, 1.0)
         # White noise is independent in every coordinate; what a model misses may be the same in all of them.
         chance = float(stats.chi2.sf(2 * columns * ratio, 2 * columns)) if white else 0.5**ratio
         chance *= np.count_nonzero(allowed) / 4
         if chance > 0.01:
             return None
-        fine = 2 * np.pi * (frequency[best] + np.linspace(-1, 1, 41) * (frequency[1] - frequency[0]))
-        total = sum(signal.lombscargle(self.time, column, fine) for column in residual.T)
-        peak = float(fine[np.argmax(total)]) / (2 * np.pi)
+        below, top, above = np.log(power[best - 1 : best + 2])  # the vertex of a parabola lies between spectral lines
+        peak = float(frequency[best] + 0.5 * (below - above) / (below - 2 * top + above) * frequency[0])
         pair = np.stack([np.cos(2 * np.pi * peak * self.time), np.sin(2 * np.pi * peak * self.time)], axis=1)
         wave, sizes = np.zeros_like(residual), np.zeros(columns)
         for c, rows in enumerate(self.known.T):
-            found, *_ = np.linalg.lstsq(pair[rows], residual[rows, c], rcond=None)
-            wave[rows, c], sizes[c] = pair[rows] @ found, math.hypot(*found)
+            amplitudes, *_ = np.linalg.lstsq(pair[rows], residual[rows, c], rcond=None)
+            wave[rows, c], sizes[c] = pair[rows] @ amplitudes, math.hypot(*amplitudes)
         most = int(np.argmax(sizes))
-        rest = max(float(np.mean((residual - wave)[self.known] ** 2)), 1.0)
-        std = self.noise * math.sqrt(2 * rest / self.known[:, most].sum())
+        noise = max(float(np.mean((residual - wave)[self.known] ** 2)), 1.0)
+        std = self.noise * math.sqrt(2 * noise / self.counts[most])
         window = signal.windows.hann(self.time.size) ** 2  # lets nothing slower into the simulation's own amplitude
         motion = self.simulated[:, most] - np.average(self.simulated[:, most], weights=window)
         swing = 2 * abs(np.sum(window * motion * (pair[:, 0] - 1j * pair[:, 1]))) / np.sum(window)
-        size, described = Coefficient(self.noise * sizes[most], std, chance), np.sum(wave * (2 * residual - wave))
-        return _Tone(peak, size, self.names[most], float(swing), float(described), wave)
+        amplitude = Coefficient(self.noise * sizes[most], std, chance, explained(wave, residual))
+        return Tone(peak, amplitude, self.names[most], float(swing), wave)
 
 
 def channels_of(rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]:
@@ -242,26 +266,25 @@ def channels_of(rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]
     velocity = _turned(CubicSpline(time, simulation.markers)(time, 1), turns).reshape(count, -1)
     path = CubicSpline(time, velocity).antiderivative()
     path.c[-1] += _turned(simulation.markers[:1], turns[:1]).reshape(1, -1)
-    markers = [f"{link.name}.m{k + 1}" for link in rig.links for k in range(len(link.markers))]
     axes = [(" along", " across") if turning else (".x", ".y") for turning in np.any(turns != 0, axis=0)]
-    places = [(m, axis) for m in range(len(markers)) for axis in (0, 1)]
-    residual = _turned(simulated.marker_residual, turns).reshape(count, -1)
+    markers = [f"{link.name}.m{k + 1}" for link in rig.links for k in range(len(link.markers))]
+    coordinates = [(markers[m] + axes[m][axis], (m, axis)) for m in range(len(markers)) for axis in (0, 1)]
     joints = [(f"{rig.links[i].name}.theta", (j, 0)) for j, i in enumerate(rig.active_links)]
+    residual = _turned(simulated.marker_residual, turns).reshape(count, -1)
     sensors: list[Channels] = []
-    for sensor, names, curve, values, noise in (
-        ("camera", [(markers[m] + axes[m][axis], (m, axis)) for m, axis in places], path, residual, 0),
-        ("encoder", joints, CubicSpline(time, simulation.theta), simulated.theta_residual, 1),
+    for sensor, labels, curve, values, noise in (
+        ("camera", coordinates, path, residual, simulated.noise[0]),
+        ("encoder", joints, CubicSpline(time, simulation.theta), simulated.theta_residual, simulated.noise[1]),
     ):
         kept = np.flatnonzero(np.isfinite(values).sum(axis=0) >= _LEAST_VALUES)
         if not kept.size:
             continue
         rows = np.flatnonzero(np.isfinite(values[:, kept]).any(axis=1))
-        own, std, most = values[np.ix_(rows, kept)], simulated.noise[noise], min(_GROUPS, max(rows.size // 4, 2))
+        own, most = values[np.ix_(rows, kept)], min(_GROUPS, max(rows.size // 4, 2))
         groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * most).astype(np.intp), most - 1)
-        labels, where = zip(*(names[c] for c in kept), strict=True)
-        motion = PPoly(curve.c[:, :, kept], curve.x)
-        scaled = np.nan_to_num(own) / std
-        sensors.append(Channels(sensor, labels, where, time[rows], motion, scaled, np.isfinite(own), std, groups))
+        names, places = zip(*(labels[c] for c in kept), strict=True)
+        motion, scaled = PPoly(curve.c[:, :, kept], curve.x), np.nan_to_num(own) / noise
+        sensors.append(Channels(sensor, names, places, time[rows], motion, scaled, np.isfinite(own), noise, groups))
     return tuple(sensors)
 
 
@@ -290,17 +313,16 @@ class SensorAtRest(NamedTuple):
 
     channels: Channels
     size: Coefficient  # root mean square over the noise supposed, minus one
-    colour: Coefficient  # correlation of one value with the next, any tone taken out
-    tone: _Tone | None
+    correlation: Coefficient  # of one value with the next, any tone taken out
+    tone: Tone | None
     frequency: Array  # (L,) of the residual's spectrum [Hz]
     amplitude: Array  # (L,) of a sine, root mean square over the coordinates [m or rad]
     white: float  # amplitude that white noise of the size supposed gives, and
     limit: float  # that it passes anywhere in one recording of a thousand
-    described: tuple[float, float]  # squared misfit beyond the noise supposed, and that the correlation describes
 
     @classmethod
     def of(cls, sensor: Channels) -> SensorAtRest | None:
-        """Return size, colour and tone of a sensor's residual while nothing moves; None with hardly any values."""
+        """Return size, correlation and tone of a sensor's residual at rest; None with hardly any values."""
         from statsmodels.stats.diagnostic import acorr_ljungbox
 
         if sensor.time.size < 3 * _LEAST_VALUES:
@@ -316,9 +338,10 @@ class SensorAtRest(NamedTuple):
         columns = [column[known] for column, known in zip(clean.T, sensor.known.T, strict=True)]
         statistic = sum(float(acorr_ljungbox(column, lags=[1])["lb_stat"].iloc[0]) for column in columns)
         cross, own = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
-        colour = Coefficient(cross / own, count**-0.5, float(stats.chi2.sf(statistic, len(columns))))
+        chance = float(stats.chi2.sf(statistic, len(columns)))
+        correlation = Coefficient(cross / own, count**-0.5, chance, cross**2 / own)
         frequency, spectrum = sensor.spectrum(sensor.residual, 1)
-        white, freedom = sensor.noise * math.sqrt(float(np.mean(4 / sensor.known.sum(axis=0)))), 2 * len(columns)
+        white, freedom = sensor.noise * math.sqrt(float(np.mean(4 / sensor.counts))), 2 * len(columns)
         limit = white * math.sqrt(float(stats.chi2.isf(1e-3 / frequency.size, freedom)) / freedom)
-        described = (abs(float(power.sum()) - count), colour.value * cross)
-        return cls(sensor, larger, colour, tone, frequency, white * np.sqrt(spectrum), white, limit, described)
+        size_explained = larger._replace(explained=abs(float(power.sum()) - count))
+        return cls(sensor, size_explained, correlation, tone, frequency, white * np.sqrt(spectrum), white, limit)

@@ -13,23 +13,23 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import least_squares
 
-from vjm.diagnosis.symptoms.channels import Channels, Coefficient, regress
+from vjm.diagnosis.symptoms.channels import Channels, Coefficient, explained, regress
 from vjm.experiment.spectrum import Oscillators
 from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
 _TERMS = 4  # of a mode: gain, phase, decay, speed
+_BESIDE = "slow_gain", "slow_delay", "camera_lag", "camera_clock"  # parameters that follow those of the modes
 _MOST_ROWS = 1500  # instants to which the simulated, noise-free motion is fitted
 _LEAST_SIGNAL = 30.0  # root of the sum of squares over the noise: an amplitude known to 5 %
 _BLUR = 0.04  # relative error of a mode's parameters: oscillators describe no large motion exactly
 
 
 class ModeDifference(NamedTuple):
-    """One mode of one recording, measured against simulated."""
+    """One mode of one recording, measured minus simulated."""
 
     mode: int  # index among the natural frequencies
     pole: complex  # of the simulated motion [1/s]
@@ -37,8 +37,7 @@ class ModeDifference(NamedTuple):
     phase: Coefficient  # by which the measured motion is ahead [rad]
     decay: Coefficient  # difference of the decay rates [1/s]
     speed: Coefficient  # difference of the angular frequencies [rad/s]
-    described: tuple[float, ...]  # squared misfit that each of these four describes, in units of the noise
-    shapes: tuple[tuple[str, Coefficient, float], ...]  # gain of each marker against all, and the misfit described
+    shapes: tuple[tuple[str, Coefficient], ...]  # gain of each coordinate of the camera against that of all
 
     @property
     def simulated(self) -> float:
@@ -79,12 +78,13 @@ class FreeMotion(NamedTuple):
 
 
 class ModeComparison(NamedTuple):
-    """All modes of one recording, and the motion outside them."""
+    """All modes of one recording, and the slow motion beside them."""
 
     modes: tuple[ModeDifference, ...] = ()  # those that move
-    # Gain and delay [s] of the motion outside the modes, lag of the camera behind the encoders [s] and by how much more
-    # time it counts; with each the squared misfit that it describes, in units of the noise.
-    rest: tuple[tuple[Coefficient, float], ...] = ((Coefficient(), 0.0),) * 4
+    slow_gain: Coefficient = Coefficient()  # of the motion outside the modes
+    slow_delay: Coefficient = Coefficient()  # of the same [s]
+    camera_lag: Coefficient = Coefficient()  # of the camera behind the encoders [s]
+    camera_clock: Coefficient = Coefficient()  # by how much more time the camera counts than the encoders [1]
     free: tuple[FreeMotion, ...] = ()
     remaining: tuple[Array, ...] = ()  # of each sensor, (F, C) the residual without all of these, in units of the noise
 
@@ -92,43 +92,38 @@ class ModeComparison(NamedTuple):
     def of(cls, recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> ModeComparison:
         """Compare the modes of a recording in its sensors, at least one, near the model's natural frequencies [Hz]."""
         fit = _Fit.to_simulation(recording, sensors, natural)
-        x, jacobian = fit.solve()
-        residual = fit.stacked([s.centred(s.residual) for s in sensors])
+        residual = np.concatenate([sensor.centred(sensor.residual).ravel() for sensor in sensors])
+        x, jacobian = fit.solve(residual)
         left = residual - fit.change(x)
-        groups = np.concatenate([s.stacked(s.groups) for s in sensors])
-        found, _ = regress(jacobian, left + jacobian @ x, groups, sum(len(s.names) for s in sensors))
-        parts = np.split(left, np.cumsum([int(s.known.sum()) for s in sensors])[:-1])
-        remaining = []
-        for sensor, part in zip(sensors, parts, strict=True):
-            values = np.zeros(sensor.known.T.shape)
-            values[sensor.known.T] = part
-            remaining.append(values.T)
+        groups = np.concatenate([sensor.all_groups for sensor in sensors])
+        lost = sum(len(sensor.names) + sensor.unknown for sensor in sensors)
+        estimates, _ = regress(jacobian, left + jacobian @ x, groups, lost)
+        parts = np.split(left, np.cumsum([sensor.known.size for sensor in sensors])[:-1])
+        remaining = tuple(part.reshape(sensor.known.shape) for sensor, part in zip(sensors, parts, strict=True))
 
-        def described(*kept: int) -> float:
-            own = np.zeros_like(x)
-            own[list(kept)] = x[list(kept)]
-            change = fit.change(own)
-            return float(change @ (2 * residual - change))
+        def gained(*kept: int) -> float:
+            return explained(fit.change(np.where(np.isin(np.arange(x.size), kept), x, 0.0)), residual)
 
         modes = []
         for k, (index, pole) in enumerate(zip(fit.modes, fit.poles, strict=True)):
             gain, phase, decay, speed = range(_TERMS * k, _TERMS * (k + 1))
             if abs(x[gain]) > np.log(10):  # ten times as large or as small: another motion, not this one changed
                 continue
-            start = described(gain, phase)
-            shares = (described(gain), described(phase), described(gain, phase, decay) - start,
-                      described(gain, phase, speed) - start)  # fmt: skip
-            terms = (_blurred(found[gain]), _blurred(found[phase]), _blurred(found[decay]), _blurred(found[speed]))
-            modes.append(ModeDifference(index, pole, *terms, shares, fit.shapes(k, x, remaining[0])))
-        first = _TERMS * len(fit.modes)
-        rest = [(found[j], described(j)) for j in range(first, x.size)]
-        rest += [(Coefficient(), 0.0)] * (4 - len(rest))
+            start = gained(gain, phase)
+            shares = (gained(gain), gained(phase), gained(gain, phase, decay) - start,
+                      gained(gain, phase, speed) - start)  # fmt: skip
+            own = estimates[_TERMS * k : _TERMS * (k + 1)]
+            terms = [_blurred(one)._replace(explained=share) for one, share in zip(own, shares, strict=True)]
+            shapes = fit.shapes(k, x, remaining[0])
+            modes.append(ModeDifference(index, pole, terms[0], terms[1], terms[2], terms[3], shapes))
+        others = range(_TERMS * len(fit.modes), x.size)
+        beside = dict(zip(_BESIDE, (estimates[j]._replace(explained=gained(j)) for j in others), strict=False))
         free = [fit.free_motion(k, x, recording) for k in range(len(fit.modes))]
-        return cls(tuple(modes), tuple(rest), tuple(f for f in free if f is not None), tuple(remaining))
+        return cls(tuple(modes), **beside, free=tuple(f for f in free if f is not None), remaining=remaining)
 
 
-def _blurred(found: Coefficient) -> Coefficient:
-    return found._replace(std=float(np.hypot(found.std, _BLUR * found.value)))
+def _blurred(coefficient: Coefficient) -> Coefficient:
+    return coefficient._replace(std=float(np.hypot(coefficient.std, _BLUR * coefficient.value)))
 
 
 def _free_interval(recording: Recording) -> tuple[float, float] | None:
@@ -215,19 +210,19 @@ class _Fit:
         return [self.waves(k) for k in range(len(self.modes))]
 
     @cached_property
-    def _rest(self) -> list[tuple[Array, Array]]:
+    def _slow(self) -> list[tuple[Array, Array]]:
         """Effect of gain and delay of the motion outside the modes, (F, C) in each sensor [m or rad]."""
         pairs = []
         for s, sensor in enumerate(self.sensors):
-            rest = sensor.simulated - sum((own[s].real for own in self._unchanged), np.zeros(1))
-            rate = np.gradient(rest, sensor.time, axis=0)
-            pairs.append((sensor.centred(rest) * sensor.moving, -rate * sensor.moving))
+            slow = sensor.simulated - sum((own[s].real for own in self._unchanged), np.zeros(1))
+            rate = np.gradient(slow, sensor.time, axis=0)
+            pairs.append((sensor.centred(slow) * sensor.moving, -rate * sensor.moving))
         return pairs
 
     def change(self, x: Array) -> Array:
         """Return the (N,) change of the simulation, each coordinate minus its mean, in units of the noise."""
         gain, delay, lag, clock = (*x[_TERMS * len(self.modes) :], 0.0, 0.0)[:4]
-        changes = [gain * shape + delay * rate for shape, rate in self._rest]
+        changes = [gain * shape + delay * rate for shape, rate in self._slow]
         for k, own in enumerate(self._unchanged):
             mode = x[_TERMS * k : _TERMS * (k + 1)]
             if mode.any():
@@ -237,62 +232,46 @@ class _Fit:
             camera = self.sensors[0]
             shifted = camera.time - lag - clock * (camera.time - self.middle)
             changes[0] = changes[0] + camera.path(shifted) - camera.simulated
-        return self.stacked([s.centred(c) / s.noise for s, c in zip(self.sensors, changes, strict=True)])
+        return np.concatenate([(s.centred(c) / s.noise).ravel() for s, c in zip(self.sensors, changes, strict=True)])
 
-    def stacked(self, values: Sequence[Array]) -> Array:
-        """Join values (F, C) of each sensor, (N,)."""
-        return np.concatenate([s.stacked(v) for s, v in zip(self.sensors, values, strict=True)])
+    def solve(self, residual: Array) -> tuple[Array, Array]:
+        """Return the parameters (p,) that fit a residual (N,) best, and the Jacobian (N, p) of the change."""
 
-    def solve(self) -> tuple[Array, Array]:
-        """Return the best parameters, and the Jacobian (N, p) of the change."""
-        residual = self.stacked([s.centred(s.residual) for s in self.sensors])
-        size = _TERMS * len(self.modes) + (4 if len(self.sensors) > 1 else 2)
-        best = self._least_squares(residual, np.zeros(size))
-        # Where that leaves a residual, a frequency may be off by more than half a period over the recording.
-        if self.modes and np.mean((residual - self.change(best)) ** 2) > 2:
-            start = np.zeros(size)
-            for k, peak in enumerate(self._peaks()):
-                start[_TERMS * k + 3] = peak
-            other = self._least_squares(residual, start)
-            best = min((best, other), key=lambda x: float(np.sum((residual - self.change(x)) ** 2)))
-        steps = 1e-6 * np.eye(size)
-        return best, np.stack([(self.change(best + h) - self.change(best - h)) / 2e-6 for h in steps], axis=1)
-
-    def _least_squares(self, residual: Array, start: Array) -> Array:
         def misfit(x: Array) -> Array:
             return residual - self.change(x)
 
-        found = np.array(least_squares(misfit, start, x_scale="jac", max_nfev=30).x)
+        def search(start: Array) -> Any:
+            return least_squares(misfit, start, x_scale="jac", max_nfev=30)
+
+        start = np.zeros(_TERMS * len(self.modes) + (4 if len(self.sensors) > 1 else 2))
+        best = search(start)
+        # Where that leaves a residual, a frequency may be off by more than half a period over the recording.
+        if self.modes and 2 * best.cost > 2 * sum(sensor.known.sum() for sensor in self.sensors):
+            camera = self.sensors[0]
+            frequency, power = camera.spectrum(camera.centred(camera.measured), 4)
+            for k, pole in enumerate(self.poles):
+                speed = 2 * np.pi * frequency - pole.imag
+                start[_TERMS * k + 3] = speed[np.argmax(np.where(np.abs(speed) < 0.5 * pole.imag, power, 0.0))]
+            other = search(start)
+            best = other if other.cost < best.cost else best
+        x = np.array(best.x)
         phases = slice(1, _TERMS * len(self.modes), _TERMS)
-        found[phases] = np.angle(np.exp(1j * found[phases]))
-        return found
+        x[phases] = np.angle(np.exp(1j * x[phases]))
+        return x, -np.asarray(best.jac)
 
-    def _peaks(self) -> list[float]:
-        """Return the strongest measured frequency within 50 % of each mode's, minus it [rad/s]."""
-        camera = self.sensors[0]
-        measured = camera.centred(camera.simulated + camera.noise * camera.residual)
-        peaks = []
-        for pole in self.poles:
-            speeds = np.linspace(0.5, 1.5, 400) * pole.imag
-            power = sum(signal.lombscargle(camera.time, column, speeds) for column in measured.T)
-            peaks.append(float(speeds[int(np.argmax(power))] - pole.imag))
-        return peaks
-
-    def shapes(self, k: int, x: Array, remaining: Array) -> tuple[tuple[str, Coefficient, float], ...]:
+    def shapes(self, k: int, x: Array, remaining: Array) -> tuple[tuple[str, Coefficient], ...]:
         """Return the gain of each camera coordinate in a mode against that of all."""
         camera = self.sensors[0]
         if camera.sensor != "camera":
             return ()
         wave = camera.centred(self.waves(k, x[_TERMS * k : _TERMS * (k + 1)])[0].real) / camera.noise
         size = np.linalg.norm(wave, axis=0)
-        found = []
+        shapes = []
         for c in np.flatnonzero(size > max(_LEAST_SIGNAL, 0.1 * size.max())):
             rows = camera.known[:, c]
-            (own,), _ = regress(wave[rows, c][:, None], remaining[rows, c], camera.groups[rows], 1)
-            change = own.value * wave[rows, c]
-            described = float(change @ (2 * remaining[rows, c] - change))
-            found.append((camera.names[c], _blurred(own), described))
-        return tuple(found)
+            (gain,), _ = regress(wave[rows, c][:, None], remaining[rows, c], camera.groups[rows], 1)
+            shapes.append((camera.names[c], _blurred(gain)))
+        return tuple(shapes)
 
     def free_motion(self, k: int, x: Array, recording: Recording) -> FreeMotion | None:
         """Measure a mode in overlapping windows of two periods and more, each with a straight change of its own."""

@@ -121,7 +121,7 @@ def _modes(found: Symptoms) -> Figure:
     rows = [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
     nothing = "Frequency, damping, amplitude and phase of all modes are as simulated"
-    kinds = ("frequency", "damping", "amplitude", "phase", "rest_amplitude", "rest_delay")
+    kinds = ("frequency", "damping", "amplitude", "phase", "slow_amplitude", "slow_delay")
     page = _page(found, kinds, nothing, [(0.8 + 0.28 * max(len(rows), 2), 1)])
     axes, start, ticks, colors = page.axes[0][0], 0.0, {}, colormaps["PuOr_r"]
     values: Sequence[tuple[str, Callable[[ModeDifference], float]]] = (
@@ -136,8 +136,8 @@ def _modes(found: Symptoms) -> Figure:
             for mode in one.modes.modes:
                 if mode.mode in modes:
                     table[r, modes.index(mode.mode)] = value(mode)
-            if title[:3] == "amp" and one.modes.rest[0][0].known:
-                table[r, -1] = 100 * _sure(one.modes.rest[0][0])
+            if title[:3] == "amp" and one.modes.slow_gain.known:
+                table[r, -1] = 100 * _sure(one.modes.slow_gain)
         names = [_frequency(found, mode, 2) for mode in modes] + ["rest"] * (title[:3] == "amp")
         _draw_table(axes, start, table[:, -len(names) :] if len(modes) > 1 else table[:, [0, -1][: len(names)]])
         axes.text(start, -0.12, title, va="bottom", fontsize=8.5, color="#333333")
@@ -355,9 +355,9 @@ def _draw_means(axes: Axes, place: Array, values: Array) -> None:
 
 
 def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
-    known = [one for one in found.recordings if one.modes.rest[2][0].known]
+    known = [one for one in found.recordings if one.modes.camera_lag.known]
     known = [one for one in known if all(sensor.delay.known for sensor in one.sensors)]
-    return sorted(known, key=lambda one: one.modes.rest[2][0].std)[:_MOST_ROWS]
+    return sorted(known, key=lambda one: one.modes.camera_lag.std)[:_MOST_ROWS]
 
 
 @styled
@@ -371,7 +371,7 @@ def _lags(found: Symptoms) -> Figure:
     axes.axvspan(1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std), color=_POOLED, linewidth=0)
     axes.axvline(0.0, color=AXIS, linewidth=0.8)
     handles: list[Line2D | Patch] = []
-    against_encoder = [one.modes.rest[2][0] for one in shown]
+    against_encoder = [one.modes.camera_lag for one in shown]
     for label, delays, offset, color, marker, face in (
         ("camera against model", [one.sensors[0].delay for one in shown], 0.22, MEASURED, "o", "white"),
         ("encoder against model", [one.sensors[1].delay for one in shown], -0.22, TORQUE, "s", "white"),
@@ -402,7 +402,7 @@ def _quiet(found: Symptoms) -> Figure:
     columns = min(2, len(panels))
     rows = [(2.5, columns)] * -(-len(panels) // columns)
     nothing = "At rest, the sensors show white noise of the size that was supposed"
-    page = _page(found, ("quiet_tone", "quiet_size", "quiet_colour"), nothing, rows)
+    page = _page(found, ("quiet_tone", "noise_size", "noise_correlation"), nothing, rows)
     for axes, (one, rest) in zip(page.panels(len(panels)), panels, strict=True):
         _draw_spectrum(axes, rest)
         size = f"{number(1 + rest.size.value, 3)} times the noise"
