@@ -130,18 +130,18 @@ def _of_recording(rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Cha
 
 
 class _Motion(NamedTuple):
-    """What moves, as a function of time."""
+    """Motion of a joint or a marker."""
 
     name: str
     unit: str
     path: CubicSpline
 
     def at(self, time: Array) -> tuple[Array, Array]:
-        """Position and velocity (F,) at instants (F,)."""
+        """Return position and velocity (F,), (F,) at instants (F,)."""
         return self.path(time), self.path(time, 1)
 
     def shows(self, position: Array, sensor: Channels) -> bool:
-        """Enough positions, over a range that stands out of the noise of a sensor of the same motion."""
+        """Return True if there are enough positions, over a range that stands out of the noise of a sensor of it."""
         noise = sensor.noise if self.unit == sensor.unit else 0.0
         return bool(position.size > _LEAST_POINTS and np.ptp(position) > max(20 * noise, 1e-9))
 
