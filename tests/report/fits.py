@@ -66,7 +66,7 @@ def _prepared(model: Model, recording: Recording) -> PreparedRecording:
     cuts = [Layout(link.lengths, link.cells, link.distal) for link in model.chain.links]
     angles = estimate_angles(rig, cuts, recording, _shape(rig), model.marker_noise, model.encoder_noise)
     rows = np.isfinite(angles.q).all(axis=1)
-    smoother = Smoother.of(angles.time[rows])
+    smoother = Smoother(angles.time[rows])
     derivatives = smoother.derivatives(angles.q[rows], angles.covariance)
     return PreparedRecording(recording, angles, derivatives, angles.torque[rows], smoother, np.eye(model.chain.size))
 

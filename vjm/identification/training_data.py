@@ -319,7 +319,7 @@ def _prepare(
         covariance = block_diag(angles.covariance, np.zeros((int(measured.sum()),) * 2))
         same = before is not None and np.array_equal(angles.time[usable], before.derivatives.time)
         smoother = before.smoother if before is not None and same else None
-        smoother = smoother or Smoother.of(angles.time[usable])
+        smoother = smoother or Smoother(angles.time[usable])
         exponent = None if before is None else before.derivatives.smoothing
         filtered = smoother.derivatives(values[usable], covariance, exponent)
     else:

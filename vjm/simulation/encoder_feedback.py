@@ -59,7 +59,7 @@ class EncoderFeedback:
         if not chain.active.size:
             return None
         try:
-            smoother = Smoother.of(recording.time[known])
+            smoother = Smoother(recording.time[known])
         except InsufficientDataError:
             return None
         smooth = smoother.derivatives(recording.theta[known], np.full(chain.active.size, noise))
