@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 from vjm.errors import ChoiceError, ShapeError
 from vjm.markers.shape import (
     FAMILIES,
+    _cantilever_roots,
     basis,
-    cantilever_roots,
     choose_order,
     fit_shape,
-    required_markers,
-    visible_modes,
 )
 
 ARCS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
@@ -41,7 +39,7 @@ def test_clamped_families_have_no_deflection_or_slope_at_the_clamp(family: str) 
 def test_cantilever_modes_satisfy_their_differential_equation_and_free_end() -> None:
     # y'''' = beta^4 y, and no moment at the tip; the fourth derivative by differences of the second
     x, step = np.linspace(0.1, 0.9, 9), 1e-3
-    beta = cantilever_roots(4)
+    beta = _cantilever_roots(4)
     second = [basis("cantilever", 4, x + k * step, 1.0, 2) for k in (-1, 0, 1)]
     fourth = (second[0] - 2 * second[1] + second[2]) / step**2
     values = basis("cantilever", 4, x, 1.0)
@@ -51,7 +49,7 @@ def test_cantilever_modes_satisfy_their_differential_equation_and_free_end() -> 
 
 
 def test_roots_of_the_clamped_free_beam() -> None:
-    roots = cantilever_roots(12)
+    roots = _cantilever_roots(12)
     assert roots[:3] == pytest.approx([1.8751040687, 4.6940911330, 7.8547574382], abs=1e-10)
     assert roots[-1] == pytest.approx(11.5 * np.pi, abs=1e-10)
 
@@ -108,10 +106,9 @@ def test_cross_validation_finds_the_number_of_modes(modes: int) -> None:
     assert choose_order([1.0], y[:, -1:], 1.0) == 1
 
 
-def test_markers_that_the_modes_need() -> None:
+def test_modes_need_as_many_markers() -> None:
     # eq. (1): k >= 2 l / lambda_min with lambda = 2 pi l / beta l: k >= beta l / pi
-    assert [required_markers(m) for m in (1, 2, 3, 4)] == [1, 2, 3, 4]
-    assert [visible_modes(k) for k in (1, 2, 5)] == [1, 2, 5]
+    assert np.ceil(_cantilever_roots(60) / np.pi).tolist() == list(range(1, 61))
 
 
 def test_wrong_arguments_are_named() -> None:

@@ -25,7 +25,6 @@ from vjm.identification import Identification, identify
 from vjm.identification.check import check
 from vjm.identification.comparison import Comparison, compare
 from vjm.identification.training_data import choose_virtual_joints
-from vjm.markers.shape import visible_modes
 from vjm.records import Progress
 from vjm.report.model_json import load_model, read_model
 from vjm.report.result_json import Result, result_object, urdf_result
@@ -163,8 +162,8 @@ def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:
         model = load_model(source)
         return model.chain, model.effects
     rig = load_experiment(source).rig
-    joints = [
-        choose_virtual_joints(link, visible_modes(len(link.markers)), link.virtual_joints).joints for link in rig.links
+    joints = [  # right for as many modes as there are markers to show them (eq. 1)
+        choose_virtual_joints(link, max(len(link.markers), 1), link.virtual_joints).joints for link in rig.links
     ]
     return nominal_chain(rig, rig_layouts(rig, joints)), ()
 

@@ -15,7 +15,6 @@ from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_uniform_torque
 from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData, read_training_data
 from vjm.identification.uncertainty import estimates, torque_information
-from vjm.markers.shape import required_markers, visible_modes
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment, Link, Recording, RecordingComparison, Result
 
@@ -131,12 +130,12 @@ def data_warnings(data: TrainingData) -> list[str]:
 
 def _marker_warnings(link: Link, joints: int | None) -> list[str]:
     """Warn where a link's markers are too few for the modes asked for (eq. 1): as many as the joints asked for."""
-    if joints is None or required_markers(joints) <= len(link.markers):
+    count = len(link.markers)  # markers show as many modes, see vjm.markers.shape
+    if joints is None or joints <= count:
         return []
     return [
-        f"link {link.name}: {len(link.markers)} markers show {visible_modes(len(link.markers))} bending mode(s); the "
-        f"{joints} modes of {joints} virtual joints need {required_markers(joints)} markers (k >= 2 l / lambda_min, "
-        "eq. 1)"
+        f"link {link.name}: {count} markers show {count} bending mode(s); the {joints} modes of "
+        f"{joints} virtual joints need {joints} markers (k >= 2 l / lambda_min, eq. 1)"
     ]
 
 

@@ -1,4 +1,8 @@
-"""Shape functions of a link fitted to markers (eqs. 1-7)."""
+"""Shape functions of a link fitted to markers (eqs. 1-7).
+
+Eq. (1) asks for k >= 2 l / lambda_min markers. With lambda = 2 pi l / (beta l) the wavelength of a clamped link's mode,
+that is k >= beta l / pi, which is m - 1/2 for mode m and a little more: as many markers as modes.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from vjm.errors import ChoiceError, ShapeError
-from vjm.records import Array
+from vjm.records import Array, Indices, Mask
 
 FamilyName = Literal["polynomial", "clamped-polynomial", "trigonometric", "cantilever"]
 FAMILIES: tuple[str, ...] = get_args(FamilyName)
-BoolArray = NDArray[np.bool_]
 
 
 def basis(family: str, order: int, x: ArrayLike, length: float, derivative: int = 0) -> Array:
@@ -45,7 +48,7 @@ def basis(family: str, order: int, x: ArrayLike, length: float, derivative: int 
     return _FUNCTIONS[family](scaled, np.arange(1, order + 1), derivative) / length**derivative
 
 
-def _powers(x: Array, exponents: NDArray[np.intp], derivative: int) -> Array:
+def _powers(x: Array, exponents: Indices, derivative: int) -> Array:
     factor = np.ones(exponents.size)
     for k in range(derivative):
         factor = factor * (exponents - k)
@@ -53,40 +56,34 @@ def _powers(x: Array, exponents: NDArray[np.intp], derivative: int) -> Array:
     return result
 
 
-def _trigonometric(x: Array, orders: NDArray[np.intp], derivative: int) -> Array:
+def _trigonometric(x: Array, orders: Indices, derivative: int) -> Array:
     k = (2 * orders - 1) * np.pi / 2
-    if derivative == 0:
-        return 1 - np.cos(k * x)
-    return k * np.sin(k * x) if derivative == 1 else k**2 * np.cos(k * x)
+    result: Array = (derivative == 0) - k**derivative * np.cos(k * x + derivative * np.pi / 2)
+    return result
 
 
-def cantilever_roots(count: int) -> Array:
+def _cantilever_roots(count: int) -> Array:
     """Return the (count,) roots beta l of 1 + cos(z) cosh(z) = 0, smallest first."""
     centers = (np.arange(1, count + 1) - 0.5) * np.pi
     # Divided by cosh, the equation keeps its roots and stays of order one.
     return np.array([brentq(lambda z: np.cos(z) + 1 / np.cosh(z), c - 0.4, c + 0.4, xtol=1e-14) for c in centers])
 
 
-def _cantilever(x: Array, orders: NDArray[np.intp], derivative: int) -> Array:
-    beta = cantilever_roots(orders.size)
+def _cantilever(x: Array, orders: Indices, derivative: int) -> Array:
+    beta = _cantilever_roots(orders.size)
     decay, grow = np.exp(-beta), np.exp(beta * (x - 1))
     # sigma = (cosh + cos) / (sinh + sin); cosh - sigma sinh written without the difference of huge numbers
     denominator = 1 - decay**2 + 2 * decay * np.sin(beta)
     sigma = (1 + decay**2 + 2 * decay * np.cos(beta)) / denominator
     rising = (np.sin(beta) - np.cos(beta) - decay) / denominator * grow
-    falling = (1 + sigma) / 2 * np.exp(-beta * x)
-    cosine, sine = np.cos(beta * x), np.sin(beta * x)
-    if derivative == 0:
-        values = rising + falling - cosine + sigma * sine
-    elif derivative == 1:
-        values = beta * (rising - falling + sine + sigma * cosine)
-    else:
-        values = beta**2 * (rising + falling + cosine - sigma * sine)
-    result: Array = values / 2  # a mode of unit modal mass is two at the tip
+    falling = (-1) ** derivative * (1 + sigma) / 2 * np.exp(-beta * x)
+    angle = beta * x + derivative * np.pi / 2  # a derivative of a sine or cosine leads by a quarter period
+    values = rising + falling - np.cos(angle) + sigma * np.sin(angle)
+    result: Array = beta**derivative * values / 2  # a mode of unit modal mass is two at the tip
     return result
 
 
-_FUNCTIONS: dict[str, Callable[[Array, NDArray[np.intp], int], Array]] = {
+_FUNCTIONS: dict[str, Callable[[Array, Indices, int], Array]] = {
     "polynomial": _powers,
     "clamped-polynomial": lambda x, orders, derivative: _powers(x, orders + 1, derivative),
     "trigonometric": _trigonometric,
@@ -94,7 +91,6 @@ _FUNCTIONS: dict[str, Callable[[Array, NDArray[np.intp], int], Array]] = {
 }
 
 
-_CHUNK = 50_000  # frames a batch, bounds the memory
 _HUBER = 2.5  # standard deviations beyond which residuals lose weight in the robust fit; few of Gaussian noise are
 _ROBUST_PASSES = 8  # most reweightings; frames settle in two to five
 
@@ -149,42 +145,22 @@ def fit_shape(
     if not 1 <= order <= k:
         raise ShapeError("order", order, f"1 to the number of markers, {k}")
     known = np.isfinite(lateral) & np.isfinite(along)
-    typical = basis(family, order, along if along.ndim == 1 else np.nanmedian(along, axis=0), length)
-    coefficients = np.full((len(lateral), order), np.nan)
-    for first in range(0, len(lateral), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        if along.ndim == 1 and not robust:
-            coefficients[rows] = _solve_fixed(typical, lateral[rows], known[rows])
-            continue
-        functions = typical
-        if along.ndim == 2:
-            functions = basis(family, order, np.where(known[rows], along[rows], 0.0), length)
-        coefficients[rows] = _solve_varying(functions, lateral[rows], known[rows], robust)
-    inverse = np.linalg.pinv(typical)
-    fitted = ShapeFit(family, order, length, coefficients, inverse @ inverse.T, np.empty((0, 0)))
-    return replace(fitted, residuals=lateral - fitted.evaluate(along))
-
-
-def _solve_fixed(functions: Array, lateral: Array, known: BoolArray) -> Array:
-    """Markers at fixed places: one pseudo-inverse for each pattern of missing markers."""
-    order = functions.shape[-1]
-    coefficients = np.full((len(lateral), order), np.nan)
-    patterns, which = np.unique(known, axis=0, return_inverse=True)
-    for p, pattern in enumerate(patterns):
-        if pattern.sum() >= order:
-            rows = which.ravel() == p
-            coefficients[rows] = lateral[rows][:, pattern] @ np.linalg.pinv(functions[pattern]).T
-    return coefficients
-
-
-def _solve_varying(functions: Array, lateral: Array, known: BoolArray, robust: bool) -> Array:
-    """Markers at measured places, or robust: normal equations of every frame in one batch."""
-    order = functions.shape[-1]
+    functions = typical = basis(family, order, along if along.ndim == 1 else np.nanmedian(along, axis=0), length)
+    if along.ndim == 2:
+        functions = basis(family, order, np.where(known, along, 0.0), length)
     coefficients = np.full((len(lateral), order), np.nan)
     usable = known.sum(axis=1) >= order
-    functions, known = np.broadcast_to(functions, (*known.shape, order))[usable], known[usable]
-    values, weight = np.where(known, lateral[usable], 0.0), known.astype(float)
-    solution = _solve_normal_equations(functions, values, weight)
+    functions = np.broadcast_to(functions, (*known.shape, order))[usable]
+    coefficients[usable] = _solve(functions, lateral[usable], known[usable], robust)
+    inverse = np.linalg.pinv(typical)
+    fit = ShapeFit(family, order, length, coefficients, inverse @ inverse.T, np.empty((0, 0)))
+    return replace(fit, residuals=lateral - fit.evaluate(along))
+
+
+def _solve(functions: Array, lateral: Array, known: Mask, robust: bool) -> Array:
+    """Return the coefficients (T, order) for functions (T, k, order), with Huber weights if `robust`."""
+    values, weight = np.where(known, lateral, 0.0), known.astype(float)
+    solution = _weighted_least_squares(functions, values, weight)
     for _ in range(_ROBUST_PASSES if robust and len(solution) else 0):
         residual = np.abs(values - np.einsum("tko,to->tk", functions, solution))
         scale = 1.4826 * float(np.median(residual[known]))  # standard deviation of Gaussian noise of that median
@@ -192,33 +168,13 @@ def _solve_varying(functions: Array, lateral: Array, known: BoolArray, robust: b
         doubted = ((trust < 1) & known).any(axis=1)  # the others' solution is the plain one
         if not doubted.any():
             break
-        solution[doubted] = _solve_normal_equations(functions[doubted], values[doubted], (weight * trust)[doubted])
-    coefficients[usable] = solution
-    return coefficients
+        solution[doubted] = _weighted_least_squares(functions[doubted], values[doubted], (weight * trust)[doubted])
+    return solution
 
 
-def _solve_normal_equations(functions: Array, values: Array, weight: Array) -> Array:
-    """Weighted least squares (T, order) of a batch."""
-    scaled = np.sqrt(weight)[..., None] * functions
-    normal = np.einsum("tko,tkp->top", scaled, scaled)
-    right = np.einsum("tko,tk->to", scaled, np.sqrt(weight) * values)
-    return np.asarray(np.einsum("top,tp->to", np.linalg.pinv(normal, rcond=1e-13, hermitian=True), right))
-
-
-def required_markers(modes: int) -> int:
-    """Return the least number of markers k >= 2 l / lambda_min (eq. 1) that shows the first bending modes.
-
-    lambda_min is the wavelength of the highest of them on a clamped link, 2 pi l / (beta l): the length cancels.
-    """
-    return int(np.ceil(float(cantilever_roots(modes)[-1]) / np.pi))
-
-
-def visible_modes(markers: int) -> int:
-    """Return the number of bending modes that `markers` markers can tell apart (eq. 1)."""
-    count = 1
-    while required_markers(count + 1) <= markers and count < markers:
-        count += 1
-    return count
+def _weighted_least_squares(functions: Array, values: Array, weight: Array) -> Array:
+    root = np.sqrt(weight)
+    return np.asarray(np.einsum("tok,tk->to", np.linalg.pinv(root[..., None] * functions), root * values))
 
 
 def choose_order(x: ArrayLike, y: ArrayLike, length: float, family: str = "cantilever") -> int:
