@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
+from scipy.optimize.elementwise import find_root
 
 from vjm.chain.curve import CurveMap, curve_map, rotate
 from vjm.chain.layout import Layout
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.markers.shape import ShapeFit, basis, fit_shape
-from vjm.records import Array, Link, Record, Recording, Rig
+from vjm.records import Array, Indices, Link, Record, Recording, Rig
 
-_TOLERANCE = 1e-13  # rad or of a length: rounding errors of a Newton step
 _LARGEST_TURN = 0.5  # rad a step
-_CHUNK = 20_000  # frames a batch, bounds the memory
 
 
 AngleMethod = Literal["curvature", "curve", "points"]
@@ -230,31 +229,24 @@ def _cosine(sine: Array) -> Array:
 
 
 def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
-    """Angles phi (T, n) [rad] by Gauss-Newton steps on all measured coordinates; NaN for frames with too few.
+    """Angles phi (T, n) [rad] by Gauss-Newton steps on all measured coordinates, all frames at once.
 
     Args:
         curve: maps phi to the markers' positions.
         markers: (T, k, 2) in the link frame [m]; NaN where not measured.
         initial: (T, n) where to start [rad]; zero where NaN.
+
+    Returns:
+        The angles; NaN for frames with too few markers.
     """
-    n = curve.heading.shape[1]
+    phi, n = np.nan_to_num(initial), curve.heading.shape[1]
     if curve.arcs.size < n:
-        raise InsufficientDataError(
-            "angles by the curve", f"{curve.arcs.size} markers cannot place {n} virtual joints", "ask for fewer joints"
-        )
-    phi = np.nan_to_num(initial)
-    for first in range(0, len(phi), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        phi[rows] = _fit_frames(curve, markers[rows], phi[rows])
-    return phi
-
-
-def _fit_frames(curve: CurveMap, markers: Array, phi: Array) -> Array:
-    """Angles (T, n) of one batch, all frames at once."""
+        problem = f"{curve.arcs.size} markers cannot place {n} virtual joints"
+        raise InsufficientDataError("angles by the curve", problem, "ask for fewer joints")
     known = np.isfinite(markers)
     values = np.where(known, markers, 0.0)
-    enough = known[..., 1].sum(axis=1) >= phi.shape[1]
-    ridge = 1e-14 * np.eye(phi.shape[1])  # keeps frames without enough markers solvable; their angles are dropped
+    enough = known[..., 1].sum(axis=1) >= n
+    ridge = 1e-14 * np.eye(n)  # keeps frames without enough markers solvable; their angles are dropped
     for _ in range(12):  # converges quadratically on exact data
         residual = np.where(known, values - curve.positions(phi), 0.0).reshape(len(phi), -1)
         jacobian = np.where(known[..., None], curve.jacobian(phi), 0.0).reshape(*residual.shape, -1)
@@ -266,7 +258,7 @@ def _fit_frames(curve: CurveMap, markers: Array, phi: Array) -> Array:
         step = np.linalg.solve(scaled + ridge, (right / size)[..., None])[..., 0] / size
         largest = np.abs(step).max(axis=1, keepdims=True)
         phi = phi + step * np.minimum(1.0, _LARGEST_TURN / np.maximum(largest, 1e-300))
-        if not (largest[enough] > _TOLERANCE).any():
+        if not (largest[enough] > 1e-13).any():  # rad: rounding errors
             break
     return np.where(enough[:, None], phi, np.nan)
 
@@ -275,32 +267,25 @@ def _representative_points(fit: ShapeFit, lengths: Array) -> Array:
     """Joints 1 .. n and the tip on the curve (T, n + 1, 2) [m], each at its link's length from the one before.
 
     Virtual link 0 lies along the x axis of Sigma_i; joint 1 is therefore at (l_0, 0). From there on
-    (x_(j+1) - x_j)^2 + (y_(j+1) - y_j)^2 = l_j^2 with y_(j+1) = y(x_(j+1)), solved by Newton's method for all frames
-    at once. NaN for frames in which a point does not exist.
+    (x_(j+1) - x_j)^2 + (y_(j+1) - y_j)^2 = l_j^2 with y_(j+1) = y(x_(j+1)), which has a root between x_j and x_j + l_j.
+    NaN for frames in which a point is beyond the link's end.
     """
-    points = np.zeros((len(fit.coefficients), lengths.size, 2))
-    points[:, 0, 0] = lengths[0]
-    for j in range(1, lengths.size):
-        points[:, j] = _next_point(fit, points[:, j - 1], float(lengths[j]))
-    return points
+    frames = np.arange(len(fit.coefficients))
 
+    def height(x: Array, frames: Indices = frames) -> Array:
+        return replace(fit, coefficients=fit.coefficients[frames]).evaluate(x[:, None])[:, 0]
 
-def _next_point(fit: ShapeFit, point: Array, length: float) -> Array:
-    x0, y0 = point[:, 0], point[:, 1]
-    slope = fit.evaluate(x0[:, None], 1)[:, 0]
-    x = x0 + length / np.sqrt(1 + slope**2)
-    for _ in range(30):
-        rise = fit.evaluate(x[:, None])[:, 0] - y0
-        error = (x - x0) ** 2 + rise**2 - length**2
-        if not np.any(np.abs(error) > _TOLERANCE * length**2):  # frames already given up are NaN and stay so
-            break
-        tangent = 2 * (x - x0) + 2 * rise * fit.evaluate(x[:, None], 1)[:, 0]
-        # A step is kept within half a virtual link, and ahead of the last joint.
-        step = np.clip(error / np.where(tangent == 0, 1e-300, tangent), -length / 2, length / 2)
-        x = np.where(x - step > x0, x - step, (x + x0) / 2)
-    y = fit.evaluate(x[:, None])[:, 0]
-    exists = (np.abs(np.hypot(x - x0, y - y0) - length) < 1e-9 * length) & (x <= fit.length * (1 + 1e-6))
-    return np.where(exists[:, None], np.stack([x, y], axis=-1), np.nan)
+    def excess(x: Array, x0: Array, y0: Array, length: float, frames: Indices) -> Array:
+        return (x - x0) ** 2 + (height(x, frames) - y0) ** 2 - length**2
+
+    x, y = np.full(frames.size, lengths[0]), np.zeros(frames.size)
+    points = [np.stack([x, y], axis=-1)]
+    for length in lengths[1:]:
+        x = find_root(excess, (x, x + length), args=(x, y, length, frames)).x
+        x = np.where(x <= fit.length * (1 + 1e-6), x, np.nan)
+        y = height(x)
+        points.append(np.stack([x, y], axis=-1))
+    return np.stack(points, axis=1)
 
 
 def _chord_angles(points: Array) -> Array:
