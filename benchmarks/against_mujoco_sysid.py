@@ -41,7 +41,7 @@ import vjm
 from vjm.chain.curve import marker_positions
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.experiment import Experiment, Recording
+from vjm.records import Experiment, Recording
 from vjm.simulation.integrate import simulate
 from vjm.simulation.model import Model
 

@@ -8,8 +8,8 @@ from clock import header, in_turns, line
 from vjm.chain.curve import marker_positions
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.experiment import Link, Recording, Rig
 from vjm.markers.angles import ShapeSettings, estimate_angles
+from vjm.records import Link, Recording, Rig
 
 JOINTS, FRAMES = 4, (12_500, 25_000, 50_000, 100_000)
 RIG = Rig("beam", (Link("beam", "clamped", 1.0, 0.44, 1.9, (0.2, 0.4, 0.6, 0.8, 1.0)),))

@@ -6,9 +6,9 @@ from clock import header, in_turns, line
 
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.experiment import Link
 from vjm.model import dynamics
 from vjm.model.torque import torque_errors
+from vjm.records import Link
 
 SAMPLES, JOINTS, THREADS = 100_000, 6, 2
 

@@ -12,8 +12,8 @@ import numpy as np
 from vjm.chain.curve import marker_positions
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.experiment import Link, Recording, Rig
 from vjm.model.modes import modes
+from vjm.records import Link, Recording, Rig
 from vjm.simulation.integrate import simulate
 
 STEEL = 1.93e11 * 0.035 * 0.001**3 / 12  # E w h^3 / 12 of a 35 mm x 1 mm strip [N m^2]

@@ -15,8 +15,8 @@ from tests.model.chains import model_of, write_model
 from tests.model.urdf_contents import springs_from
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.experiment import Link
 from vjm.model.modes import modes
+from vjm.records import Link
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 PNG = b"\x89PNG"

@@ -10,10 +10,11 @@ if TYPE_CHECKING:
     from vjm.diagnosis import Diagnosis, diagnose
     from vjm.diagnosis.check_effect import check_effect
     from vjm.errors import InputError, VjmError
-    from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
+    from vjm.experiment.load import load_experiment
     from vjm.identification import Identification, bootstrap, identify, profile_interval
     from vjm.identification.check import Check, check
     from vjm.identification.comparison import Comparison, compare
+    from vjm.records import Experiment, Link, Recording, Rig
     from vjm.report.model_json import load_model
     from vjm.report.save import save
     from vjm.simulation.model import Model
@@ -50,10 +51,11 @@ _HOMES = {
         "vjm.diagnosis": "Diagnosis diagnose",
         "vjm.diagnosis.check_effect": "check_effect",
         "vjm.errors": "InputError VjmError",
-        "vjm.experiment": "Experiment Link Recording Rig load_experiment",
+        "vjm.experiment.load": "load_experiment",
         "vjm.identification": "Identification bootstrap identify profile_interval",
         "vjm.identification.check": "Check check",
         "vjm.identification.comparison": "Comparison compare",
+        "vjm.records": "Experiment Link Recording Rig",
         "vjm.report.model_json": "load_model",
         "vjm.report.save": "save",
         "vjm.simulation.model": "Model",

@@ -32,10 +32,7 @@ class ExperimentError(InputError):
 
     def __init__(self, file: Path | str | None, table: str, key: str, problem: str, expected: str) -> None:
         self.file = None if file is None else Path(file)
-        self.table = table
-        self.key = key
-        self.problem = problem
-        self.expected = expected
+        self.table, self.key, self.problem, self.expected = table, key, problem, expected
         place = ", ".join(part for part in (f"[{table}]" if table else "", f"key '{key}'" if key else "") if part)
         parts = ["" if file is None else str(file), place, f"{problem}; expected {expected}"]
         super().__init__(": ".join(part for part in parts if part))
@@ -50,20 +47,25 @@ class RecordingError(InputError):
 
     Attributes:
         file: the CSV file, or the recording's name.
-        row: line of the file, the header being line 1; in arrays, index of the sample, from 0; None where no single
-            row is at fault.
+        row: line of the file, the header being line 1; None where no single row is at fault.
         column: the column's name; None where no single column is at fault.
         expected: what would have been right.
+        index: of the sample in an array or a table; None for a file.
     """
 
-    def __init__(self, file: Path | str, row: int | None, column: str | None, problem: str, expected: str) -> None:
+    def __init__(
+        self,
+        file: Path | str,
+        row: int | None,
+        column: str | None,
+        problem: str,
+        expected: str,
+        index: int | None = None,
+    ) -> None:
         self.file = Path(file)
-        self.row = row
-        self.column = column
-        self.problem = problem
-        self.expected = expected
-        parts = [f"row {row}" if row is not None else "", f"column '{column}'" if column is not None else ""]
-        place = ", ".join(part for part in parts if part)
+        self.row, self.column, self.problem, self.expected, self.index = row, column, problem, expected, index
+        places = {"row": row, "index": index, "column": None if column is None else f"'{column}'"}
+        place = ", ".join(f"{name} {value}" for name, value in places.items() if value is not None)
         super().__init__(f"{file}: {place + ': ' if place else ''}{problem}; expected {expected}")
 
 
@@ -77,9 +79,7 @@ class ModelFileError(InputError):
     """
 
     def __init__(self, file: Path | str, problem: str, expected: str) -> None:
-        self.file = Path(file)
-        self.problem = problem
-        self.expected = expected
+        self.file, self.problem, self.expected = Path(file), problem, expected
         super().__init__(f"{file}: {problem}; expected {expected}")
 
 
@@ -93,9 +93,7 @@ class ChoiceError(InputError):
     """
 
     def __init__(self, what: str, given: object, choices: Iterable[object]) -> None:
-        self.what = what
-        self.given = given
-        self.choices = tuple(choices)
+        self.what, self.given, self.choices = what, given, tuple(choices)
         super().__init__(f"unknown {what} {given!r}; choose one of: {', '.join(map(str, self.choices))}")
 
 
@@ -109,9 +107,7 @@ class ShapeError(InputError):
     """
 
     def __init__(self, name: str, given: object, expected: str) -> None:
-        self.name = name
-        self.given = given
-        self.expected = expected
+        self.name, self.given, self.expected = name, given, expected
         super().__init__(f"{name}: got {given}; expected {expected}")
 
 
@@ -125,9 +121,7 @@ class InsufficientDataError(InputError):
     """
 
     def __init__(self, what: str, reason: str, remedy: str) -> None:
-        self.what = what
-        self.reason = reason
-        self.remedy = remedy
+        self.what, self.reason, self.remedy = what, reason, remedy
         super().__init__(f"{what}: {reason}; {remedy}")
 
 
@@ -136,16 +130,13 @@ class EffectError(InputError):
 
     Attributes:
         effect: its id, or its class where it has none.
-        clause: of the contract, as `vjm.diagnosis.contract.CLAUSES` names it.
+        clause: of the contract, as `vjm.diagnosis.check_effect.CLAUSES` names it.
         found: what it does.
         expected: what it should do.
     """
 
     def __init__(self, effect: str, clause: str, found: str, expected: str) -> None:
-        self.effect = effect
-        self.clause = clause
-        self.found = found
-        self.expected = expected
+        self.effect, self.clause, self.found, self.expected = effect, clause, found, expected
         super().__init__(f"effect {effect}, clause '{clause}': {found}; expected {expected}")
 
 
@@ -159,9 +150,7 @@ class SimulationDivergedError(VjmError):
     """
 
     def __init__(self, time: float, step: float, remedy: str) -> None:
-        self.time = time
-        self.step = step
-        self.remedy = remedy
+        self.time, self.step, self.remedy = time, step, remedy
         super().__init__(f"the simulation diverged after t = {time:.6g} s with steps of {step:.3g} s; {remedy}")
 
 

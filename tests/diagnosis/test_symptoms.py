@@ -11,8 +11,7 @@ from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, foun
 from vjm.diagnosis.symptoms import symptoms
 from vjm.diagnosis.symptoms.channels import channels_of
 from vjm.diagnosis.symptoms.modes import _free_interval
-from vjm.experiment import Link, Recording, Rig
-from vjm.records import SimulatedRecording, Simulation
+from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
 
 
 def cut(whole: SimulatedRecording, rows: object, **changes: object) -> SimulatedRecording:

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.diagnosis.symptoms import Symptom, Symptoms, symptoms
-from vjm.experiment import Link, Recording, Rig
-from vjm.records import SimulatedRecording, Simulation
+from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
 
 Array = NDArray[np.float64]
 Change = Callable[[Array, Array, Array], tuple[Array, Array]]

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from experiment_files import DRIVEN, FREE, ROWS, TOML, csv_text, rows, write_experiment
 
-from vjm.errors import InsufficientDataError
-from vjm.experiment import Experiment, Recording, load_experiment
+from vjm.errors import InsufficientDataError, RecordingError
 from vjm.experiment.checks import (
     _absence_warnings,
+    _clipped_runs,
     _clipping_warnings,
     _coverage_warnings,
     _difference_noise,
@@ -23,8 +23,9 @@ from vjm.experiment.checks import (
     _torque_difference,
     _unit_warnings,
     camera_rate,
-    clipped_runs,
 )
+from vjm.experiment.load import load_experiment
+from vjm.records import Experiment, Recording
 
 NOISE = 3e-4
 ARCS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
@@ -130,10 +131,10 @@ def test_clipping() -> None:
 
 def test_what_only_resembles_clipping() -> None:
     rest = np.concatenate([np.full(100, 1.0), np.cos(3.0 * TIME), np.full(50, np.cos(3.0 * TIME[-1]))])
-    assert clipped_runs(rest)[0].size == 0
-    assert clipped_runs(np.ones(50))[0].size == 0
+    assert _clipped_runs(rest)[0].size == 0
+    assert _clipped_runs(np.ones(50))[0].size == 0
     for step in (1e-4, 1e-3, 1e-2):  # rounded peaks
-        assert clipped_runs(np.round(0.1 * np.sin(1.5 * TIME + 0.3) / step) * step)[0].size == 0
+        assert _clipped_runs(np.round(0.1 * np.sin(1.5 * TIME + 0.3) / step) * step)[0].size == 0
 
 
 def test_noise_and_motion() -> None:
@@ -288,3 +289,15 @@ def test_marker_without_columns(tmp_path: Path) -> None:
     assert experiment.warnings == ("free.csv: no position of arm.m2 in this recording",)
     assert np.isnan(experiment.recordings[2].markers[:, 1]).all()
     assert experiment.recordings[2].markers.shape == (ROWS, 5, 2)
+
+
+def test_markers_in_millimetres_are_refused_once_they_are_used(tmp_path: Path) -> None:
+    experiment = load_changed(tmp_path, "free", millimetres)
+    assert len(experiment.warnings) == 1
+    words = r"free\.csv: in no frame .* 'arm' .* rig's marker positions: .* up to 100[0-9] times .*; expected .* metres"
+    with pytest.raises(RecordingError, match=words):
+        _ = experiment.cleaned_recordings
+    free = experiment.recordings[2]
+    shrunk = replace(experiment, recordings=(replace(free, markers=0.02 * free.markers),))
+    with pytest.raises(RecordingError, match=r"up to 20.* times"):
+        _ = shrunk.cleaned_recordings

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from experiment_files import DRIVEN, FREE, TOML, csv_text, rows, write_experiment
 
-from vjm.experiment import load_experiment
+from vjm.experiment.load import load_experiment
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 
@@ -153,7 +153,7 @@ def test_number_of_links(tmp_path: Path, count: int) -> None:
 
 
 def test_import_is_light() -> None:
-    code = "import sys, vjm.experiment; print(sorted({'pandas', 'pydantic', 'scipy'} & set(sys.modules)))"
+    code = "import sys, vjm.records; print(sorted({'pandas', 'pydantic', 'scipy'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

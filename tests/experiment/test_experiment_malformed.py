@@ -9,7 +9,7 @@ import pytest
 from experiment_files import DRIVEN, FREE, TOML, csv_text, rows, write_experiment
 
 from vjm.errors import ExperimentError, RecordingError
-from vjm.experiment import load_experiment
+from vjm.experiment.load import load_experiment
 
 LINK, TIP, REC = "link[1] arm", "link[2] tip", "recording[1] drive_1.csv"
 ARM_MARKERS = "markers = [0.25, 0.5, 1.0]"

@@ -12,8 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from vjm.errors import InputError, RecordingError
-from vjm.experiment import Experiment, load_experiment
-from vjm.experiment.csv import _parse_at_once, _parse_row_by_row
+from vjm.experiment.load import _parse_at_once, _parse_row_by_row, load_experiment
+from vjm.records import Experiment
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NUMBER_LIKE = st.text("0123456789+-.eE \t", max_size=8)

@@ -17,7 +17,7 @@ from tests.fine_beam import Camera
 from tests.fine_beam.make_hub import TRUTH, write_hub_experiment
 from tests.identification.test_recovery import DEMO
 from vjm.errors import InsufficientDataError
-from vjm.experiment.experiment import _impossible, cleaned
+from vjm.experiment.checks import _impossible, cleaned
 from vjm.identification import Identification, identify
 from vjm.records import Link
 

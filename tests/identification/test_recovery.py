@@ -15,7 +15,7 @@ from vjm.chain.curve import marker_positions
 from vjm.chain.layout import layout, layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
-from vjm.experiment import load_experiment
+from vjm.experiment.load import load_experiment
 from vjm.identification import Identification, identify
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import fit_torque, fit_uniform_torque

@@ -21,8 +21,8 @@ from vjm.effects import (
     TipPayload,
     ViscousFriction,
 )
-from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
-from vjm.records import Estimate, RecordingComparison
+from vjm.experiment.load import load_experiment
+from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.style import Picture
 from vjm.simulation.arm import Arm

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 import vjm
 from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.experiment import Experiment, Link, Recording, Rig, load_experiment
+from vjm.experiment.load import load_experiment
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.records import Identification, ModeComparison, Whiteness
 from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
 from vjm.markers.angles import ShapeSettings, estimate_angles
 from vjm.markers.smoothing import Smoother
-from vjm.records import Estimate, RecordingComparison, SimulatedRecording
+from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.report.figures.identification import identification_pictures
 from vjm.report.figures.style import Picture
 from vjm.simulation.integrate import simulate

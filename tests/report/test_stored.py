@@ -17,7 +17,7 @@ from tests.report.diagnoses import FRICTION, PAYLOAD, hub_experiment
 from tests.report.fits import _chain, two_link_experiment
 from vjm.effects import BUILTIN, Effect, GearElasticity, MarkerOffset, TipPayload, TorqueGain, magnitude
 from vjm.errors import ModelFileError
-from vjm.experiment import Experiment
+from vjm.records import Experiment
 from vjm.report.model_json import load_model, read_model
 from vjm.simulation.model import Model
 

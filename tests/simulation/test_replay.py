@@ -25,8 +25,8 @@ from tests.simulation.setups import (
 )
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
-from vjm.experiment import Experiment, load_experiment
-from vjm.records import Recording, Rig, SimulatedRecording
+from vjm.experiment.load import load_experiment
+from vjm.records import Experiment, Recording, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states, simulated_recording
 from vjm.simulation.integrate import simulate

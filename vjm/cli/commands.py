@@ -19,7 +19,7 @@ from vjm.cli.arguments import DEFAULT_JOBS, DEFAULT_MAX_EFFECTS, DEFAULT_METHOD,
 from vjm.diagnosis import Diagnosis, diagnose
 from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
-from vjm.experiment import load_experiment
+from vjm.experiment.load import load_experiment
 from vjm.files import FolderError, check_folder, check_parent, json_text, write_folder, write_text
 from vjm.identification import Identification, identify
 from vjm.identification.check import check

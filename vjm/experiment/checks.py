@@ -1,18 +1,18 @@
-"""Warnings about recordings: plain sentences that name the recording, to be read before trusting results."""
+"""Checks of recordings: warnings in plain sentences, and the coordinates that cannot be right."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from vjm.errors import InsufficientDataError
-from vjm.experiment.records import Array, Indices, Recording, Rig
+from vjm.errors import InsufficientDataError, RecordingError
+from vjm.experiment.records import Array, Indices, Mask, Recording, Rig
 
-DEFAULT_MARKER_NOISE = 1e-3  # m, where the experiment does not give it
+_DEFAULT_MARKER_NOISE = 1e-3  # m, where the experiment does not give it
 _DEFAULT_ENCODER_NOISE = 1e-3  # rad, where the experiment does not give it
 
 
@@ -47,19 +47,86 @@ def camera_rate(recording: Recording) -> float:
     return float(1.0 / np.median(np.diff(times)))
 
 
-def distance_limits(arcs: Array, noise: float) -> Array:
-    """Return the (k, k) distances [m] beyond which two markers cannot be apart, whatever their link's shape.
+def cleaned(rig: Rig, recording: Recording) -> Recording:
+    """Return the recording without markers much farther apart than their link allows, and without clipped coordinates.
+
+    The experiment's warnings tell of both. A frame in which leaving out one marker of a link makes the others
+    possible loses that marker, any other such frame all markers of the link.
 
     Args:
-        arcs: (k,) arc lengths of one link's markers [m].
-        noise: 1-sigma noise of a coordinate [m].
+        rig: says where the markers are.
+        recording: as read.
+
+    Returns:
+        The recording itself where nothing is wrong with it.
+
+    Raises:
+        RecordingError: no frame of a link is left.
     """
+    coordinates = recording.markers.reshape(len(recording.time), -1)
+    clipped = np.zeros(coordinates.shape, dtype=np.bool_)
+    for column, _, begin, _ in _clippings(coordinates):  # shorter runs at the same value, at smaller peaks, as well
+        clipped[:, column] |= coordinates[:, column] == coordinates[begin, column]
+    wrong = clipped.reshape(recording.markers.shape)
+    for link, own in zip(rig.links, rig.marker_slices, strict=True):
+        arcs, markers = np.array(link.markers), recording.markers[:, own]
+        impossible = _impossible(markers, arcs, rig.marker_noise or _DEFAULT_MARKER_NOISE)
+        seen = np.isfinite(markers).any(axis=2)
+        if seen.any() and impossible[seen].all():
+            first, second = np.triu_indices(arcs.size, 1)
+            distances = np.median(_distances(markers[recording.frames])[:, first, second], axis=0)
+            problem = (
+                f"in no frame are the markers of '{link.name}' compatible with the rig's marker positions: they are "
+                f"up to {np.max(distances / (arcs[second] - arcs[first])):.4g} times as far apart as along the link"
+            )
+            raise RecordingError(recording.file, None, None, problem, "coordinates in metres, marker by marker")
+        wrong[:, own] |= impossible[..., None]
+    if not (wrong & np.isfinite(recording.markers)).any():
+        return recording
+    return replace(recording, markers=np.where(wrong, np.nan, recording.markers))
+
+
+def _impossible(markers: Array, arcs: Array, noise: float) -> Mask:
+    """Return which markers (T, k) of one link, at arc lengths (k,) [m], cannot be where they were seen."""
+    # A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found,
+    # not to be left out. As a share of the distance, and at least 1 cm.
+    slack = np.maximum(0.04 * np.abs(arcs[:, None] - arcs), 0.01)
+    beyond = _distances(markers) > _distance_limits(arcs, noise) + slack
+    count = beyond.sum(axis=(1, 2)) // 2
+    culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)  # all such pairs are its
+    single = culprit.sum(axis=1) == 1
+    wrong: Mask = np.where(single[:, None], culprit, (count > 0)[:, None])
+    return wrong
+
+
+def _distances(markers: Array) -> Array:
+    """Return the distances (T, k, k) between markers (T, k, 2), along the coordinates that are known."""
+    offsets = markers[:, :, None] - markers[:, None]
+    offsets = np.where(np.isfinite(offsets), offsets, 0.0)
+    return np.asarray(np.hypot(offsets[..., 0], offsets[..., 1]))
+
+
+def _distance_limits(arcs: Array, noise: float) -> Array:
+    """Return the (k, k) distances beyond which markers at arc lengths (k,) cannot be, whatever their link's shape."""
     # The difference of two coordinates has sqrt(2) of their noise; chance reaches 6 sigma once in 1e9 comparisons.
-    limits: Array = np.abs(arcs[:, None] - arcs) + 6.0 * np.sqrt(2.0) * noise
-    return limits
+    return np.asarray(np.abs(arcs[:, None] - arcs) + 6.0 * np.sqrt(2.0) * noise)
 
 
-def clipped_runs(values: Array) -> tuple[Indices, Indices]:
+def _clippings(coordinates: Array) -> Iterator[tuple[int, str, int, int]]:
+    """Yield where coordinates (T, c) stand still at their very extreme, as at the edge of an image.
+
+    Yields:
+        Column, `largest` or `smallest`, first row of the first run, and length of the longest run in rows measured.
+    """
+    for column, values in enumerate(coordinates.T):
+        measured = np.flatnonzero(np.isfinite(values))
+        for sign, extreme in ((1.0, "largest"), (-1.0, "smallest")):
+            starts, lengths = _clipped_runs(sign * values[measured])
+            if starts.size:
+                yield column, extreme, int(measured[starts[0]]), int(lengths.max())
+
+
+def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
     """Find where a signal stays at its maximum as a clipped one does.
 
     A run counts when it is long, touches neither end of the signal (an arm at rest), and the signal falls steeply
@@ -103,14 +170,18 @@ def _recording_warnings(rig: Rig, recording: Recording) -> list[str]:
         warnings.append("every torque is zero, though the kind is 'driven'")
     with np.errstate(over="ignore", invalid="ignore"):  # absurd coordinates deserve the sentence on units, not noise
         units = _unit_warnings(markers, sum(link.length for link in rig.links))
-        warnings += units or _geometry_warnings(rig, time, markers, names)
+        warnings += units
+        for link, own in zip(rig.links, rig.marker_slices, strict=True):
+            if not units and len(link.markers) > 1:
+                noise = _DEFAULT_MARKER_NOISE if rig.marker_noise is None else rig.marker_noise
+                warnings += _distance_warnings(time, markers[:, own], np.array(link.markers), names[own], noise)
         if recording.kind in ("driven", "decay") and not _anything_moves(rig, recording):
             warnings.append(f"nothing moves beyond the noise, though the recording is of kind '{recording.kind}'")
     coordinates = [f"{name}.{axis}" for name in names for axis in "xy"]
     return warnings + _clipping_warnings(time, markers.reshape(len(time), -1), coordinates)
 
 
-def _absence_warnings(markers: Array, names: list[str], needs_x: NDArray[np.bool_]) -> list[str]:
+def _absence_warnings(markers: Array, names: list[str], needs_x: Mask) -> list[str]:
     """Tell of k markers never measured, and of frames that have one coordinate of a marker but not the other."""
     measured = np.isfinite(markers)
     never = [names[index] for index in np.flatnonzero(~np.any(measured, axis=(0, 2)))]
@@ -161,32 +232,18 @@ def _unit_warnings(markers: Array, arm_length: float) -> list[str]:
     ]
 
 
-def _geometry_warnings(rig: Rig, time: Array, markers: Array, names: list[str]) -> list[str]:
-    noise = DEFAULT_MARKER_NOISE if rig.marker_noise is None else rig.marker_noise
-    warnings: list[str] = []
-    for link, own in zip(rig.links, rig.marker_slices, strict=True):
-        if len(link.markers) > 1:
-            warnings += _distance_warnings(time, markers[:, own], np.array(link.markers), names[own], noise)
-    return warnings
-
-
 def _distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str], noise: float) -> list[str]:
     """Tell of frames (T, k, 2) in which two markers are farther apart than the link between them is long."""
-    limits = distance_limits(arcs, noise)
-    bad = np.zeros(len(markers), dtype=np.bool_)
-    excess, pair = 0.0, (0, 0)
-    for first in range(len(arcs) - 1):
-        beyond = _lengths(markers[:, first + 1 :] - markers[:, [first]]) - limits[first, first + 1 :]
-        bad |= (beyond > 0.0).any(axis=1)
-        largest = beyond.max(axis=0, initial=0.0)
-        if largest.max() > excess:
-            excess, pair = float(largest.max()), (first, first + 1 + int(largest.argmax()))
+    limits = _distance_limits(arcs, noise)
+    excess = _distances(markers) - limits
+    bad = (excess > 0.0).any(axis=(1, 2))
     if not bad.any():
         return []
-    count, (one, other) = int(bad.sum()), pair
+    count, largest = int(bad.sum()), excess.max(axis=0)
+    one, other = np.unravel_index(largest.argmax(), largest.shape)
     return [
         f"in {count} frame{'s' if count > 1 else ''} (first at t = {time[bad][0]:.6g} s) markers are "
-        f"farther apart than the link allows, by up to {excess + float(limits[0, 0]):.3g} m between {names[one]} and "
+        f"farther apart than the link allows, by up to {largest.max() + limits[0, 0]:.3g} m between {names[one]} and "
         f"{names[other]}, which are {abs(arcs[other] - arcs[one]):.4g} m apart along the link"
         + _swap_hint(markers[bad], limits, names)
     ]
@@ -196,7 +253,7 @@ def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
     """Say which two labels, exchanged, make most of these frames (F, k, 2) consistent; empty where none do."""
     looked_at = np.unique(np.linspace(0, len(markers) - 1, 50).astype(int))
     chosen = markers[looked_at]
-    distances = _lengths(chosen[:, :, None] - chosen[:, None])
+    distances = _distances(chosen)
     best, repaired = (0, 0), 0
     for pair in combinations(range(len(limits)), 2):
         order = np.arange(len(limits))
@@ -212,33 +269,18 @@ def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
     )
 
 
-def _lengths(differences: Array) -> Array:
-    """Return the (...,) lengths of vectors (..., 2), the unknown parts of which count as zero."""
-    known = np.where(np.isfinite(differences), differences, 0.0)
-    lengths: Array = np.hypot(known[..., 0], known[..., 1])
-    return lengths
-
-
 def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> list[str]:
     """Tell of coordinates (T, c) [m] that stand still at their very extreme, as at the edge of a camera's image."""
-    warnings: list[str] = []
-    for values, name in zip(coordinates.T, names, strict=True):
-        measured = np.flatnonzero(np.isfinite(values))
-        for sign, extreme in ((1.0, "largest"), (-1.0, "smallest")):
-            starts, lengths = clipped_runs(sign * values[measured])
-            if not lengths.size:
-                continue
-            begin = int(measured[starts[0]])
-            warnings.append(
-                f"{name} stays at exactly its {extreme} value, {values[begin]:.6g} m, for up to {int(lengths.max())} "
-                f"frames in a row (first at t = {time[begin]:.6g} s): it looks clipped, as at the edge of the image"
-            )
-    return warnings
+    return [
+        f"{names[column]} stays at exactly its {extreme} value, {coordinates[begin, column]:.6g} m, for up to "
+        f"{longest} frames in a row (first at t = {time[begin]:.6g} s): it looks clipped, as at the edge of the image"
+        for column, extreme, begin, longest in _clippings(coordinates)
+    ]
 
 
 def _anything_moves(rig: Rig, recording: Recording) -> bool:
     coordinates = recording.markers.reshape(len(recording.time), -1).T
-    return any(_moves(values, rig.marker_noise, DEFAULT_MARKER_NOISE) for values in coordinates) or any(
+    return any(_moves(values, rig.marker_noise, _DEFAULT_MARKER_NOISE) for values in coordinates) or any(
         _moves(values, rig.encoder_noise, _DEFAULT_ENCODER_NOISE) for values in recording.theta.T
     )
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -210,8 +211,9 @@ class Recording:
 
     time: Array
     markers: Array
-    theta: Array
-    tau: Array
+    theta: Array = None  # type: ignore[assignment]
+    tau: Array = None  # type: ignore[assignment]
+    _: KW_ONLY
     kind: Annotated[Kind, '"driven", "decay", "static" or "quiet"']
     role: Annotated[Role, '"train" or "holdout"'] = "train"
     file: Annotated[str, "the name of a CSV file, relative to the experiment file"] = ""
@@ -220,41 +222,25 @@ class Recording:
     repeat: Annotated[str | None, MinLen(1), "a label shared by recordings that repeat one experiment"] = None
     condition: Annotated[str | None, MinLen(1), 'a label, as "reference"'] = None
 
-    def __init__(
-        self,
-        time: ArrayLike,
-        markers: ArrayLike,
-        theta: ArrayLike | None = None,
-        tau: ArrayLike | None = None,
-        *,
-        kind: Kind,
-        role: Role = "train",
-        file: str = "",
-        gravity: Sequence[float] | Array | None = None,
-        payload: float = 0.0,
-        repeat: str | None = None,
-        condition: str | None = None,
-    ) -> None:
-        if gravity is None or isinstance(gravity, _RigsGravity):
-            gravity = _RIGS_GRAVITY
-        labels = {"kind": kind, "role": role, "file": file, "repeat": repeat, "condition": condition}
-        for key, value in {**labels, "gravity": gravity, "payload": payload}.items():
-            object.__setattr__(self, key, value)
-        _check_fields(self, file)
+    def __post_init__(self) -> None:
+        """Validate, and make arrays of what was measured."""
+        if self.gravity is None or isinstance(self.gravity, _RigsGravity):
+            object.__setattr__(self, "gravity", _RIGS_GRAVITY)
+        _check_fields(self, self.file)
         name = self.file or "recording"
-        instants = _array(name, "time", time, "(T,) instants [s]", (None,))
-        _check_time(name, "time", instants)
-        positions = _array(name, "markers", markers, "(T, k, 2) positions [m]", (instants.size, None, 2))
+        time = _array(name, "time", self.time, "(T,) instants [s]", (None,))
+        _check_time(name, "time", time)
         arrays = {
-            key: _array(name, key, values, f"(T, number of active joints) {unit}", (instants.size, None))
-            for key, values, unit in (("theta", theta, "angles [rad]"), ("tau", tau, "torques [N m]"))
+            key: _array(name, key, values, f"(T, number of active joints) {unit}", (time.size, None))
+            for key, values, unit in (("theta", self.theta, "angles [rad]"), ("tau", self.tau, "torques [N m]"))
             if values is not None
         }
         if len(arrays) == 2 and arrays["theta"].shape != arrays["tau"].shape:
             problem, expected = f"an array of shape {arrays['tau'].shape}", f"{arrays['theta'].shape}, as theta has"
             raise RecordingError(name, None, "tau", problem, expected)
-        unknown = np.full(next(iter(arrays.values())).shape if arrays else (instants.size, 0), np.nan)
-        for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": instants, "markers": positions}.items():
+        unknown = np.full(next(iter(arrays.values())).shape if arrays else (time.size, 0), np.nan)
+        markers = _array(name, "markers", self.markers, "(T, k, 2) positions [m]", (time.size, None, 2))
+        for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": time, "markers": markers}.items():
             object.__setattr__(self, key, value)
 
     @classmethod
@@ -274,7 +260,8 @@ class Recording:
             ExperimentError: a field has the wrong type or value.
             RecordingError: a column is unknown or missing, a cell is no number, or too few frames are usable.
         """
-        name, rig = fields.get("file") or "recording", as_rig(rig)
+        file, rig = fields.get("file"), as_rig(rig)
+        name = file if isinstance(file, str) and file else "recording"
         if not hasattr(frame, "columns"):
             raise RecordingError(name, None, None, f"got {shown(frame)}", "a pandas DataFrame")
         columns = tuple(str(column) for column in frame.columns)
@@ -302,10 +289,9 @@ class Recording:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Recording):
             return NotImplemented
-        names = sorted((field.name for field in fields(self)), key=lambda name: name in _ARRAYS)
-        pairs = ((getattr(self, name), getattr(other, name)) for name in names)
         return all(
-            a is b or (np.array_equal(a, b, equal_nan=True) if isinstance(a, np.ndarray) else a == b) for a, b in pairs
+            np.array_equal(mine, its, equal_nan=True) if isinstance(mine, np.ndarray) else mine == its
+            for mine, its in zip(vars(self).values(), vars(other).values(), strict=True)
         )
 
     def __repr__(self) -> str:
@@ -418,7 +404,10 @@ def several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
     Raises:
         ExperimentError: there is none, or something else.
     """
-    items = (values,) if isinstance(values, kind) else tuple(values) if isinstance(values, Iterable) else (values,)
+    try:
+        items = (values,) if isinstance(values, kind) else tuple(values)
+    except TypeError:  # not iterable
+        items = (values,)
     strangers = [item for item in items if not isinstance(item, kind)]
     if strangers or not items:
         problem = f"got {shown(strangers[0])}" if strangers else "there is none"
@@ -429,8 +418,8 @@ def several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
 def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[int | None, ...]) -> Array:
     """Return an array of finite numbers or NaN, of a shape in which None stands for any length."""
     try:
-        array = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        array = np.empty(()) if np.iscomplexobj(value) else np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
         array = np.empty(())
     if not array.ndim:
         raise RecordingError(name, None, key, f"got {shown(value)}", f"an array {expected}")
@@ -446,36 +435,34 @@ def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[in
 def _check_finite(name: str, column: str, values: Array) -> None:
     infinite = np.isinf(values)
     if infinite.any():
-        raise RecordingError(name, int(np.argwhere(infinite)[0, 0]), column, "an infinite value", _CELL)
+        raise RecordingError(name, None, column, "an infinite value", _CELL, int(np.argwhere(infinite)[0, 0]))
 
 
 def _numbers(name: str, column: str, values: pd.Series) -> Array:
     """Return a column of a table as numbers, NaN where it is empty."""
-    try:
-        array = values.to_numpy(dtype=np.float64, na_value=np.nan, copy=True)
-    except (TypeError, ValueError) as error:
-        for row, cell in enumerate(values):
-            try:
-                float(cell)
-            except (TypeError, ValueError):
-                problem = f"{shown(cell)} is not a number"
-                raise RecordingError(
-                    name, row, column, problem, "a finite number, or NaN where nothing was measured"
-                ) from error
-        raise
-    _check_finite(name, column, array)
-    return array
+    with suppress(TypeError, ValueError, OverflowError):
+        array = values.astype(object if np.iscomplexobj(values) else values.dtype).to_numpy(
+            dtype=np.float64, na_value=np.nan, copy=True
+        )
+        _check_finite(name, column, array)
+        return array
+    for index, cell in enumerate(values):
+        try:
+            float(cell)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise RecordingError(name, None, column, f"{shown(cell)} is not a number", _CELL, index) from error
+    raise RecordingError(name, None, column, "not a column of numbers", _CELL)
 
 
 def _check_time(name: str, column: str, time: Array) -> None:
     bad = np.flatnonzero(np.isnan(time))
     if bad.size:
-        raise RecordingError(name, int(bad[0]), column, "the time is missing", "a time in every row [s]")
+        raise RecordingError(name, None, column, "the time is missing", "a time in every row [s]", int(bad[0]))
     bad = np.flatnonzero(np.diff(time) <= 0.0)
     if bad.size:
-        row = int(bad[0]) + 1
-        problem = f"time does not increase, {time[row]:.9g} after {time[row - 1]:.9g}"
-        raise RecordingError(name, row, column, problem, "a time later than the row before")
+        index = int(bad[0]) + 1
+        problem = f"time does not increase, {time[index]:.9g} after {time[index - 1]:.9g}"
+        raise RecordingError(name, None, column, problem, "a time later than the row before", index)
 
 
 def _known_columns(rig: Rig) -> str:

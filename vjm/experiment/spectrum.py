@@ -1,8 +1,8 @@
-"""Natural frequencies and damping ratios of the recordings themselves, finer than a bin of the spectrum.
+"""Sensor noise, natural frequencies and damping ratios of the recordings themselves.
 
 A recording is a sum of damped oscillations, free ones from its start and, where a torque was measured, the responses
 of the same oscillators to it. Peaks of the spectrum start a nonlinear least-squares fit of frequencies and damping
-ratios, everything linear (amplitudes, phases, offsets) being projected out (variable projection).
+ratios, finer than a bin, everything linear (amplitudes, phases, offsets) being projected out (variable projection).
 """
 
 from __future__ import annotations
@@ -12,12 +12,66 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import get_window, lfilter
 
-from vjm.experiment.records import Array
+from vjm.experiment.records import Array, Complex, Recording, Rig
+
+
+def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Return marker noise [m] and encoder noise [rad]: the experiment's, else the median over recordings.
+
+    Quiet recordings, where there are any, speak for all.
+    """
+    quiet = [recording for recording in recordings if recording.kind == "quiet"]
+    chosen = quiet or list(recordings)
+    size = max(link.length for link in rig.links)
+    markers = rig.marker_noise or _median([_marker_noise(recording) for recording in chosen], size)
+    encoder = rig.encoder_noise or _median([_white_noise(_complete_rows(r.theta)) for r in chosen if r.theta.size], 1.0)
+    return markers, encoder
+
+
+def _white_noise(samples: ArrayLike) -> float:
+    """Return the 1-sigma of the white part of evenly sampled signals.
+
+    A low quantile of the windowed periodogram: its bins are noise power times an exponential variate, and the few that
+    hold motion do not move the quantile.
+
+    Args:
+        samples: (T, m), complete rows; columns are signals with the same noise.
+
+    Returns:
+        The noise, in the signals' unit; NaN for fewer than 16 samples.
+    """
+    values = np.asarray(samples, dtype=float)
+    if len(values) < 16:
+        return float("nan")
+    # Ends that differ would leak over the whole spectrum: the window and the second difference of a line take that out.
+    line = np.linspace(0, 1, len(values))[:, None]
+    detrended = values - values[:1] * (1 - line) - values[-1:] * line
+    window = get_window("blackmanharris", len(values))[:, None]
+    power = np.abs(np.fft.rfft(detrended * window, axis=0)[4:-1]) ** 2 / np.sum(window**2)
+    low = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
+    return float(np.sqrt(np.quantile(power, low) / -np.log(1 - low)))
+
+
+def _complete_rows(values: Array) -> Array:
+    """Return the complete rows of the columns that were measured."""
+    rows = values[np.isfinite(values).any(axis=1)]
+    rows = rows[:, np.isfinite(rows).any(axis=0)]
+    kept: Array = rows[np.isfinite(rows).all(axis=1)]
+    return kept
+
+
+def _marker_noise(recording: Recording) -> float:
+    return _white_noise(_complete_rows(recording.markers[recording.frames].reshape(recording.frames.size, -1)))
+
+
+def _median(values: list[float], size: float) -> float:
+    known = [value for value in values if np.isfinite(value)]
+    return max(float(np.median(known)) if known else 0.0, 1e-9 * size)  # exact data still need a finite weight
 
 
 class Oscillators:
@@ -52,11 +106,11 @@ class Oscillators:
                 parts += [response.real / size, response.imag / size]
         return np.stack(parts, axis=1)
 
-    def responses(self, pole: complex) -> NDArray[np.complex128]:
+    def responses(self, pole: complex) -> Complex:
         """Return the free motion exp(pole t) of a pole [1/s] and its responses to the inputs, (T, 1 + inputs)."""
         return np.stack([np.exp(pole * self.time), *(self._forced(pole, signal) for signal in self.inputs)], axis=1)
 
-    def _forced(self, pole: complex, signal: Array) -> NDArray[np.complex128]:
+    def _forced(self, pole: complex, signal: Array) -> Complex:
         """Response of z' = pole z + u at the camera's instants, u linear between its samples (exact)."""
         h = self.step
         flow = np.exp(pole * h)
@@ -71,7 +125,7 @@ class Oscillators:
         part = np.exp(pole * rest)
         slope = (signal[k + 1] - signal[k]) / h
         zeroth = (part - 1) / pole
-        moved: NDArray[np.complex128] = part * response[k] + zeroth * signal[k] + (zeroth - rest) / pole * slope
+        moved: Complex = part * response[k] + zeroth * signal[k] + (zeroth - rest) / pole * slope
         return moved
 
 
@@ -183,7 +237,7 @@ def match(
 
 def mode_shapes(
     time: ArrayLike, signals: ArrayLike, modes: MeasuredModes, torque: tuple[ArrayLike, ArrayLike] | None = None
-) -> NDArray[np.complex128]:
+) -> Complex:
     """Return the deflection shapes of the modes of a recording.
 
     Args:

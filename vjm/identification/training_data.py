@@ -12,8 +12,7 @@ from scipy.linalg import block_diag, cholesky, solve_triangular
 from vjm.chain.layout import DEFAULT_LAYOUT, Layout, chain_layouts, layout, rig_layouts, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
-from vjm.experiment.noise import sensor_noise
-from vjm.experiment.spectrum import MeasuredModes, measure_modes
+from vjm.experiment.spectrum import MeasuredModes, measure_modes, sensor_noise
 from vjm.markers.angles import AngleMethod, Angles, ShapeSettings, estimate_angles
 from vjm.markers.shape import choose_order
 from vjm.markers.smoothing import Derivatives, Smoother, interpolate

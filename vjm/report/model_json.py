@@ -16,7 +16,7 @@ from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import ExperimentError, ModelFileError, ShapeError
-from vjm.experiment.noise import sensor_noise
+from vjm.experiment.spectrum import sensor_noise
 from vjm.files import json_text
 from vjm.records import Array, Estimate, Experiment, Recording, Rig
 from vjm.simulation.model import Model
