@@ -38,11 +38,11 @@ from mujoco import sysid
 from numpy.typing import NDArray
 
 import vjm
+from tests.simulation.integrators import simulate
 from vjm.chain.curve import marker_positions
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.records import Experiment, Recording
-from vjm.simulation.integrate import simulate
 from vjm.simulation.model import Model
 
 sys.path.append(str(ROOT))

@@ -43,7 +43,7 @@ def recording_of(rig: Rig, chain: Chain, seed: int, rows: int) -> Recording:
     markers = np.full((rows, len(MARKERS), 2), np.nan)
     empty = Recording(t, markers, np.zeros((rows, 1)), torque, kind="driven", role="train", file=f"r{seed}.csv")
     rest = np.zeros((1, chain.size))
-    q = simulate_trajectories([Arm(chain)], [empty], rest, rest)[0].sample(t)[0][:, 0]
+    q = simulate_trajectories([Arm(chain)], [empty], rest, rest)[0].angles(t)
     markers[::10] = MarkerArcs.of(rig).positions(chain, q[::10]) + NOISE * rng.standard_normal(markers[::10].shape)
     theta = q[:, :1] + ENCODER_NOISE * rng.standard_normal((rows, 1))
     return Recording(t, markers, theta, torque, kind="driven", role="train", file=f"r{seed}.csv")

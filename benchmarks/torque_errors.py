@@ -7,7 +7,7 @@ from clock import header, in_turns, line
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.model import dynamics
-from vjm.model.torque import torque_errors
+from vjm.model.dynamics import torque_errors
 from vjm.records import Link
 
 SAMPLES, JOINTS, THREADS = 100_000, 6, 2
@@ -30,7 +30,7 @@ def main() -> None:
     )
     header(f"torque errors of {SAMPLES:,} samples, n = {JOINTS}")
     line("pin.rneaInParallel, median", 1e3 * float(np.median(times["bare"])), "ms")
-    line("vjm.model.torque.torque_errors, median", 1e3 * float(np.median(times["vjm"])), "ms")
+    line("vjm.model.dynamics.torque_errors, median", 1e3 * float(np.median(times["vjm"])), "ms")
     line("ratio, median over rounds", float(np.median(times["vjm"] / times["bare"])), "", 1.3)
 
 

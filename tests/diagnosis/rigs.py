@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.signal import lfilter
 
+from tests.simulation.integrators import simulate
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.noise import Noise
@@ -16,7 +17,6 @@ from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import simulate
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, simulate_runs
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from tests.effects.setups import FORE, LINK, POST, PRESENT, chain_of, placed_first, recording_of, revolute_arms
 from tests.model.arms import random_motion
+from tests.simulation.integrators import trajectories_of
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import (
     CoulombFriction,
@@ -34,7 +35,7 @@ from vjm.model.modes import linearise, modes, modes_of
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
-from vjm.simulation.sensitivity import MotionSamples, follow_internal_states
+from vjm.simulation.sensitivity import follow_internal_states
 
 HUB = chain_of(LINK)
 # What has internal states may give back what it took: the contract follows it over a motion.
@@ -127,7 +128,7 @@ def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
         links = tuple(replace(link, stiffness=factor * link.stiffness) for link in HUB.links)
         arm = Arm.of(replace(HUB, links=links), (CoulombFriction(torque=0.008),))
         (steps,) = simulate_trajectories([arm], [recording], [np.zeros(HUB.size)], [np.zeros(HUB.size)])
-        ends.append(steps.sample(time)[0][:, 0, 0])
+        ends.append(steps.angles(time)[:, 0])
     bent = np.diff(np.array(ends), n=2, axis=0)
     assert np.ptp(ends[0]) > 0.1
     assert np.abs(bent).max() < 2e-7
@@ -140,11 +141,11 @@ def test_two_integrators_carry_friction_beside_other_internal_states() -> None:
     rest = np.zeros(HUB.size)
     found = []
     for effects in ((hysteresis, friction), (friction, hysteresis)):
-        for how in ({"integrator": "rk4", "step": 2e-4}, {}):
-            (steps,) = simulate_trajectories([Arm.of(HUB, effects)], [recording], [rest], [rest], **how)
-            found.append(steps.sample(time)[0][:, 0, 0])
+        for how in (("rk4", 2e-4), ()):
+            (steps,) = trajectories_of([Arm.of(HUB, effects)], [recording], [rest], [rest], *how)
+            found.append(steps.angles(time)[:, 0])
     (plain,) = simulate_trajectories([Arm.of(HUB, (hysteresis,))], [recording], [rest], [rest])
-    assert np.abs(plain.sample(time)[0][:, 0, 0] - found[0]).max() > 1e-2
+    assert np.abs(plain.angles(time)[:, 0] - found[0]).max() > 1e-2
     assert all(each == pytest.approx(found[0], abs=1e-4) for each in found)
 
 
@@ -154,7 +155,7 @@ def test_friction_takes_its_torque_times_the_joint_s_whole_way() -> None:
     q, v = np.zeros((2, time.size, HUB.size))
     q[:, 0], v[:, 0] = 0.3 * np.sin(4 * time), 1.2 * np.cos(4 * time)
     arm = Arm.of(HUB, (CoulombFriction(torque=0.008),))
-    z = follow_internal_states(arm, MotionSamples(time, q, v, 0 * q, np.zeros((time.size, 0))))
+    z = follow_internal_states(arm, time, q, v)
     push = arm.forces(0.0)
     assert push is not None
     work = np.trapezoid((push(time, q, v, z) * v).sum(axis=1), time)
@@ -170,7 +171,7 @@ def test_dry_friction_sticks_slips_and_sticks_again(torque: float) -> None:
     recording = driven(push, time)
     arm, rest = Arm.of(stiff, (CoulombFriction(torque=torque),)), np.zeros(stiff.size)
     (steps,) = simulate_trajectories([arm], [recording], [rest], [rest])
-    angle = steps.sample(time)[0][:, 0, 0]
+    angle = steps.angles(time)[:, 0]
     rate = torque / (LINK.hub_inertia + LINK.mass * LINK.length**2 / 3)  # of speeding up at 2, of slowing down at 1
     assert np.abs(angle[time < 0.5]).max() < 2e-4
     assert angle[np.searchsorted(time, 1.0)] == pytest.approx(0.5 * 2 * rate * 0.5**2, rel=0.01, abs=1e-4)

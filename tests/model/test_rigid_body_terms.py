@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from tests.model.arms import GRAVITY, arms, one_joint_arm, random_motion
 from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InputError, ShapeError
-from vjm.model.dynamics import bias, build, forward_dynamics, gravity_stiffness, inverse_dynamics, mass_matrix
+from vjm.model.dynamics import Mechanism, build, forward_dynamics, gravity_stiffness, inverse_dynamics, mass_matrix
+
+Array = NDArray[np.float64]
+
+
+def bias(mechanism: Mechanism, q: Array, v: Array) -> Array:
+    """h(q, v): torques without accelerations."""
+    return inverse_dynamics(mechanism, q, v, np.zeros_like(v))
 
 
 @pytest.mark.parametrize("payload", [0.0, 0.16])

@@ -18,8 +18,7 @@ from tests.model.arms import GRAVITY, arms, one_joint_arm, random_motion
 from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError
-from vjm.model.dynamics import build
-from vjm.model.torque import objective, torque_errors
+from vjm.model.dynamics import objective, torque_errors
 
 Array = NDArray[np.float64]
 PAYLOAD = 0.16
@@ -194,13 +193,6 @@ def test_inputs_are_left_alone() -> None:
     torque_errors(true.chain, *parts, PAYLOAD)
     for part, original in zip(parts, (true.q, true.v, true.a, true.torque), strict=True):
         np.testing.assert_array_equal(part, original)
-
-
-def test_a_mechanism_built_before_gives_the_same() -> None:
-    true = driven()
-    built = build(true.chain, PAYLOAD)
-    errors = torque_errors(true.chain, true.q, true.v, 2 * true.a, true.torque, mechanism=built)
-    np.testing.assert_array_equal(errors, torque_errors(true.chain, true.q, true.v, 2 * true.a, true.torque, PAYLOAD))
 
 
 @pytest.mark.parametrize("shape", [(83,), (83, 2), (83, 0)])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.report.fits import DEMO, _chain
+from tests.simulation.integrators import simulate
 from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining
 from vjm.diagnosis.symptoms import symptoms
 from vjm.effects import (
@@ -26,7 +27,6 @@ from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparis
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.style import Picture
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import simulate
 from vjm.simulation.model import Model
 
 Array = NDArray[np.float64]

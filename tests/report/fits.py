@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import vjm
+from tests.simulation.integrators import simulate
 from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.experiment.load import load_experiment
@@ -24,7 +25,6 @@ from vjm.markers.smoothing import Smoother
 from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.report.figures.identification import identification_pictures
 from vjm.report.figures.style import Picture
-from vjm.simulation.integrate import simulate
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import InitialStatePrior, simulate_runs

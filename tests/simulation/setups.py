@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tests.chain.beams import beam_chain
+from tests.simulation.integrators import trajectories_of
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import simulate_trajectories
 
 Array = NDArray[np.float64]
 DOWN = (0.0, -9.81)
@@ -95,11 +95,9 @@ def rollout(
 ) -> tuple[Array, Array]:
     """Angles and rates (T, C, nv) of copies of a chain, all driven by one recording's torque."""
     arms = [Arm(chain) for chain in chains]
-    runs = simulate_trajectories(
-        arms, [recording] * len(arms), [*np.atleast_2d(q)], [*np.atleast_2d(v)], integrator, step
-    )
+    runs = trajectories_of(arms, [recording] * len(arms), [*np.atleast_2d(q)], [*np.atleast_2d(v)], integrator, step)
     angles, rates = zip(*(run.sample(recording.time) for run in runs), strict=True)
-    return np.concatenate(angles, axis=1), np.concatenate(rates, axis=1)
+    return np.stack(angles, axis=1), np.stack(rates, axis=1)
 
 
 def end_load_shape(chain: Chain, deflection: float) -> Array:

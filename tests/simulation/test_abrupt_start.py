@@ -11,8 +11,7 @@ from tests.diagnosis.rigs import NOISE, RIG, chain_of
 from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
 from vjm.records import Kind, Recording
-from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.arm import Arm, EncoderFeedback
 from vjm.simulation.initial_state import _state_at_rest, backtrack, fit_initial_states, simulate_or_rest
 from vjm.simulation.measurement import MarkerArcs, Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs

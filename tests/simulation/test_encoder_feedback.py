@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.simulation.integrators import trajectories_of
 from tests.simulation.setups import arm_of, jerky_torque, recording_of, rig_of, steel_link, two_link_arm
 from vjm.chain.virtual_links import Chain
 from vjm.effects import EncoderOffset
 from vjm.records import Recording
-from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.arm import Arm, EncoderFeedback
 from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
@@ -43,13 +43,12 @@ def test_a_rigid_arm_swings_as_it_is_told(frequency: float, ratio: float, integr
     feedback = EncoderFeedback.of(recording, chain, 1e-4, frequency, ratio)
     rest = np.zeros(chain.size)
     step = 2e-4 if integrator == "rk4" else None
-    steps = simulate_trajectories([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest], integrator, step)[
-        0
-    ]
+    arm = Arm(chain).with_feedback(feedback)
+    (steps,) = trajectories_of([arm], [recording], [rest], [rest], integrator, step)
     w, t = 2 * np.pi * frequency, steps.time
     swing = w * np.sqrt(1 - ratio**2)
     expected = angle * (1 - np.exp(-ratio * w * t) * (np.cos(swing * t) + ratio * w / swing * np.sin(swing * t)))
-    assert np.abs(steps.q[:, 0, 0] - expected).max() < 0.01 * angle
+    assert np.abs(steps.q[:, 0] - expected).max() < 0.01 * angle
 
 
 def test_its_stiffness_is_of_the_whole_arm_s_inertia() -> None:
@@ -66,7 +65,7 @@ def driven(chain: Chain, seed: int = 3) -> tuple[Recording, Array]:
     recording = recording_of(chain, np.arange(401) / 200, jerky_torque(chain.active.size, seed, 0.1))
     rest = np.zeros(chain.size)
     steps = simulate_trajectories([Arm(chain)], [recording], [rest], [rest])[0]
-    theta = np.stack([np.interp(recording.time, steps.time, each) for each in steps.q[:, 0, chain.active].T], axis=-1)
+    theta = np.stack([np.interp(recording.time, steps.time, each) for each in steps.q[:, chain.active].T], axis=-1)
     return replace(recording, theta=theta), theta
 
 
@@ -77,7 +76,7 @@ def test_a_right_model_moves_as_it_would_alone(arm: str) -> None:
     feedback = EncoderFeedback.of(recording, chain, 1e-5, 1.5, 0.7)
     rest = np.zeros(chain.size)
     found = simulate_trajectories([Arm(chain).with_feedback(feedback)], [recording], [rest], [rest])[0]
-    away = np.stack([np.interp(recording.time, found.time, each) for each in found.q[:, 0, chain.active].T], axis=-1)
+    away = np.stack([np.interp(recording.time, found.time, each) for each in found.q[:, chain.active].T], axis=-1)
     assert np.abs(away - theta).max() < 2e-3 * np.abs(theta).max()
 
 
@@ -90,7 +89,7 @@ def test_a_wrong_model_stays_near() -> None:
     rest = np.zeros(chain.size)
     arms = [Arm(wrong), Arm(wrong).with_feedback(feedback)]
     free, held = simulate_trajectories(arms, [recording] * 2, [rest] * 2, [rest] * 2)
-    off = [np.abs(np.interp(recording.time, each.time, each.q[:, 0, 0]) - theta[:, 0]).max() for each in (free, held)]
+    off = [np.abs(np.interp(recording.time, each.time, each.q[:, 0]) - theta[:, 0]).max() for each in (free, held)]
     assert off[1] < 0.2 * off[0]
 
 
@@ -120,7 +119,7 @@ def test_it_draws_to_where_the_encoder_would_show_the_angle() -> None:
     arm = Arm.of(chain, (EncoderOffset(link=0, offset=offset),)).with_feedback(feedback)
     rest = np.zeros(chain.size)
     steps = simulate_trajectories([arm], [recording], [rest], [rest])[0]
-    assert steps.q[-1, 0, 0] == pytest.approx(0.3 - offset, abs=1e-4)
+    assert steps.q[-1, 0] == pytest.approx(0.3 - offset, abs=1e-4)
     angle, rate = arm.read_encoders(np.array([[0.1], [0.2]]), np.array([[1.0], [-2.0]]))
     assert angle == pytest.approx(np.array([[0.15], [0.25]]))
     assert rate == pytest.approx(np.array([[1.0], [-2.0]]))

@@ -16,6 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly, make_interp_spline
 
 from tests.model.lagrange import lagrange_mass_matrix, lagrange_potential
+from tests.simulation.integrators import INTEGRATORS, simulate
 from tests.simulation.setups import (
     DOWN,
     arm_of,
@@ -32,8 +33,7 @@ from vjm.model import dynamics
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import default_step, simulate, simulate_trajectories
-from vjm.simulation.integrators import INTEGRATORS
+from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.system import Trajectory
 
 Array = NDArray[np.float64]
@@ -207,9 +207,7 @@ def test_a_torque_turns_a_free_arm_by_its_impulse() -> None:
     recording = recording_of(chain, time, lambda t: np.random.default_rng(3).normal(0.0, 0.1, (t.size, 1)))
     (found,) = simulate_trajectories([Arm(chain)], [recording], np.zeros((1, 5)), np.zeros((1, 5)))
     inside = found.time <= time[-1]
-    momentum = [
-        lagrange_mass_matrix(chain, q)[0] @ v for q, v in zip(found.q[inside, 0], found.v[inside, 0], strict=True)
-    ]
+    momentum = [lagrange_mass_matrix(chain, q)[0] @ v for q, v in zip(found.q[inside], found.v[inside], strict=True)]
     impulse = PPoly.from_spline(make_interp_spline(time, recording.tau[:, 0], k=1)).antiderivative()
     np.testing.assert_allclose(momentum, impulse(found.time[inside]), atol=1e-8)
 

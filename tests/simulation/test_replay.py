@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
+from tests.simulation.integrators import simulate
 from tests.simulation.setups import (
     DOWN,
     arm_of,
@@ -29,7 +30,6 @@ from vjm.experiment.load import load_experiment
 from vjm.records import Experiment, Recording, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states, simulated_recording
-from vjm.simulation.integrate import simulate
 from vjm.simulation.measurement import MarkerArcs, Observations
 
 Array = NDArray[np.float64]

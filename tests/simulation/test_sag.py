@@ -15,11 +15,11 @@ from tests.fine_beam import Beam, static_state
 from tests.fine_beam import simulate as simulate_beam
 from tests.fine_beam.beam import DEFAULT_NUMERICS
 from tests.fine_beam.mechanics import Mechanics
+from tests.simulation.integrators import simulate
 from tests.simulation.setups import DOWN, arm_of, recording_of, rig_of, steel_link
 from vjm.chain.curve import marker_positions
 from vjm.chain.virtual_links import Chain
 from vjm.model.modes import modes
-from vjm.simulation.integrate import simulate
 
 Array = NDArray[np.float64]
 MARKERS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])

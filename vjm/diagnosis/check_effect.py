@@ -26,10 +26,10 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.model import dynamics
 from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import default_step, sensor_readings, simulate_trajectories
-from vjm.simulation.measurement import MarkerArcs, Observations
+from vjm.simulation.integrate import default_step, simulate_trajectories
+from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
 from vjm.simulation.run import transfer_state
-from vjm.simulation.sensitivity import MotionSamples, follow_internal_states
+from vjm.simulation.sensitivity import follow_internal_states
 from vjm.simulation.system import Trajectory
 
 CLAUSES: Mapping[str, str] = MappingProxyType(
@@ -428,7 +428,7 @@ def _power(chain: Chain, arm: Arm, seed: int) -> tuple[Array, Array]:
     angle = time[:, None, None] * pulsation + phase
     q, v = 0.3 * (np.sin(angle) - np.sin(phase)).sum(axis=1), 0.3 * (pulsation * np.cos(angle)).sum(axis=1)
     v *= 1.0 if stateful else 10 ** -random.uniform(0, 3, (time.size, 1))  # slow states too
-    z = follow_internal_states(arm, MotionSamples(time, q, v, np.zeros_like(q), np.zeros((time.size, 0))))
+    z = follow_internal_states(arm, time, q, v)
     force = arm.forces(_PAYLOAD)
     torque = np.zeros_like(q) if force is None else force(time, q, v, z)
     if n == chain.size:
@@ -447,7 +447,7 @@ def _growth(bench: _Bench, effect: Effect) -> float:
     free = _Bench(bench.rig, replace(bench.chain, links=links), bench.recordings[k : k + 1], bench.states[k : k + 1])
     arm = Arm.of(free.chain, (bench.typical(effect),))
     (run,) = free.steps(arm, 0.25 * default_step(free.chain))  # the usual step's own error would look like a gain
-    q, v = run.q[:, 0], run.v[:, 0]
+    q, v = run.q, run.v
     M = dynamics.mass_matrix(dynamics.build(arm.chain), q)
     energy = 0.5 * np.einsum("ti,tij,tj->t", v, M, v) + 0.5 * (q * q) @ arm.chain.stiffness
     # Internal states may have held some in between.

@@ -17,7 +17,7 @@ from vjm.diagnosis.fit_cache import StoppingRule
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryProblem
 from vjm.records import Array
-from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.arm import EncoderFeedback
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.measurement import Observations

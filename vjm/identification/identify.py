@@ -26,7 +26,7 @@ from vjm.identification.trajectory_method import first_fit
 from vjm.identification.uncertainty import Information, estimates, torque_information, trajectory_information
 from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FamilyName
-from vjm.model.torque import objective
+from vjm.model.dynamics import objective
 from vjm.records import Array, Experiment, Progress
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.model import Model

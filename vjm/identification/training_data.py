@@ -17,8 +17,8 @@ from vjm.markers.angles import AngleMethod, Angles, ShapeSettings, estimate_angl
 from vjm.markers.shape import choose_order
 from vjm.markers.smoothing import Derivatives, Smoother, interpolate
 from vjm.model import dynamics
+from vjm.model.dynamics import torque_errors
 from vjm.model.modes import modes
-from vjm.model.torque import torque_errors
 from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Record, Recording, Rig
 
 DerivativeMethod = Literal["smoothing", "interpolating"]

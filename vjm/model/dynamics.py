@@ -1,4 +1,4 @@
-"""Rigid-body dynamics of virtual-joint chains: the only module that knows Pinocchio.
+"""Rigid-body dynamics of virtual-joint chains and their torque errors: the only module that knows Pinocchio.
 
 Equation of motion (eq. 8), split into active (a) and passive (p) coordinates:
 
@@ -8,7 +8,7 @@ Equation of motion (eq. 8), split into active (a) and passive (p) coordinates:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -140,11 +140,6 @@ def _batch(name: str, values: ArrayLike, size: int) -> Array:
     return array
 
 
-def bias(mechanism: Mechanism, q: ArrayLike, v: ArrayLike) -> Array:
-    """Return h(q, v), the centrifugal, Coriolis and gravity torques (T, nv) [N m], at q, v (T, nv)."""
-    return inverse_dynamics(mechanism, q, v, np.zeros_like(np.asarray(v, dtype=float)))
-
-
 def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
     """Return M(q), (T, nv, nv) [kg m^2], at q (T, nv), by one batched RNEA a column."""
     angles = _batch("q", q, mechanism.model.nv)
@@ -170,3 +165,51 @@ def gravity_stiffness(mechanism: Mechanism, q: ArrayLike) -> Array:
     rest = np.zeros_like(angles)
     pin.computeRNEADerivatives(mechanism.model, mechanism.data, angles, rest, rest)
     return np.array(mechanism.data.dtau_dq)
+
+
+def torque_errors(
+    chain: Chain,
+    q: ArrayLike,
+    v: ArrayLike,
+    a: ArrayLike,
+    torque: ArrayLike,
+    payload: float = 0.0,
+    gravity: tuple[float, float] | None = None,
+) -> Array:
+    """Return active and passive torque errors (eq. 14), from one batched RNEA.
+
+    tau_ea = tau_a - M11 theta'' - M12 phi'' - h1 and tau_ep = -(M21 theta'' + M22 phi'' + h2 + K phi + D phi').
+
+    Args:
+        chain: the arm.
+        q, v, a: (T, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
+        torque: (T, n_a) active joint torques [N m]; NaN where not measured.
+        payload: extra point mass on the tip [kg].
+        gravity: in the plane [m/s^2]; the chain's when None.
+
+    Returns:
+        (T, nv) errors in the chain's order [N m]; NaN on active rows without measured torque.
+
+    Raises:
+        ShapeError: arrays that do not fit the chain.
+    """
+    applied = np.asarray(torque, dtype=float)
+    if applied.ndim != 2 or applied.shape[1] != chain.active.size:
+        raise ShapeError("torque", f"shape {applied.shape}", f"shape (T, {chain.active.size})")
+    errors = inverse_dynamics(build(chain, payload, gravity), q, v, a)
+    errors += chain.stiffness * np.asarray(q, dtype=float)
+    errors += chain.damping * np.asarray(v, dtype=float)
+    np.negative(errors, out=errors)
+    errors[:, chain.active] += applied
+    return errors
+
+
+def objective(weighted_errors: Iterable[ArrayLike]) -> float:
+    """Return J of eq. (15), here as a mean: of the squares of all weighted torque errors.
+
+    Args:
+        weighted_errors: of each recording, (T, m) errors times F^T for a weight W = F^T F, the inverse of their noise
+            covariance; in units of the noise, NaN rows of joints without measured torque count nothing.
+    """
+    values = np.concatenate([np.ravel(errors) for errors in weighted_errors])
+    return float(np.mean(values[np.isfinite(values)] ** 2))

@@ -67,7 +67,8 @@ def _rest_position(
 
     def residual(phi: Array) -> Array:
         q[p] = phi
-        unbalanced: Array = dynamics.bias(mechanism, q[None], np.zeros((1, chain.size)))[0] + K @ q
+        rest = np.zeros((1, chain.size))
+        unbalanced: Array = dynamics.inverse_dynamics(mechanism, q[None], rest, rest)[0] + K @ q
         return unbalanced[p]
 
     def tangent(phi: Array) -> Array:

@@ -11,9 +11,8 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.records import Array, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import sensor_readings
 from vjm.simulation.least_squares import Damping, SquareRootInformation
-from vjm.simulation.measurement import Observations
+from vjm.simulation.measurement import Observations, sensor_readings
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
 

@@ -1,51 +1,32 @@
-"""Open-loop simulation of a recording: its torque in, angles and markers out."""
+"""Integration of the equations of motion: recordings' torques in, trajectories out.
+
+Chains are stiff in K and smooth in everything else. All copies of a `System` advance together, each under its own
+torque, by fourth-order exponential time differencing.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError, ShapeError
+from vjm.errors import ShapeError, SimulationDivergedError
+from vjm.model import dynamics
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array, Recording, Rig, Simulation
+from vjm.records import Array, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrators import INTEGRATORS
-from vjm.simulation.measurement import MarkerArcs
 from vjm.simulation.system import Drive, System, Trajectory
 
-_REFERENCE_STEP = 1e-4  # s, section 6.4
 _LEAST_STEPS = 20  # of a short recording
 # Half an interval over which derivatives of the motion are advanced, in periods of the slowest mode; shorter where an
 # elbow changes the arm's shape altogether.
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
 _MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 10 GB for 432
-
-
-def default_step(chain: Chain, payload: float = 0.0) -> float:
-    """Return the exponential integrator's step [s] that keeps the tip within 1e-6 m of the reference over 10 s.
-
-    Measured on 1 m chains of 4 to 40 joints bent by an eighth of their length, or driven. The error grows with the
-    arm's length and the fourth power of the step; the top modes of larger chains, however fast, are in the part that is
-    advanced exactly. An active joint further out swings the arm's outer part about fast.
-    """
-    slowest, _ = locked_joint_frequencies(chain, payload)
-    joints = max(link.virtual_joints for link in chain.links)
-    steps_a_period = min(60.0 + 16.0 * joints, 220.0)
-    if (chain.active > 0).any():
-        steps_a_period = min(880.0 * joints, 5200.0)
-    return float(sum(link.length for link in chain.links) ** -0.25 / (steps_a_period * slowest))
-
-
-def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
-    """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
-    M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
-    p = chain.passive
-    frequencies = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)], rest[p]).frequencies
-    return float(frequencies[0]), float(frequencies[-1])
+_DIVERGED = 1e3  # rad; no joint turns so far
+_ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 
 
 def simulate_trajectories(
@@ -53,7 +34,6 @@ def simulate_trajectories(
     recordings: Sequence[Recording],
     q: Sequence[Array],
     v: Sequence[Array],
-    integrator: str = "exponential",
     step: float | None = None,
     step_multiple: float = 1.0,
     longest: float = np.inf,
@@ -64,39 +44,39 @@ def simulate_trajectories(
         arms: C arms, one a run.
         recordings: C recordings: each gives instants, torque, gravity and payload.
         q, v: C initial angles (nv,) [rad] and rates (nv,) [rad/s].
-        integrator: `exponential` or `rk4`.
-        step: [s]; None: `default_step` or, for `rk4`, 100 us.
+        step: [s]; None: `default_step`.
         step_multiple: multiple of the default step to take.
         longest: step allowed [s].
 
     Returns:
-        C trajectories of one copy each, from the recording's first instant to its last or a little beyond: their
-        numbers of steps are multiples of two `steps_per_half_interval`s.
+        C trajectories, from the recording's first instant to its last or a little beyond: their numbers of steps are
+        multiples of two `steps_per_half_interval`s.
 
     Raises:
-        ChoiceError: unknown integrator.
         InsufficientDataError: no torque measured at an active joint.
+        ShapeError: a step that is not a positive number.
         SimulationDivergedError: a trajectory left the finite numbers.
     """
-    if integrator not in INTEGRATORS:
-        raise ChoiceError("integrator", integrator, INTEGRATORS)
     driven = [arm.inputs(recording) for arm, recording in zip(arms, recordings, strict=True)]
     trajectories: dict[int, Trajectory] = {}
     for group in _similar(arms, driven):
         first, copies = driven[group[0]], [arms[k] for k in group]
-        allowed = min(arm.longest_step for arm in copies) * min(step_multiple, 2.0)
-        h = min(_step(copies[0].chain, first, integrator, step, step_multiple), longest, allowed)
+        h = step_multiple * default_step(copies[0].chain, first.payload) if step is None else step
+        if not 0 < h < np.inf:
+            raise ShapeError("step", h, "a positive number of seconds")
+        if _duration(first) > 0:
+            h = min(h, _duration(first) / _LEAST_STEPS)
+        h = min(h, longest, min(arm.longest_step for arm in copies) * min(step_multiple, 2.0))
         counts = [_step_count(arms[k].chain, driven[k], h) for k in group]
         drive = Drive.of([driven[k] for k in group], h, max(counts))
         system = System.of(copies, [driven[k].payload for k in group], first.gravity)
         angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
         states = np.stack([arm.initial_states(angle) for arm, angle in zip(copies, angles, strict=True)])
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is noticed, and raised
-            together = INTEGRATORS[integrator](system, angles, rates, states, drive)
+            together = _integrate(system, angles, rates, states, drive)
         for c, (k, count) in enumerate(zip(group, counts, strict=True)):
-            rows = slice(count + 1)
-            motion = (values[rows, c : c + 1] for values in (together.q, together.v, together.a, together.z))
-            trajectories[k] = Trajectory(driven[k].time[0] + together.time[rows], *motion)
+            motion = (values[: count + 1, c] for values in together.motion)
+            trajectories[k] = Trajectory(driven[k].time[0] + together.time[: count + 1], *motion)
     return [trajectories[k] for k in range(len(arms))]
 
 
@@ -122,14 +102,27 @@ def _duration(recording: Recording) -> float:
     return float(recording.time[-1] - recording.time[0])
 
 
-def _step(chain: Chain, recording: Recording, integrator: str, step: float | None, step_multiple: float) -> float:
-    if step is None:
-        exact = integrator != "exponential"
-        step = _REFERENCE_STEP if exact else step_multiple * default_step(chain, recording.payload)
-    if not 0 < step < np.inf:
-        raise ShapeError("step", step, "a positive number of seconds")
-    duration = _duration(recording)
-    return min(step, duration / _LEAST_STEPS) if duration > 0 else step
+def default_step(chain: Chain, payload: float = 0.0) -> float:
+    """Return the exponential integrator's step [s] that keeps the tip within 1e-6 m of the reference over 10 s.
+
+    Measured on 1 m chains of 4 to 40 joints bent by an eighth of their length, or driven. The error grows with the
+    arm's length and the fourth power of the step; the top modes of larger chains, however fast, are in the part that is
+    advanced exactly. An active joint further out swings the arm's outer part about fast.
+    """
+    slowest, _ = locked_joint_frequencies(chain, payload)
+    joints = max(link.virtual_joints for link in chain.links)
+    steps_a_period = min(60.0 + 16.0 * joints, 220.0)
+    if (chain.active > 0).any():
+        steps_a_period = min(880.0 * joints, 5200.0)
+    return float(sum(link.length for link in chain.links) ** -0.25 / (steps_a_period * slowest))
+
+
+def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
+    """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
+    M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
+    p = chain.passive
+    frequencies = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)], rest[p]).frequencies
+    return float(frequencies[0]), float(frequencies[-1])
 
 
 def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> int:
@@ -145,35 +138,209 @@ def _step_count(chain: Chain, recording: Recording, step: float) -> int:
     return multiple * -(-count // multiple)
 
 
-def simulate(
-    arm: Chain | Arm,
-    rig: Rig,
-    recording: Recording,
-    q: ArrayLike,
-    v: ArrayLike,
-    integrator: str = "exponential",
-    step: float | None = None,
-) -> Simulation:
-    """Simulate one recording open loop from a given initial state.
+def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+    """Trajectory from time zero of copies by ETDRK4 steps (Cox and Matthews 2002).
+
+    The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
+    resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
+    at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
+    that this becomes where the linear part is zero.
 
     Args:
-        arm: a chain, or one with effects.
-        rig: says where the markers are.
-        recording: gives the instants, torque, gravity and payload.
-        q, v: (nv,) initial angles [rad] and rates [rad/s].
-        integrator: `exponential` or `rk4`.
-        step: [s]; None: the integrator's default.
+        system: the copies.
+        q, v: (C, nv) initial angles [rad] and rates [rad/s].
+        z: (C, nz) initial internal states.
+        drive: the torques over the steps.
 
     Raises:
-        ChoiceError, InsufficientDataError, SimulationDivergedError: as `simulate_trajectories`.
+        SimulationDivergedError: the trajectory left the finite numbers.
     """
-    arm = arm if isinstance(arm, Arm) else Arm(arm)
-    trajectories = simulate_trajectories([arm], [recording], [np.asarray(q)], [np.asarray(v)], integrator, step)
-    return sensor_readings(arm, MarkerArcs.of(rig), recording, trajectories[0])
+    n, count, step = q.shape[1], len(drive.start), drive.step
+    propagator = _LinearPropagator(system, step)
+    path = Trajectory(step * np.arange(count + 1.0), *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
+    # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
+    missing = drive.ends[:-1] - drive.start
+    start, middle, end = (_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end))
+
+    def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
+        path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
+        if not np.abs(q).max() < _DIVERGED:
+            copy = int(np.argmin((np.abs(q) < _DIVERGED).all(axis=1)))
+            remedy = "take smaller steps, or check the model's masses, stiffness and torque"
+            raise SimulationDivergedError(float(drive.first[copy]) + step * max(k - 1, 0), step, remedy)
+
+    def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
+        if not system.has_further_forces:
+            return system.acceleration(x, springs + torque), z
+        force, rates = system.further_forces(k * step, x[:, :n], x[:, n:], z)
+        return system.acceleration(x, springs + torque + force), rates
+
+    def update(x: Array, z: Array, to: Array) -> Array:
+        return system.update_states(x[:, :n], z, to[:, :n]) if system.effects else z
+
+    x = np.concatenate([q, v], axis=1)
+    for k in range(count):
+        weights = propagator.at(x)
+        p = _multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
+        a, z1 = accelerate(k, x, z, p[:, :n], start[k])
+        record(k, x[:, :n], x[:, n:], a + _multiply(missing[k], weights.response), z)
+        drift, result = p[:, 2 * n : 4 * n], p[:, 4 * n :]
+        p = _multiply(a - p[:, n : 2 * n], weights.first)
+        first, result = p[:, : 2 * n], result + p[:, 2 * n :]
+        x2 = drift + first
+        p = _multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
+        later = p[:, 2 * n :] - first
+        a, z2 = accelerate(k + 0.5, x2, update(x, z + step / 2 * z1, x2), p[:, :n], middle[k])
+        p = _multiply(a - p[:, n : 2 * n], weights.middle)
+        x3, result = drift + p[:, : 2 * n], result + p[:, 2 * n :]
+        p = _multiply(x3, weights.rate)
+        a, z3 = accelerate(k + 0.5, x3, update(x, z + step / 2 * z2, x3), p[:, :n], middle[k])
+        p = _multiply(a - p[:, n:], weights.middle)
+        x4, result = later + 2 * p[:, : 2 * n], result + p[:, 2 * n :]
+        p = _multiply(x4, weights.rate)
+        a, z4 = accelerate(k + 1, x4, update(x, z + step * z3, x4), p[:, :n], end[k])
+        to = result + _multiply(a - p[:, n:], weights.end)
+        z = update(x, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), to)
+        x = to
+    springs = _multiply(x, propagator.at(x).rate)[:, :n]
+    a, _ = accelerate(count, x, z, springs, _of_all_joints(system, drive.ends[-1:])[0])
+    record(count, x[:, :n], x[:, n:], a, z)
+    return path
 
 
-def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory: Trajectory) -> Simulation:
-    """Return a trajectory at a recording's instants, with the readings of its sensors."""
-    angles, rates = (values[:, 0] for values in trajectory.sample(recording.time))
-    markers = arcs.frames(arm, trajectory, recording.time)
-    return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
+def _of_all_joints(system: System, active: Array) -> Array:
+    """Torques of all joints (S, C, nv) from those of the active ones (S, C, n_a)."""
+    torques = np.zeros((len(active), *system.stiffness.shape))
+    torques[:, :, system.active] = active
+    return torques
+
+
+def _multiply(states: Array, matrices: Array) -> Array:
+    """States (C, m) times the transposed matrix of each copy, or that all copies share."""
+    return np.asarray(states @ matrices[0] if len(matrices) == 1 else np.matmul(states[:, None, :], matrices)[:, 0, :])
+
+
+class _Weights(NamedTuple):
+    """ETDRK4's matrices (C, ...), transposed, and side by side where they multiply the same vector.
+
+    The remainder enters the rates only, so its weights are (2 nv, nv). `response` turns active torques (n_a,) into
+    accelerations (nv,). One copy stands for all where they are equal.
+    """
+
+    state: Array
+    first: Array
+    second: Array
+    middle: Array
+    rate: Array
+    end: Array
+    response: Array
+
+
+class _LinearPropagator:
+    """ETDRK4's matrices at the copies' elbow angles, each computed once."""
+
+    def __init__(self, system: System, step: float) -> None:
+        self.system = system
+        self.step = step
+        self.elbows = system.active[system.active > 0]  # joints further out that bend the arm
+        self.known: dict[tuple[int, ...], _Weights] = {}
+        self.current: tuple[bytes, _Weights] | None = None
+        parts = (self._inertia(np.zeros((len(system.arms), self.elbows.size))), system.stiffness, system.damping)
+        self.equal = all((part == part[0]).all() for part in parts)
+
+    def at(self, x: Array) -> _Weights:
+        """Return those at angles x (C, >= nv)."""
+        if self.current is not None and not self.elbows.size:
+            return self.current[1]
+        places = np.round(x[:, self.elbows] / _ELBOW_GRID)
+        if self.current is None or self.current[0] != places.tobytes():
+            self.current = places.tobytes(), self._gathered(places)
+        return self.current[1]
+
+    def _gathered(self, places: Array) -> _Weights:
+        keys = [(0 if self.equal else c, *place) for c, place in enumerate(places.astype(int).tolist())]
+        new = {key: c for c, key in enumerate(keys) if key not in self.known}
+        if new:
+            copies = list(new.values())
+            computed = self._weights(self._inertia(places)[copies], copies)
+            self.known |= {key: _Weights(*parts) for key, *parts in zip(new, *computed, strict=True)}
+        if len(set(keys)) == 1:
+            keys = keys[:1]
+        return _Weights(*(np.stack(parts) for parts in zip(*(self.known[key] for key in keys), strict=True)))
+
+    def _inertia(self, places: Array) -> Array:
+        """(C, nv, nv) the copies' mass matrices at zero angles, but for the elbows'."""
+        copies, n = self.system.stiffness.shape
+        q = np.zeros((copies, n))
+        q[:, self.elbows] = _ELBOW_GRID * places
+        full = dynamics.mass_matrix(self.system.mechanism, q.reshape(1, -1))[0]
+        return np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])
+
+    def _weights(self, inertia: Array, copies: list[int]) -> _Weights:
+        """Matrices of some copies, from their mass matrices (c, nv, nv)."""
+        n, step = inertia.shape[1], self.step
+        try:
+            inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
+        except np.linalg.LinAlgError as error:
+            remedy = "a joint moves nothing: give its hub or its links mass"
+            raise SimulationDivergedError(0.0, step, remedy) from error
+        springs = np.zeros((len(copies), n, 2 * n))
+        springs[:, range(n), range(n)] = -self.system.stiffness[copies]
+        springs[:, range(n), range(n, 2 * n)] = -self.system.damping[copies]
+        L = np.zeros((len(copies), 2 * n, 2 * n))
+        L[:, :n, n:] = np.eye(n)
+        L[:, n:] = rate = inverse @ springs
+        half_flow, half_phi, _, _ = phi_functions(L, step / 2, n)
+        flow, phi1, phi2, phi3 = phi_functions(L, step, n)
+        half = step / 2 * half_phi[:, :, n:]
+        start = step * (phi1 - 3 * phi2 + 4 * phi3)[:, :, n:]
+        middle = step * (2 * phi2 - 4 * phi3)[:, :, n:]
+        end = step * (4 * phi3 - phi2)[:, :, n:]
+        return _Weights(
+            state=_side_by_side(springs, rate, half_flow, flow),
+            first=_side_by_side(half, start),
+            second=_side_by_side(springs, rate, half_flow),
+            middle=_side_by_side(half, middle),
+            rate=_side_by_side(springs, rate),
+            end=_side_by_side(end),
+            response=_side_by_side(inverse[:, :, self.system.active]),
+        )
+
+
+def _side_by_side(*matrices: Array) -> Array:
+    return np.ascontiguousarray(np.swapaxes(np.concatenate(matrices, axis=1), 1, 2))
+
+
+def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array, Array]:
+    """Return exp, phi_1, phi_2, phi_3 of step * L for x' = L x: power series of halved matrices, then doubling.
+
+    phi_k(z) = (phi_{k-1}(z) - 1 / (k - 1)!) / z with phi_0 = exp (Hochbruck and Ostermann 2010).
+
+    Args:
+        L: (K, m, m) matrices [1/s].
+        step: [s].
+        size: number of angles, the first unknowns; their rates come next, and are balanced with them.
+    """
+    stiffness = float(np.abs(L[:, size : 2 * size, :size]).sum(axis=-1).max(initial=0.0))
+    units = np.ones(L.shape[-1])
+    units[size : 2 * size] = max(float(np.sqrt(stiffness)), 1e-6)
+    W = step * L * (units / units[:, None])
+    norm = float(np.abs(W).sum(axis=2).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / 0.5))))
+    X = W / 2.0**halvings
+    X2 = X @ X
+    one, X3 = np.eye(W.shape[-1]), X2 @ X
+    c = 1 / np.cumprod(np.arange(1.0, 12.0))[2:]  # 1 / (k + 3)!, enough for norms of up to a half
+    phi3 = c[6] * one + c[7] * X + c[8] * X2
+    phi3 = c[3] * one + c[4] * X + c[5] * X2 + X3 @ phi3
+    phi3 = c[0] * one + c[1] * X + c[2] * X2 + X3 @ phi3
+    phi2 = one / 2 + X @ phi3
+    phi1 = one + X @ phi2
+    flow = one + X @ phi1
+    for _ in range(halvings):
+        phi3 = (flow @ phi3 + phi1 / 2 + phi2 + phi3) / 8
+        phi2 = (flow @ phi2 + phi1 + phi2) / 4
+        phi1 = (flow @ phi1 + phi1) / 2
+        flow = flow @ flow
+    back = units[:, None] / units
+    return flow * back, phi1 * back, phi2 * back, phi3 * back

@@ -11,9 +11,8 @@ from scipy import sparse
 
 from vjm.chain.curve import marker_headings, marker_positions
 from vjm.chain.virtual_links import Chain
-from vjm.records import Array, Indices, Recording, Rig
-from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.records import Array, Indices, Recording, Rig, Simulation
+from vjm.simulation.arm import Arm, EncoderFeedback
 from vjm.simulation.least_squares import LINEAR, Loss
 from vjm.simulation.system import Trajectory
 
@@ -75,6 +74,13 @@ class MarkerArcs:
     def frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return the (F, k, 2) marker positions [m] in frames stamped (F,) [s] of a trajectory."""
         return self.measured_positions(arm, trajectory.angles(self.exposure_times(arm, trajectory, time)))
+
+
+def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory: Trajectory) -> Simulation:
+    """Return a trajectory at a recording's instants, with the readings of its sensors."""
+    angles, rates = trajectory.sample(recording.time)
+    markers = arcs.frames(arm, trajectory, recording.time)
+    return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
 
 
 @dataclass(frozen=True)

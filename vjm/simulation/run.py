@@ -131,8 +131,8 @@ class Run:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         arm, kept = self.arm.smooth
         trajectory = self.trajectory
-        if kept.size < trajectory.z.shape[2]:
-            trajectory = replace(trajectory, z=trajectory.z[:, :, kept])
+        if kept.size < trajectory.z.shape[1]:
+            trajectory = replace(trajectory, z=trajectory.z[:, kept])
         smooth = [PerturbedArm(other.with_feedback(arm.feedback).smooth[0], step) for other, step in perturbed]
         parts = Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride).jacobian()
         if self.observed.whitening is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +14,9 @@ from vjm.model import dynamics
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrators import phi_functions, rate_scale
+from vjm.simulation.integrate import phi_functions
 from vjm.simulation.measurement import Observations
-from vjm.simulation.system import Trajectory, measured_torque
+from vjm.simulation.system import Trajectory, torque_at
 
 _LARGEST_PHASE = 3.2  # rad an interval, inside which derivatives are interpolated: to three hundredths at this limit
 _MOST_MODES = 16
@@ -60,38 +60,8 @@ class PerturbedArm(NamedTuple):
     step: float
 
 
-class MotionSamples(NamedTuple):
-    """Motion of one arm at I instants.
-
-    Attributes:
-        time: (I,) since the recording's start [s].
-        q, v, a: (I, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
-        z: (I, nz) internal states of the effects.
-    """
-
-    time: Array
-    q: Array
-    v: Array
-    a: Array
-    z: Array
-
-
-class _Coefficients(NamedTuple):
-    """Variational equations at I instants: derivatives of modal rates' and internal states' rates of change.
-
-    The unknowns are m modal coordinates, m modal rates and nz internal states.
-
-    Attributes:
-        state: (I, m + nz, 2 m + nz) by the unknowns.
-        forcing: (I, m + nz, p) by the parameters.
-    """
-
-    state: Array
-    forcing: Array
-
-
 class _EquationsOfMotion:
-    """An arm's equations of motion along a given motion."""
+    """An arm's equations of motion along a given motion of I instants, whose time is since the recording's start."""
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
         self.arm = arm
@@ -100,12 +70,12 @@ class _EquationsOfMotion:
         self.force = arm.forces(self.driven.payload)
         self.has_further_forces = self.force is not None or arm.feedback is not None
 
-    def inertial_torque(self, motion: MotionSamples) -> Array:
+    def inertial_torque(self, motion: Trajectory) -> Array:
         """Return M a + h (I, nv)."""
         return dynamics.inverse_dynamics(self.mechanism, motion.q, motion.v, motion.a)
 
-    def further_torque(self, motion: MotionSamples) -> Array:
-        """Forces of effects and feedback, with reversed sign (I, nv)."""
+    def further_torque(self, motion: Trajectory) -> Array:
+        """Return forces of effects and feedback, with reversed sign (I, nv)."""
         torque = np.zeros(motion.q.shape)
         if self.force is not None:
             torque = -self.force(motion.time, motion.q, motion.v, motion.z)
@@ -115,25 +85,23 @@ class _EquationsOfMotion:
             torque[:, active] -= self.arm.feedback.torque(motion.time, theta, rate)
         return torque
 
-    def state_rates(self, motion: MotionSamples) -> Array:
-        """Rates of change of the internal states (I, nz)."""
+    def state_rates(self, motion: Trajectory) -> Array:
+        """Return rates of change of the internal states (I, nz)."""
         if self.arm.rates is None:
             return np.zeros(motion.z.shape)
         return self.arm.rates(motion.time, motion.q, motion.v, motion.z)
-
-    def measured_torque(self, motion: MotionSamples) -> Array:
-        """Measured torques (I, n_a)."""
-        knots, torque = measured_torque(self.driven)
-        columns = [np.interp(self.driven.time[0] + motion.time, knots, column) for column in torque.T]
-        return np.stack(columns, axis=-1) if columns else np.zeros((motion.time.size, 0))
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _coefficients(
-    arm: Arm, basis: ModalBasis, perturbed: Sequence[PerturbedArm], recording: Recording, motion: MotionSamples
-) -> _Coefficients:
-    """The variational equations' coefficients along a motion, by forward differences."""
+    arm: Arm, basis: ModalBasis, perturbed: Sequence[PerturbedArm], recording: Recording, motion: Trajectory
+) -> tuple[Array, Array]:
+    """Coefficients of the variational equations along a motion of I instants, by forward differences.
+
+    They are the derivatives of modal rates' and internal states' rates of change, by the unknowns (m modal coordinates,
+    m modal rates, nz internal states; (I, m + nz, 2 m + nz)) and by the parameters (I, m + nz, p).
+    """
     equations, chain = _EquationsOfMotion(arm, recording), arm.chain
     inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
     state_rates = equations.state_rates(motion)
@@ -144,7 +112,7 @@ def _coefficients(
     for j, shape in enumerate(basis.shapes.T):
         # Small at every joint: a force that changes sign with a rate must not see the fast modes' large angles.
         step = _STEP / np.abs(shape).max()
-        turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
+        turned, sped = replace(motion, q=motion.q + step * shape), replace(motion, v=motion.v + step * shape)
         forces[:, :, j] = (equations.inertial_torque(turned) - inertial) / step + chain.stiffness * shape
         forces[:, :, m + j] = (equations.inertial_torque(sped) - inertial) / step + chain.damping * shape
         for column, other in ((j, turned), (m + j, sped)):
@@ -152,9 +120,9 @@ def _coefficients(
                 forces[:, :, column] += (equations.further_torque(other) - further) / step
             if nz:
                 rates[:, :, column] = (equations.state_rates(other) - state_rates) / step
-        inertia[:, :, j] = equations.inertial_torque(motion._replace(a=motion.a + shape)) - inertial
+        inertia[:, :, j] = equations.inertial_torque(replace(motion, a=motion.a + shape)) - inertial
     for k, step_z in enumerate(_STEP * np.eye(nz)):
-        other = motion._replace(z=motion.z + step_z)
+        other = replace(motion, z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / _STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / _STEP
     for k, other_arm in enumerate(perturbed):
@@ -162,14 +130,14 @@ def _coefficients(
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
     solved = -np.linalg.solve(basis.shapes.T @ inertia, basis.shapes.T @ forces)
     lower = np.concatenate([solved, rates], axis=1)
-    return _Coefficients(lower[:, :, : 2 * m + nz], lower[:, :, 2 * m + nz :])
+    return lower[:, :, : 2 * m + nz], lower[:, :, 2 * m + nz :]
 
 
 def _parameter_derivatives(
     equations: _EquationsOfMotion,
     perturbed: PerturbedArm,
     recording: Recording,
-    motion: MotionSamples,
+    motion: Trajectory,
     nominal: tuple[Array, Array, Array],
 ) -> tuple[Array, Array]:
     """Derivatives of torques (I, nv) and internal states' rates (I, nz) by a parameter."""
@@ -187,29 +155,38 @@ def _parameter_derivatives(
         forces = forces + changed.inertial_torque(motion) - inertial
     # Internal states that only the perturbed arm has follow the motion as it is.
     if sum(other_arm.states) > nz:
-        motion = motion._replace(z=follow_internal_states(other_arm, motion))
+        motion = replace(motion, z=follow_internal_states(other_arm, motion.time, motion.q, motion.v))
     if equations.has_further_forces or changed.has_further_forces:
         forces = forces + changed.further_torque(motion) - further
     if nz:
         rates = changed.state_rates(motion)[:, :nz] - state_rates
     if not np.array_equal(changed.driven.tau, equations.driven.tau, equal_nan=True):
-        forces[:, chain.active] -= changed.measured_torque(motion) - equations.measured_torque(motion)
+        time = recording.time[0] + motion.time
+        forces[:, chain.active] -= torque_at(changed.driven, time) - torque_at(equations.driven, time)
     return forces / step, rates / step
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def follow_internal_states(arm: Arm, motion: MotionSamples) -> Array:
-    """Return the (I, nz) internal states of an arm's effects along a motion; rates are integrated by Heun's method."""
-    z = np.empty((len(motion.q), sum(arm.states)))
-    z[:] = arm.initial_states(motion.q[0])
-    for k, step in enumerate(np.diff(motion.time) if z.size else ()):
+def follow_internal_states(arm: Arm, time: Array, q: Array, v: Array) -> Array:
+    """Return the internal states of an arm's effects along a given motion; rates are integrated by Heun's method.
+
+    Args:
+        arm: the arm.
+        time: (I,) since the recording's start [s].
+        q, v: (I, nv) angles [rad] and rates [rad/s].
+
+    Returns:
+        (I, nz) internal states.
+    """
+    z = np.empty((len(q), sum(arm.states)))
+    z[:] = arm.initial_states(q[0])
+    for k, step in enumerate(np.diff(time) if z.size else ()):
         z[k + 1] = z[k]
         if arm.rates is not None:
-            now, later = ((motion.time[i], motion.q[i], motion.v[i]) for i in (k, k + 1))
-            slope = arm.rates(*now, z[k])
-            z[k + 1] += step / 2 * (slope + arm.rates(*later, z[k] + step * slope))
+            slope = arm.rates(time[k], q[k], v[k], z[k])
+            z[k + 1] += step / 2 * (slope + arm.rates(time[k + 1], q[k + 1], v[k + 1], z[k] + step * slope))
         if arm.rate_independent_update is not None:
-            z[k + 1] = arm.rate_independent_update(motion.q[k], z[k + 1], motion.q[k + 1])
+            z[k + 1] = arm.rate_independent_update(q[k], z[k + 1], q[k + 1])
     return z
 
 
@@ -225,23 +202,17 @@ def _same_bodies(chain: Chain, other: Chain) -> bool:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _propagators(coefficients: _Coefficients, interval: float) -> tuple[Array, Array]:
+def _propagators(state: Array, forcing: Array, interval: float) -> tuple[Array, Array]:
     """Over K intervals of three instants each, the flow (K, d, d) and the forcing's contribution (K, d, p)."""
-    lower, size = coefficients.state.shape[1:]
+    lower, size = state.shape[1:]
     upper = size - lower  # coordinates, whose rates are unknowns themselves
-    scale = rate_scale(coefficients.state[:, :upper, : 2 * upper])  # rates in units of this
-    units = np.r_[np.ones(upper), np.full(upper, scale), np.ones(lower - upper)]
-    L = np.zeros((len(coefficients.state), size, size))
+    L, F = np.zeros((len(state), size, size)), np.zeros((len(state), size, forcing.shape[2]))
     L[:, :upper, upper : 2 * upper] = np.eye(upper)
-    L[:, upper:] = coefficients.state
-    L *= units / units[:, None]
-    F = np.zeros((len(L), size, coefficients.forcing.shape[2]))
-    F[:, upper:] = coefficients.forcing / units[upper:, None]
+    L[:, upper:], F[:, upper:] = state, forcing
     L1, L2, L3 = (L[k : len(L) - 2 + k : 2] for k in (0, 1, 2))
     F1, F2, F3 = (F[k : len(F) - 2 + k : 2] for k in (0, 1, 2))
-    flow, phi1, phi2, phi3 = phi_functions(interval / 6 * (L1 + 4 * L2 + L3))
-    added = phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3)
-    return flow * units[:, None] / units, interval * added * units[:, None]
+    flow, phi1, phi2, phi3 = phi_functions((L1 + 4 * L2 + L3) / 6, interval, upper)
+    return flow, interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
 
 
 @dataclass(frozen=True)
@@ -296,7 +267,7 @@ class Linearization:
     def _stretches(self) -> Iterator[Trajectory]:
         """Derivatives of the motion as trajectories of 2 slow + p copies with m modal coordinates."""
         basis, trajectory, recording = self.basis, self.trajectory, self.observed.recording
-        size, slow_count, nz = basis.shapes.shape[1], basis.slow_count, trajectory.z.shape[2]
+        size, slow_count, nz = basis.shapes.shape[1], basis.slow_count, trajectory.z.shape[1]
         count = 2 * slow_count + len(self.perturbed)
         rows = np.arange(0, len(trajectory.time), self.stride)
         state = np.zeros((2 * size + nz, count))
@@ -309,25 +280,25 @@ class Linearization:
             most = rows.size  # internal states that only these have are followed from the start
         for first in range(0, rows.size - 1, most):
             part = rows[first : first + most + 1]
-            values = (x[part, 0] for x in (trajectory.q, trajectory.v, trajectory.a, trajectory.z))
-            motion = MotionSamples(trajectory.time[part] - trajectory.time[0], *values)
-            coefficients = _coefficients(self.arm, basis, self.perturbed, recording, motion)
-            flow, forced = _propagators(coefficients, 2 * self.stride * trajectory.step)
+            motion = Trajectory(*(values[part] for values in (trajectory.time, *trajectory.motion)))
+            motion = replace(motion, time=motion.time - trajectory.time[0])
+            by_state, by_parameters = _coefficients(self.arm, basis, self.perturbed, recording, motion)
+            flow, forced = _propagators(by_state, by_parameters, 2 * self.stride * trajectory.step)
             states = np.empty((len(flow) + 1, 2 * size + nz, count))
             states[0] = state
             for k in range(len(flow)):
                 state = flow[k] @ state
                 state[:, 2 * slow_count :] += forced[k]
                 states[k + 1] = state
-            a = coefficients.state[::2, :size] @ states
-            a[:, :, 2 * slow_count :] += coefficients.forcing[::2, :size]
+            a = by_state[::2, :size] @ states
+            a[:, :, 2 * slow_count :] += by_parameters[::2, :size]
             columns = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
             copies = (np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in columns)
             yield Trajectory(trajectory.time[part[::2]], *copies)
 
     def _initial_internal_states(self) -> Array:
         """(nz, 2 slow + p) derivatives of the internal states at the start."""
-        q, slow_count = self.trajectory.q[0, 0], self.basis.slow_count
+        q, slow_count = self.trajectory.q[0], self.basis.slow_count
         z = self.arm.initial_states(q)
         shapes = self.basis.shapes[:, :slow_count].T
         by_angles = [(self.arm.initial_states(q + _STEP * shape) - z) / _STEP for shape in shapes]
@@ -339,12 +310,12 @@ class Linearization:
         """(F, 2 k, 2 slow + p) derivatives of marker coordinates in frames seen at instants (F,) or (k, F)."""
         arcs, q = self.observed.arcs, self.trajectory.angles(exposures)
         by_modes = arcs.slopes(self.arm, q, self.basis.shapes)
+        modes = np.swapaxes(part.angles(exposures), -2, -1)
         if exposures.ndim == 1:
-            slopes = by_modes @ np.swapaxes(part.sample(exposures)[0], 1, 2)
+            slopes = by_modes @ modes
         else:
-            modes = np.stack([np.swapaxes(part.sample(own)[0], 1, 2) for own in exposures], axis=1)
             by_marker = by_modes.reshape(len(by_modes), len(exposures), 2, by_modes.shape[2])
-            slopes = (by_marker @ modes).reshape(len(by_modes), 2 * len(exposures), modes.shape[-1])
+            slopes = (by_marker @ np.swapaxes(modes, 0, 1)).reshape(*by_modes.shape[:2], modes.shape[-1])
         base: Array | None = None
         for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[2] - len(self.perturbed)):
             if not _same_view(self.arm, other):
@@ -362,7 +333,7 @@ class Linearization:
             return np.zeros((0, part.q.shape[1]))
         by_active = self.basis.shapes[active].T
         theta = Trajectory(part.time, part.q @ by_active, part.v @ by_active, part.a @ by_active, part.z)
-        all_slopes = theta.sample(observed.recording.time[instants])[0]
+        all_slopes = theta.angles(observed.recording.time[instants])
         slopes: Array = np.take_along_axis(all_slopes, joints[:, None, None], axis=2)[:, :, 0]
         for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[1] - len(self.perturbed)):
             if other.sensors != self.arm.sensors:
@@ -377,8 +348,8 @@ def _joined(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory
         return after
     kept = before.time < after.time[0] - 1e-12
     kept &= before.time >= after.time[0] - overlap - 2 * after.step
-    parts = ((getattr(before, name)[kept], getattr(after, name)) for name in ("time", "q", "v", "a", "z"))
-    return Trajectory(*(np.concatenate(pair) for pair in parts))
+    parts = zip((before.time, *before.motion), (after.time, *after.motion), strict=True)
+    return Trajectory(*(np.concatenate([one[kept], two]) for one, two in parts))
 
 
 def _same_view(arm: Arm, other: Arm) -> bool:

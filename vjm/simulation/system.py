@@ -13,8 +13,7 @@ from vjm.effects.effect import Motion, RateIndependentUpdate
 from vjm.errors import InsufficientDataError
 from vjm.model import dynamics
 from vjm.records import Array, Recording
-from vjm.simulation.arm import Arm
-from vjm.simulation.encoder_feedback import EncoderFeedback
+from vjm.simulation.arm import Arm, EncoderFeedback
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Drive:
         Raises:
             InsufficientDataError: an active joint without measured torque.
         """
-        parts = [_fit_quadratics(*measured_torque(recording), recording.time, step, count) for recording in recordings]
+        parts = [_fit_quadratics(recording, step, count) for recording in recordings]
         start, middle, end, ends = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
         return cls(start, middle, end, ends, np.array([recording.time[0] for recording in recordings]), step)
 
@@ -68,35 +67,43 @@ def measured_torque(recording: Recording) -> tuple[Array, Array]:
     return recording.time[known], recording.tau[known]
 
 
-def _fit_quadratics(
-    knots: Array, torque: Array, time: Array, step: float, count: int
-) -> tuple[Array, Array, Array, Array]:
+def torque_at(recording: Recording, time: Array) -> Array:
+    """Return the torques (..., n_a) [N m] at instants (...) [s], linear between those measured.
+
+    Raises:
+        InsufficientDataError: as of `measured_torque`.
+    """
+    knots, measured = measured_torque(recording)
+    torque = np.empty((*time.shape, measured.shape[1]))
+    for joint, column in enumerate(measured.T):
+        torque[..., joint] = np.interp(time, knots, column)
+    return torque
+
+
+def _fit_quadratics(recording: Recording, step: float, count: int) -> tuple[Array, Array, Array, Array]:
     """Quadratics' values (S, n_a) at starts, middles and ends, and the torque at the steps' ends (S + 1, n_a)."""
-    edges = np.asarray(time[0] + step * np.arange(count + 1))
+    knots, _ = measured_torque(recording)
+    edges = np.asarray(recording.time[0] + step * np.arange(count + 1))
     # Pieces on which the torque is a line: between neighbouring knots and steps' ends.
-    inner = knots[(knots > edges[0]) & (knots < edges[-1])]
-    bounds = np.union1d(edges, inner)
+    bounds = np.union1d(edges, knots[(knots > edges[0]) & (knots < edges[-1])])
     middles, halves = (bounds[1:] + bounds[:-1]) / 2, np.diff(bounds) / 2
-    owner = np.clip(((middles - edges[0]) / step).astype(int), 0, count - 1)
+    first = np.searchsorted(bounds, edges)  # piece of each step
+    starts = np.repeat(edges[:-1], np.diff(first))
     # Gauss-Legendre nodes: exact for the product of a line and a quadratic.
     instants = middles[:, None] + halves[:, None] * (np.array([-1.0, 1.0]) / np.sqrt(3.0))
-    x = (instants - edges[owner][:, None]) * 2 / step - 1
-    moments = (np.ones_like(x), x, (3 * x**2 - 1) / 2)
-    after = time[-1] + 1e-9 * step
-    quadratics, ends = [], []
-    for column in torque.T:
-        values = np.where(instants > after, 0.0, np.interp(instants, knots, column)) * halves[:, None]
-        c0, c1, c2 = (
-            (2 * k + 1) / step * np.bincount(owner, (values * moment).sum(axis=1), count)
-            for k, moment in enumerate(moments)
-        )
-        quadratics.append((c0 - c1 + c2, c0 - c2 / 2, c0 + c1 + c2))
-        ends.append(np.where(edges > after, 0.0, np.interp(edges, knots, column)))
-    if not quadratics:
-        empty = np.zeros((count, 0))
-        return empty, empty, empty, np.zeros((count + 1, 0))
-    start, middle, end = (np.stack(values, axis=-1) for values in zip(*quadratics, strict=True))
-    return start, middle, end, np.stack(ends, axis=-1)
+    x = (instants - starts[:, None]) * 2 / step - 1
+
+    def torque(time: Array) -> Array:
+        values = torque_at(recording, time)
+        values[time > recording.time[-1] + 1e-9 * step] = 0.0
+        return values
+
+    weighted = torque(instants) * halves[:, None, None]
+    c0, c1, c2 = (
+        (2 * k + 1) / step * np.add.reduceat((weighted * legendre[..., None]).sum(axis=1), first[:-1])
+        for k, legendre in enumerate((np.ones_like(x), x, (3 * x**2 - 1) / 2))
+    )
+    return c0 - c1 + c2, c0 - c2 / 2, c0 + c1 + c2, torque(edges)
 
 
 class _ActingEffects(NamedTuple):
@@ -182,14 +189,7 @@ class System:
                 updated[copies] = effects.rate_independent_update(q[copies], z[copies], to[copies])
         return updated
 
-    def acceleration(self, q: Array, v: Array, torque: Array, force: Array) -> Array:
-        """Return (C, nv) accelerations at q, v (C, nv) under active torques (C, n_a) and forces (C, nv) [N m]."""
-        total = force - self.stiffness * q - self.damping * v
-        total[:, self.active] += torque
-        flat = dynamics.forward_dynamics(self.mechanism, q.ravel(), v.ravel(), total.ravel())
-        return flat.reshape(q.shape)
-
-    def free_acceleration(self, x: Array, torque: Array) -> Array:
+    def acceleration(self, x: Array, torque: Array) -> Array:
         """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
         n = torque.shape[1]
         flat = dynamics.forward_dynamics(self.mechanism, x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
@@ -215,12 +215,12 @@ def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Ac
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Motion of C copies at the integrator's own instants.
+    """Motion of one arm, or of C copies, at the integrator's own instants.
 
     Attributes:
         time: (S + 1,) evenly spaced [s].
-        q, v, a: (S + 1, C, nv) angles [rad], rates [rad/s] and accelerations [rad/s^2] of C copies.
-        z: (S + 1, C, nz) internal states of the effects.
+        q, v, a: (S + 1, ..., nv) angles [rad], rates [rad/s] and accelerations [rad/s^2]; copies are in the middle.
+        z: (S + 1, ..., nz) internal states of the effects.
     """
 
     time: Array
@@ -230,6 +230,11 @@ class Trajectory:
     z: Array
 
     @property
+    def motion(self) -> tuple[Array, Array, Array, Array]:
+        """The attributes q, v, a and z."""
+        return self.q, self.v, self.a, self.z
+
+    @property
     def step(self) -> float:
         """Distance between instants [s]."""
         return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
@@ -237,21 +242,21 @@ class Trajectory:
     @classmethod
     def at_rest(cls, time: Array, q: Array) -> Trajectory:
         """Return the trajectory of an arm at constant angles (nv,) [rad] from the first instant [s] to the last."""
-        constant = np.broadcast_to(q, (2, 1, q.size))
-        return cls(np.array([time[0], time[-1]]), constant, 0 * constant, 0 * constant, np.zeros((2, 1, 0)))
+        constant = np.broadcast_to(q, (2, q.size))
+        return cls(np.array([time[0], time[-1]]), constant, 0 * constant, 0 * constant, np.zeros((2, 0)))
 
     def sample(self, time: Array) -> tuple[Array, Array]:
         """Return angles and rates between the first and last step, by quintic Hermite interpolation.
 
         Args:
-            time: (T,) [s].
+            time: (...) [s].
 
         Returns:
-            q, v (T, C, nv) [rad, rad/s].
+            q, v (..., nv) [rad, rad/s]; those of copies (..., C, nv).
         """
         h = self.step
         k = np.clip(((time - self.time[0]) / h).astype(int), 0, len(self.time) - 2)
-        s = ((time - self.time[k]) / h)[:, None, None]
+        s = ((time - self.time[k]) / h).reshape(k.shape + (1,) * (self.q.ndim - 1))
         q0, v0, a0 = self.q[k], self.v[k] * h, self.a[k] * h * h / 2
         jump = self.q[k + 1] - q0 - v0 - a0
         slope = self.v[k + 1] * h - v0 - 2 * a0
@@ -262,6 +267,5 @@ class Trajectory:
         return q, v
 
     def angles(self, time: Array) -> Array:
-        """Return angles (..., nv) [rad] of a single copy at instants (...) [s]."""
-        flat = self.sample(time.ravel())[0][:, 0]
-        return flat.reshape(*time.shape, flat.shape[-1])
+        """Return angles (..., nv) [rad] at instants (...) [s]."""
+        return self.sample(time)[0]

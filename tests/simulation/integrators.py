@@ -1,0 +1,79 @@
+"""The package's integrator and the reference that it is compared with, and simulations by either."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from vjm.chain.virtual_links import Chain
+from vjm.records import Recording, Rig, Simulation
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import simulate_trajectories
+from vjm.simulation.measurement import MarkerArcs, sensor_readings
+from vjm.simulation.system import Drive, System, Trajectory
+
+Array = NDArray[np.float64]
+INTEGRATORS = ("exponential", "rk4")
+
+
+def trajectories_of(
+    arms: Sequence[Arm],
+    recordings: Sequence[Recording],
+    q: Sequence[Array],
+    v: Sequence[Array],
+    integrator: str = "exponential",
+    step: float | None = None,
+) -> list[Trajectory]:
+    """As `simulate_trajectories`, by either integrator; steps of Runge-Kutta are 100 us unless told otherwise."""
+    if integrator == "exponential":
+        return simulate_trajectories(arms, recordings, q, v, step)
+    with patch("vjm.simulation.integrate._integrate", runge_kutta):
+        return simulate_trajectories(arms, recordings, q, v, 1e-4 if step is None else step)
+
+
+def simulate(
+    arm: Chain | Arm,
+    rig: Rig,
+    recording: Recording,
+    q: ArrayLike,
+    v: ArrayLike,
+    integrator: str = "exponential",
+    step: float | None = None,
+) -> Simulation:
+    """What the sensors of an arm show that starts at angles and rates q, v (nv,)."""
+    arm = arm if isinstance(arm, Arm) else Arm(arm)
+    (trajectory,) = trajectories_of([arm], [recording], [np.asarray(q)], [np.asarray(v)], integrator, step)
+    return sensor_readings(arm, MarkerArcs.of(rig), recording, trajectory)
+
+
+def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
+    """Classical fourth-order Runge-Kutta steps, the reference (section 6.4 of the paper takes 100 us)."""
+    step, count = drive.step, len(drive.start)
+    time, half = step * np.arange(count + 1.0), step / 2
+    path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
+
+    def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
+        force, rates = system.further_forces(time, q, v, z)
+        force = force - system.stiffness * q - system.damping * v
+        force[:, system.active] += torque
+        return system.acceleration(np.concatenate([q, v], axis=1), force), rates
+
+    for k in range(count):
+        middle = drive.middle[k]
+        a1, z1 = slopes(time[k], q, v, z, drive.start[k])
+        path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a1, z
+        q2, v2 = q + half * v, v + half * a1
+        a2, z2 = slopes(time[k] + half, q2, v2, system.update_states(q, z + half * z1, q2), middle)
+        q3, v3 = q + half * v2, v + half * a2
+        a3, z3 = slopes(time[k] + half, q3, v3, system.update_states(q, z + half * z2, q3), middle)
+        q4, v4 = q + step * v3, v + step * a3
+        a4, z4 = slopes(time[k + 1], q4, v4, system.update_states(q, z + step * z3, q4), drive.end[k])
+        end = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
+        v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        z = system.update_states(q, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), end)
+        q = end
+    path.q[-1], path.v[-1], path.a[-1], path.z[-1] = q, v, slopes(time[-1], q, v, z, drive.ends[-1])[0], z
+    return path
