@@ -55,7 +55,7 @@ HOMES = {
     "matplotlib": ("report/figures",),
     "pandas": ("experiment",),
     "jinja2": ("model", "report"),
-    "rich": ("cli", "report/terminal.py"),
+    "rich": ("cli", "report/page.py"),
 }
 
 LONGEST_MODULE = 600
@@ -149,7 +149,7 @@ def test_an_import_that_turns_back_is_found(tmp_path: Path) -> None:
 
 def test_only_methods_of_results_import_the_report(tmp_path: Path) -> None:
     module = tmp_path / "records.py"
-    line = "from vjm.report.page import notebook_html\n"
+    line = "from vjm.report.output import result_page\n"
     module.write_text(f"class Result:\n    def f(self):\n        {line}")
     assert turning_back(module, tmp_path) == []
     for text in (line, f"def f():\n    {line}", f"class Other:\n    def f(self):\n        {line}"):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from vjm.identification.comparison import Comparison, compare
     from vjm.records import Experiment, Link, Recording, Rig
     from vjm.report.model_json import load_model
-    from vjm.report.save import save
+    from vjm.report.output import save
     from vjm.simulation.model import Model
 
 __all__ = [
@@ -57,7 +57,7 @@ _HOMES = {
         "vjm.identification.comparison": "Comparison compare",
         "vjm.records": "Experiment Link Recording Rig",
         "vjm.report.model_json": "load_model",
-        "vjm.report.save": "save",
+        "vjm.report.output": "save",
         "vjm.simulation.model": "Model",
     }.items()
     for name in names.split()

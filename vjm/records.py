@@ -84,9 +84,9 @@ class Result:
 
     def summary(self) -> str:
         """Return as plain text what the command prints: the verdict, its reasons, tables and warnings."""
-        from vjm.report.terminal import summary_text
+        from vjm.report.output import result_page
 
-        return summary_text(self)  # type: ignore[arg-type]
+        return result_page(self).text()  # type: ignore[arg-type]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result object, the content of result.json: plain numbers, text, lists and dictionaries, SI."""
@@ -95,14 +95,14 @@ class Result:
         return result_object(self)  # type: ignore[arg-type]
 
     def __repr__(self) -> str:
-        from vjm.report.terminal import brief_text
+        from vjm.report.output import result_page
 
-        return brief_text(self)  # type: ignore[arg-type]
+        return result_page(self).brief(type(self).__name__)  # type: ignore[arg-type]
 
     def _repr_html_(self) -> str:
-        from vjm.report.page import notebook_html
+        from vjm.report.output import result_page
 
-        return notebook_html(self)  # type: ignore[arg-type]
+        return result_page(self).html(fragment=True)  # type: ignore[arg-type]
 
 
 class SimulatedResult(Result):

@@ -24,7 +24,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.model.urdf import chain_to_urdf
-from vjm.report import save as saving
+from vjm.report import output
 
 Raise = Callable[[BaseException], None]
 
@@ -42,9 +42,9 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(commands, "identify", identify)
     monkeypatch.setattr(commands, "compare", compare)
-    monkeypatch.setattr(saving, "identification_pictures", lambda fit: [])
-    monkeypatch.setattr(saving, "replay_pictures", lambda *_: [])
-    monkeypatch.setattr(saving, "diagnosis_pictures", lambda _: [])
+    monkeypatch.setattr(output, "identification_pictures", lambda fit: [])
+    monkeypatch.setattr(output, "replay_pictures", lambda *_: [])
+    monkeypatch.setattr(output, "diagnosis_pictures", lambda _: [])
     monkeypatch.setattr(commands, "diagnose", lambda *_, **__: undecided())
     checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})
     monkeypatch.setattr(commands, "check", lambda experiment: checked)

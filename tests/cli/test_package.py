@@ -31,6 +31,6 @@ def test_every_name_is_there() -> None:
 
 
 def test_functions_stay_functions_whatever_was_imported_first() -> None:
-    code = "import vjm.report.save, vjm.identification.check, vjm.cli.commands; import vjm; "
+    code = "import vjm.report.output, vjm.identification.check, vjm.cli.commands; import vjm; "
     code += "print(all(callable(getattr(vjm, name)) for name in vjm.__all__ if name != 'effects'))"
     assert python(code).strip() == "True"

@@ -30,16 +30,14 @@ from vjm.diagnosis.records import Diagnosis, Remaining
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
 from vjm.files import json_text
 from vjm.records import Estimate
-from vjm.report import save as saving
+from vjm.report import output
+from vjm.report.diagnosis import _alternative_points, _candidate_table, _cause_table
 from vjm.report.figures import diagnosis as drawing
 from vjm.report.figures.diagnosis import _evidence, diagnosis_pictures
 from vjm.report.model_json import read_model
-from vjm.report.page import report_page, summary_page
+from vjm.report.output import result_page, save
 from vjm.report.result_json import result_object
-from vjm.report.save import save
-from vjm.report.tables import candidate_table, cause_table
 from vjm.report.text import clause, quantity, sizes_text
-from vjm.report.verdict import alternative_points, verdict
 
 
 @pytest.fixture(params=list(DIAGNOSES))
@@ -91,7 +89,7 @@ def test_what_is_not_finite_becomes_null() -> None:
 )
 def test_verdict_says_it_in_a_sentence(of: object, grade: str, words: str) -> None:
     assert callable(of)
-    finding = verdict(of())
+    finding = result_page(of())
     assert finding.grade == grade
     assert words in plain(finding.headline)
 
@@ -104,7 +102,7 @@ def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(aft
     assert found.gain is not None
     looks = Remaining(1e-40, "odd in velocity")
     found = replace(found, verdict="unknown", remaining=looks, gain=replace(found.gain, noise=3e-4, after=after))
-    headline = plain(verdict(found).headline)
+    headline = plain(result_page(found).headline)
     assert headline.startswith(first)
     assert all(part in headline.lower() for part in ("viscous friction", "no candidate explains", "odd in velocity"))
 
@@ -113,21 +111,21 @@ def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     found = pair()
     assert found.gain is not None
     gain = replace(found.gain, before=2.1e-3, after=3.1e-4, reduction=0.85, interval=(0.83, 0.87), next_best=1.2e-3)
-    finding = verdict(replace(found, gain=gain))
+    finding = result_page(replace(found, gain=gain))
     assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(finding.headline)
     told = "Held-out error: 85 % less (95 % interval of the reduction: 83 … 87 %)"
     assert f"{told}; with the next best explanation it is 1.2 mm." in [plain(point) for point in finding.points]
-    called = verdict(replace(found, gain=gain, next_best=(TimeOffset(), LinearDrag(link=0))))
+    called = result_page(replace(found, gain=gain, next_best=(TimeOffset(), LinearDrag(link=0))))
     said = "with the next best explanation, time offset and linear drag, it is 1.2 mm."
     assert f"{told}; {said}" in [plain(point) for point in called.points]
-    assert "not tested" in " ".join(verdict(replace(found, gain=None)).points)
+    assert "not tested" in " ".join(result_page(replace(found, gain=None)).points)
 
 
 def test_what_cannot_be_told_apart_comes_with_the_recording_that_would() -> None:
-    text = " ".join(alternative_points(undecided()))
+    text = " ".join(_alternative_points(undecided()))
     assert "chi² is 0.70 larger" in text
     assert "Next experiment: to tell tip_payload from clamp_compliance" in text
-    assert alternative_points(pair()) == []
+    assert _alternative_points(pair()) == []
 
 
 @pytest.mark.parametrize("effect", BUILTIN, ids=lambda each: each.id)
@@ -156,24 +154,24 @@ def test_quantities_are_in_everyday_units() -> None:
 def test_urdf_carries_what_it_can() -> None:
     found = pair()
     model = replace(found.model, effects=(FRICTION, *found.model.effects))
-    points = summary_page(replace(found, model=model)).sections[-1].points
+    points = result_page(replace(found, model=model)).sections[-1].points
     assert points[0] == "model.urdf and model.json hold: coulomb friction (beam)."
     assert "Only model.json holds" in points[1]
     assert "time offset, marker offset (beam)" in points[1]
 
 
 def test_tables(diagnosis: Diagnosis) -> None:
-    for table in (cause_table(diagnosis), candidate_table(diagnosis)):
+    for table in (_cause_table(diagnosis), _candidate_table(diagnosis)):
         assert {len(row) for row in table.rows} <= {len(table.headers)}
-    few = candidate_table(diagnosis, 4)
+    few = _candidate_table(diagnosis, 4)
     assert len(few.rows) == 4
     assert [row[2] for row in few.rows[: len(diagnosis.causes)]] == ["found"] * len(diagnosis.causes)
-    untestable = [row for row in candidate_table(diagnosis).rows if row[2] == "not testable"]
+    untestable = [row for row in _candidate_table(diagnosis).rows if row[2] == "not testable"]
     assert len(untestable) == sum(not each.testable for each in diagnosis.candidates)
 
 
 def test_page_has_the_verdict_first(diagnosis: Diagnosis) -> None:
-    page = report_page(diagnosis, pictures_of(diagnosis))
+    page = result_page(diagnosis, pictures_of(diagnosis)).html()
     assert_self_contained(page)
     assert len(page) < 3e6
     order = ["headline", "Symptoms of the model without effects</h2>"]
@@ -195,7 +193,7 @@ def test_hostile_names_stay_text() -> None:
         next_experiment=HOSTILE,
         causes=tuple(replace(each, evidence=HOSTILE) for each in found.causes),
     )
-    page = report_page(hostile, [])
+    page = result_page(hostile, []).html()
     assert_self_contained(page)
     assert not [tag for tag, _ in Elements(page).found if tag == "script"]
 
@@ -221,7 +219,7 @@ def test_residuals_without_and_with_the_causes_are_drawn() -> None:
 
 def test_pictures_have_their_names(diagnosis: Diagnosis) -> None:
     drawn = pictures_of(diagnosis)
-    assert {each.name for each in drawn} <= set(saving._PICTURES)
+    assert {each.name for each in drawn} <= set(output._PICTURES)
     assert sum(each.name.startswith("cause") for each in drawn) == len(diagnosis.causes)
     for each in drawn:
         assert each.caption.endswith(".")
@@ -240,7 +238,7 @@ def test_every_effect_has_its_evidence() -> None:
 @pytest.mark.parametrize("name", ["undecided", "pair", "nothing"])
 def test_folder_holds_a_model_that_comes_back(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = DIAGNOSES[name]()
-    monkeypatch.setattr(saving, "diagnosis_pictures", pictures_of)
+    monkeypatch.setattr(output, "diagnosis_pictures", pictures_of)
     folder = save(found, tmp_path / "out")
     assert {path.name for path in folder.iterdir()} == {
         "result.json",
@@ -261,5 +259,5 @@ def test_folder_holds_a_model_that_comes_back(name: str, tmp_path: Path, monkeyp
 
 
 def test_names_of_pictures_differ() -> None:
-    assert len(set(saving._PICTURES)) == len(saving._PICTURES)
-    assert set(drawing.NAMES) <= set(saving._PICTURES)
+    assert len(set(output._PICTURES)) == len(output._PICTURES)
+    assert set(drawing.NAMES) <= set(output._PICTURES)

@@ -22,14 +22,14 @@ from vjm.errors import InputError, ModelFileError
 from vjm.experiment.load import load_experiment
 from vjm.files import FolderError, check_folder, check_parent, json_text, write_folder, write_text
 from vjm.identification import Identification, identify
-from vjm.identification.check import check
+from vjm.identification.check import Check, check
 from vjm.identification.comparison import Comparison, compare
 from vjm.identification.training_data import choose_virtual_joints
 from vjm.records import Progress
 from vjm.report.model_json import load_model, read_model
+from vjm.report.output import REPORT, result_page, save
 from vjm.report.result_json import Result, result_object, urdf_result
-from vjm.report.save import REPORT, save
-from vjm.report.terminal import print_summary
+from vjm.report.text import counted
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import extended_urdf
 
@@ -67,13 +67,23 @@ def _print_json(result: Result) -> None:
     _print(json_text(result))
 
 
+def _print_page(result: Saved | Check, ending: str = "") -> None:
+    """Print a result's summary and a last line; a terminal without Unicode shows substitutes instead of failing."""
+    reconfigure = getattr(sys.stdout, "reconfigure", None)
+    if reconfigure is not None:
+        reconfigure(errors="replace" if sys.stdout.encoding.lower() not in ("utf-8", "utf8") else "backslashreplace")
+    result_page(result).write(sys.stdout)
+    if ending:
+        print(ending)
+
+
 def _run(arguments: argparse.Namespace, compute: Callable[[Progress], Saved]) -> None:
     """Compute, write and print a result."""
     result = _saved(arguments, arguments.out, compute)
     if arguments.json:
         _print_json(result_object(result))
     elif not arguments.quiet:
-        print_summary(result, f"Report: {arguments.out / REPORT}")
+        _print_page(result, f"Report: {arguments.out / REPORT}")
 
 
 def _identify(arguments: argparse.Namespace) -> None:
@@ -107,7 +117,7 @@ def _demo(arguments: argparse.Namespace) -> None:
         for folder, compute in zip(folders, steps, strict=True):
             results.append(_saved(arguments, folder, compute))
             if not arguments.json and not arguments.quiet:
-                print_summary(results[-1], f"Report: {folder / REPORT}")
+                _print_page(results[-1], f"Report: {folder / REPORT}")
     if arguments.json:
         _print_json({**result_object(results[0]), "diagnosis": result_object(results[1])})
 
@@ -123,7 +133,7 @@ def _check(arguments: argparse.Namespace) -> None:
     if arguments.json:
         _print_json(result)
     elif not arguments.quiet:
-        print_summary(found)
+        _print_page(found)
     if found.problem:
         raise InputError(found.problem)
 
@@ -147,7 +157,7 @@ def _urdf(arguments: argparse.Namespace) -> None:
     elif file is None:
         _print(text)
     elif not arguments.quiet:
-        print(f"{file}: {chain.size} joints, {len(chain.links)} flexible links")
+        print(f"{file}: {counted(chain.size, 'joint')}, {counted(len(chain.links), 'flexible link')}")
 
 
 def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:

@@ -76,11 +76,6 @@ def _power(exponent: int) -> str:
     return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
-def probability(value: float | None) -> str:
-    """Return a p-value in words; those below 1e-16, the precision of a double, are not told apart."""
-    return "< 10⁻¹⁶" if value is not None and value < 1e-16 else number(value, 2)
-
-
 def millimetres(value: float | None) -> str:
     """Return a length [m] in mm (below 0.0095 mm in µm) with two significant digits, or in whole millimetres."""
     if value is None or not math.isfinite(value):

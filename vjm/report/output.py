@@ -1,25 +1,41 @@
-"""A result as a folder: result.json, model.json, model.urdf, report.html and figures."""
+"""A result as a page, and as a folder: result.json, model.json, model.urdf, report.html and figures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from vjm.diagnosis.records import Diagnosis
 from vjm.files import check_folder, json_text, write_folder
+from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
+from vjm.report.diagnosis import diagnosis_page
 from vjm.report.figures import diagnosis as diagnosis_figures
 from vjm.report.figures import identification as identification_figures
 from vjm.report.figures import symptoms as symptom_figures
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.identification import identification_pictures, replay_pictures
+from vjm.report.figures.style import Picture
+from vjm.report.identification import check_page, comparison_page, identification_page
 from vjm.report.model_json import model_text
-from vjm.report.page import report_page
+from vjm.report.page import Page
 from vjm.report.result_json import result_object
 from vjm.simulation.model import extended_urdf
 
 REPORT = "report.html"
 _PICTURES = (*identification_figures.NAMES, *symptom_figures.NAMES, *diagnosis_figures.NAMES)
+
+
+def result_page(
+    result: Check | Identification | Comparison | Diagnosis, pictures: Sequence[Picture] | None = None
+) -> Page:
+    """Return a result's page: the report with its pictures, or without any the summary."""
+    if isinstance(result, Identification):
+        return identification_page(result, pictures)
+    if isinstance(result, Comparison):
+        return comparison_page(result, pictures)
+    return check_page(result) if isinstance(result, Check) else diagnosis_page(result, pictures)
 
 
 def save(result: Identification | Comparison | Diagnosis, directory: Path | str) -> Path:
@@ -44,7 +60,7 @@ def save(result: Identification | Comparison | Diagnosis, directory: Path | str)
         pictures = diagnosis_pictures(result)
     covariance = None if isinstance(result, Diagnosis) else result.covariance
     texts = {
-        REPORT: report_page(result, pictures),
+        REPORT: result_page(result, pictures).html(),
         "model.urdf": extended_urdf(result.model.chain, result.model.effects),
         "model.json": model_text(result.model, covariance),
         "result.json": json_text(result_object(result)),  # last: it describes the others

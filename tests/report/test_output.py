@@ -14,14 +14,14 @@ from tests.report.fits import demo_fit, pictures_of
 from tests.report.schema import IdentifyResult, SimulateResult
 from vjm.files import FolderError, write_folder
 from vjm.identification.comparison import Comparison, compare
-from vjm.report import save as saving
+from vjm.report import output
 from vjm.report.model_json import load_model, read_model
-from vjm.report.save import save
+from vjm.report.output import save
 
 
 @pytest.fixture(autouse=True)
 def _drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(saving, "identification_pictures", pictures_of)
+    monkeypatch.setattr(output, "identification_pictures", pictures_of)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -111,7 +111,7 @@ def test_a_failure_while_writing_makes_no_folder(tmp_path: Path, monkeypatch: py
     def broken(*_: object) -> None:
         raise RuntimeError("the disk is on fire")
 
-    monkeypatch.setattr(saving, "model_text", broken)
+    monkeypatch.setattr(output, "model_text", broken)
     with pytest.raises(RuntimeError, match="on fire"):
         save(demo_fit(), tmp_path / "out")
     assert not list(tmp_path.iterdir())
@@ -121,7 +121,7 @@ def test_a_failure_while_drawing_touches_nothing(tmp_path: Path, monkeypatch: py
     def broken(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(saving, "identification_pictures", broken)
+    monkeypatch.setattr(output, "identification_pictures", broken)
     with pytest.raises(KeyboardInterrupt):
         save(demo_fit(), tmp_path / "out")
     assert not list(tmp_path.iterdir())

@@ -1,0 +1,366 @@
+"""Identifications, comparisons and checks as pages: their sentences, tables and sections."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vjm.chain.virtual_links import Chain
+from vjm.identification.check import Check
+from vjm.identification.comparison import Comparison
+from vjm.identification.records import Identification, ModeComparison, Whiteness
+from vjm.records import Estimate, RecordingComparison
+from vjm.report.page import Grade, Page, Section, Table
+from vjm.report.result_json import bending_stiffness
+from vjm.report.text import (
+    UNKNOWN,
+    counted,
+    interval,
+    listed,
+    millimetres,
+    named,
+    number,
+    place,
+    short,
+    unit,
+    with_error,
+)
+from vjm.simulation.model import Model
+
+if TYPE_CHECKING:
+    from vjm.report.figures.style import Picture
+
+_MOST_NAMED = 3  # of a list in a sentence; the tables have all
+
+_TORQUE_METHOD = (
+    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
+    "A shape function fitted to the markers gives the joint angles; the parameters are those that make the equation of "
+    "motion hold best (Yoshikawa, Ohta and Kanaoka, ICRA 2001). Standard errors hold if the model is right: where the "
+    "fit is worse than the noise, the true errors are larger."
+)
+_TRAJECTORY_METHOD = (
+    "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper "
+    "(Yoshikawa, Ohta and Kanaoka, ICRA 2001). The parameters are the most likely ones given everything measured: "
+    "every training recording is simulated open loop over its whole length, from an initial state estimated with the "
+    "parameters. The search starts from the torque method's result, where there is one. Standard errors and 95 % "
+    "intervals hold if the model is right; residuals beyond the noise widen them, and may make"
+    " the values wrong by more."
+)
+
+
+def identification_page(fit: Identification, pictures: Sequence[Picture] | None = None) -> Page:
+    """Return the page of an identification: the report with its pictures, or without any a summary."""
+    headline, grade = _closeness(fit.recordings, "identified")
+    if fit.status != "converged":
+        headline, grade = f"The search has not converged: {fit.remedy or 'do not use this model'}.", "poor"
+    points = [
+        *_recording_points(fit.recordings),
+        *_stiffness_points(fit),
+        *_undetermined_points(fit.parameters),
+        *_not_simulated_points(fit.recordings),
+    ]
+    parameters, modes = parameter_table(fit.parameters, fit.nominal.chain), _mode_table(fit.modes)
+    comparisons = recording_table(fit.recordings, "identified", "nominal", "torque method")
+    if pictures is None:
+        notes = [note for note in fit.notes if note not in fit.warnings]
+        sections = [Section(tables=[parameters, modes, comparisons]), Section("Notes", notes)]
+    else:
+        simulated, residual, correlated = ("fit", "tip"), ("residual",), ("correlations",)
+        data = [picture for picture in pictures if not picture.name.startswith((*simulated, *residual, *correlated))]
+        method = _TRAJECTORY_METHOD if fit.trajectory else _TORQUE_METHOD
+        sections = [
+            Section("Parameters", tables=[parameters, modes]),
+            Section("Fit per recording", tables=[comparisons], pictures=pictures_named(pictures, *simulated)),
+            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=pictures_named(pictures, *residual)),
+            Section(
+                "Identifiability", fit.notes, _remedy_tables(fit.parameters), pictures_named(pictures, *correlated)
+            ),
+            Section("Data", pictures=data),
+            Section("Settings", terms=_settings(fit), text=method),
+        ]
+    return Page(fit.experiment.rig.name, "identification", headline, grade, points, fit.warnings, sections)
+
+
+def comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None = None) -> Page:
+    """Return the page of a given model beside recordings: the report with its pictures, or without any a summary."""
+    recordings = comparison.recordings
+    headline, grade = _closeness(recordings, "given")
+    points = [*_recording_points(recordings), *_not_simulated_points(recordings)]
+    table, carried = recording_table(recordings, "given", "nominal"), carried_points(comparison.model)
+    if pictures is None:
+        sections = [Section(tables=[table]), Section(points=carried)]
+    else:
+        sections = [Section("Fit per recording", tables=[table], pictures=pictures), Section("Effects", carried)]
+    return Page(comparison.experiment.rig.name, "simulation", headline, grade, points, comparison.warnings, sections)
+
+
+def check_page(check: Check) -> Page:
+    """Return the page of an experiment's check."""
+    trained, held_out = (len(check.experiment.with_role(role)) for role in ("train", "holdout"))
+    links = zip(check.experiment.rig.links, check.virtual_joints, strict=False)
+    joints = ", ".join(f"{link.name} {count}" for link, count in links)
+    points = (
+        f"virtual joints: {joints or 'none'}",
+        f"natural frequencies expected: {', '.join(number(frequency) for frequency in check.modes[:5])} Hz",
+        *(f"--parameters {kind}: {_share(estimates)}" for kind, estimates in check.identifiable.items()),
+    )
+    headline = f"{counted(trained, 'recording')} to train on, {held_out} held out."
+    grade: Grade = "poor" if check.problem else "fair" if check.warnings else "good"
+    return Page(check.experiment.rig.name, "check", headline, grade, points, check.warnings, ())
+
+
+def pictures_named(pictures: Sequence[Picture], *beginnings: str) -> list[Picture]:
+    """Return the pictures whose names begin with one of several words."""
+    return [picture for picture in pictures if picture.name.startswith(beginnings)]
+
+
+def _ratio(comparison: RecordingComparison) -> float:
+    return 0.0 if comparison.simulated is None else comparison.simulated.marker_rms / comparison.noise[0]
+
+
+def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[str, Grade]:
+    """Return one sentence on the worst held-out recording; on the training ones if none was held out."""
+    simulated = [item for item in comparisons if item.simulated is not None]
+    held_out = [item for item in simulated if item.recording.role == "holdout"]
+    if not simulated:
+        return "No recording could be simulated.", "poor"
+    worst = max(_ratio(item) for item in held_out or simulated)
+    ending = "" if held_out else " No recording was held out: prediction is not tested."
+    what = "predicts every held-out recording" if held_out else "follows every training recording"
+    if len(held_out) == 1:
+        what = f"predicts the held-out recording {short(held_out[0].recording.file)}"
+    if worst <= 1.1:  # a tenth above the noise is half of it in quadrature: not to be seen in a picture
+        return f"The {name} model {what} to within the camera's noise.{ending}", "good" if held_out else "fair"
+    if worst <= 1.5:  # what is missing is about as large as the noise
+        return f"The {name} model {what} to {number(worst, 2)} times the camera's noise.{ending}", "fair"
+    roles = "held-out" if held_out else "training"
+    missed = f"misses {roles} recordings by up to {number(worst, 2)} times the camera's noise"
+    return f"The {name} model {missed}: something is missing from it.{ending}", "poor"
+
+
+def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
+    """Return a sentence on each of the worst held-out recordings, then one on the worst of the others."""
+    points = []
+    for role, words, most in (("holdout", "held out", _MOST_NAMED), ("train", "train", 1)):
+        group = sorted((item for item in comparisons if item.recording.role == role), key=_ratio, reverse=True)
+        shown = [(item, item.simulated) for item in group if item.simulated is not None]
+        name = words if len(shown) == 1 or role == "holdout" else f"worst of {words}"
+        for item, simulated in shown[:most]:
+            recording = item.recording
+            duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
+            others = [("torque method", item.alternative), ("nominal values", item.reference)]
+            beside = ", ".join(f"{other}: {millimetres(sim.marker_rms)}" for other, sim in others if sim is not None)
+            rms = f"{millimetres(simulated.marker_rms)} RMS over its whole {duration}, open loop"
+            text = f"{short(recording.file)} ({name}): {rms}{f' ({beside})' if beside else ''}"
+            points.append(f"{text}; the camera's noise is {millimetres(item.noise[0])}.")
+    return points
+
+
+def _stiffness_points(fit: Identification) -> list[str]:
+    points = []
+    for link, nominal in zip(fit.model.chain.links, fit.nominal.chain.links, strict=True):
+        value, std = bending_stiffness(link, fit.parameters, fit.covariance)
+        change = 100 * (value / nominal.bending_stiffness - 1)
+        beside = f"{abs(change):.1f} % {'above' if change > 0 else 'below'} nominal"
+        joints = counted(link.virtual_joints, "virtual joint")
+        points.append(f"{link.name}: bending stiffness {with_error(value, std)} N m², {beside}; {joints}.")
+    return points
+
+
+def _not_simulated_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
+    missing = [f"{short(item.recording.file)} ({item.problem})" for item in comparisons if item.simulated is None]
+    return [f"Not simulated: {listed(missing[:_MOST_NAMED])}."] if missing else []
+
+
+def _undetermined(estimates: Sequence[Estimate]) -> list[Estimate]:
+    return [estimate for estimate in estimates if not estimate.identifiable]
+
+
+def _undetermined_points(estimates: Sequence[Estimate]) -> list[str]:
+    missing = _undetermined(estimates)
+    if len(missing) > _MOST_NAMED:
+        names = listed([estimate.name for estimate in missing[:_MOST_NAMED]])
+        return [f"{len(missing)} of {len(estimates)} parameters are not determined by these recordings: {names} …"]
+    return [f"Not determined by these recordings: {_explained(estimate)}." for estimate in missing]
+
+
+def _share(estimates: Sequence[Estimate]) -> str:
+    """Return how many of the parameters the recordings determine, and which they do not."""
+    missing = _undetermined(estimates)
+    text = f"{len(estimates) - len(missing)} of {len(estimates)} parameters determined"
+    if not missing:
+        return text
+    few, most = len(missing) <= 2, 2 * _MOST_NAMED
+    names = [_explained(estimate) if few else estimate.name for estimate in missing[:most]]
+    return f"{text}; not {', '.join(names)}{' …' if len(missing) > most else ''}"
+
+
+def _explained(estimate: Estimate) -> str:
+    """Return the name of a parameter that is not determined, and in brackets why and what it takes."""
+    return f"{estimate.name} ({estimate.reason}{f'; it takes {estimate.remedy}' if estimate.remedy else ''})"
+
+
+def carried_points(model: Model) -> list[str]:
+    """Return which effects the URDF carries and which only model.json has, a sentence each; none without effects."""
+    points = []
+    for carried, words in (
+        (True, "model.urdf and model.json hold"),
+        (False, "Only model.json holds, because URDF cannot express it"),
+    ):
+        effects = [effect for effect in model.effects if effect.in_urdf is carried]
+        names = [f"{named(effect.id).lower()} ({place(effect, model)})".removesuffix(" ()") for effect in effects]
+        points += [f"{words}: {', '.join(names)}."] if names else []
+    return points
+
+
+def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str = "nominal") -> Table:
+    """Return every parameter beside its nominal value (the paper's Table 1), with standard error and 95 % interval.
+
+    Args:
+        estimates: the parameters.
+        nominal: the chain they are compared with.
+        beside: name of that chain.
+    """
+    rows = []
+    for estimate in estimates:
+        value, std = estimate.value, estimate.std
+        state = "no" if not estimate.identifiable else "yes" if std is not None else "fixed"
+        relative = None if std is None or value == 0 else abs(100 * std / value)
+        compared = number(_nominal_value(estimate.name, nominal), 4)
+        uncertain = with_error(value, std), interval(value, std), number(relative, 2)
+        rows.append((estimate.name, state, compared, *uncertain, unit(estimate.unit)))
+    uncertain_headers = ("identified ± standard error", "95 % interval", "error [%]")
+    headers = ("parameter", "determined", beside, *uncertain_headers, "unit")
+    return Table("Table 1. Parameters", headers, tuple(rows), words=2)
+
+
+def _nominal_value(name: str, chain: Chain) -> float | None:
+    """Return the value that an estimate's parameter has in a chain; None for a name that the chain does not know."""
+    link_name, _, text = name.partition(".")
+    link = next((link for link in chain.links if link.name == link_name), None)
+    if link is None or text in ("bending_stiffness", "kelvin_voigt_time", "hub_inertia"):
+        return None if link is None else float(getattr(link, text))
+    # Virtual joints count from 1, virtual links from 0.
+    joints = {"stiffness": link.stiffness, "damping": link.damping}
+    links = {
+        "length": link.lengths,
+        "mass": link.masses,
+        "mass_center": link.mass_centers,
+        "inertia": link.inertias,
+    }
+    quantity, _, index = text.rpartition("_")
+    values = {**joints, **links}.get(quantity)
+    if values is None or not index.isdecimal():
+        return None
+    at = int(index) - (quantity in joints)
+    return float(values[at]) if 0 <= at < values.size else None
+
+
+def _remedy_tables(estimates: Sequence[Estimate]) -> list[Table]:
+    """Return the parameters that the recordings do not determine, why, and which recording would; none if all are."""
+    rows = tuple((item.name, item.reason, item.remedy or UNKNOWN) for item in _undetermined(estimates))
+    headers = ("parameter", "reason", "recording that would determine it")
+    return [Table("Parameters that these recordings do not determine", headers, rows, words=3)] if rows else []
+
+
+def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
+    """Return for each fitted recording whether its residual is white noise; no table without any."""
+    rows = []
+    for item in whiteness:
+        rms = math.sqrt(item.chi2) if item.chi2 >= 0 else None
+        rows.append((item.file, "no" if item.coloured else "yes", number(rms, 3), number(item.correlation, 2)))
+    headers = ("recording", "white", "residual / noise, all sensors", "largest correlation up to 10 samples later")
+    caption = "Residuals of the recordings that the model was fitted to"
+    return [Table(caption, headers, tuple(rows), words=2)] if rows else []
+
+
+def _mode_table(modes: Sequence[ModeComparison]) -> Table:
+    """Return frequencies and damping ratios of the model beside the measured ones (the paper's Table 2)."""
+    rows = []
+    for k, mode in enumerate(modes):
+        measured, damping = mode.frequency_measured, mode.damping_measured
+        difference = None if measured is None else 100 * (mode.frequency_model / measured - 1)
+        row = (
+            f"mode {k + 1}",
+            number(mode.frequency_model, 5),
+            "not seen" if measured is None else with_error(measured, mode.frequency_std),
+            UNKNOWN if difference is None else f"{difference:+.2f}".replace("-", "−"),
+            number(100 * mode.damping_model, 3),
+            "not seen" if damping is None else number(100 * damping, 3),
+            UNKNOWN if mode.mac is None else f"{mode.mac:.4f}",
+        )
+        rows.append(row)
+    frequency = ("model [Hz]", "measured [Hz]", "difference [%]")
+    headers = ("", *frequency, "damping, model [%]", "damping, measured [%]", "shape, MAC")
+    return Table("Table 2. Natural frequencies and damping", headers, tuple(rows)).without_empty("shape, MAC")
+
+
+def recording_table(
+    comparisons: Sequence[RecordingComparison], model: str, reference: str, alternative: str = "alternative"
+) -> Table:
+    """Return how closely each recording is followed, open loop over its whole length.
+
+    Args:
+        comparisons: the recordings beside their simulations.
+        model, reference, alternative: names of the columns of `simulated`, `reference` and `alternative`.
+    """
+    rows, notes = [], []
+    for item in comparisons:
+        recording, simulated, noise = item.recording, item.simulated, item.noise[0]
+        theta = None if simulated is None or simulated.theta_rms is None else 1e3 * simulated.theta_rms
+        row = (
+            recording.file,
+            "held out" if recording.role == "holdout" else "train",
+            recording.kind,
+            *(millimetres(sim.marker_rms if sim else None) for sim in (item.reference, item.alternative, simulated)),
+            millimetres(noise),
+            number(simulated.marker_rms / noise if simulated else None, 2),
+            number(theta, 2),
+        )
+        rows.append(row)
+        remarks = [f"not simulated: {item.problem}"] if simulated is None else []
+        if simulated is not None and simulated.status != "converged":
+            remarks.append("the search for the initial state has not converged: the residual may be too large")
+        if simulated is not None and item.left_out:
+            remarks.append(f"{counted(item.left_out, 'marker coordinate')} left out")
+        notes.append("; ".join(remarks))
+    numbers = (reference, alternative, model, "noise", f"{model} / noise", "encoder [mrad]")
+    caption = "Fit per recording: RMS marker residual of an open-loop simulation"
+    table = Table(caption, ("recording", "role", "kind", *numbers), tuple(rows), words=3, notes=tuple(notes))
+    return table.without_empty(reference, alternative, "encoder [mrad]")
+
+
+def _settings(fit: Identification) -> list[tuple[str, str]]:
+    """Return how the identification was made: term and description."""
+    model, rig, trajectory = fit.model, fit.experiment.rig, fit.trajectory
+    origin = {True: "estimated from the recordings", False: "from the experiment file"}
+    rows = [
+        ("Method", f"{fit.method}, parameters {fit.parametrisation}; {fit.status}"),
+        ("Virtual joints", listed([f"{link.name}: {link.virtual_joints}" for link in model.chain.links])),
+        ("Marker noise", f"{millimetres(model.marker_noise)} ({origin[rig.marker_noise is None]})"),
+    ]
+    if rig.active_links:
+        encoder = f"{number(1e3 * model.encoder_noise, 2)} mrad ({origin[rig.encoder_noise is None]})"
+        rows.append(("Encoder noise", encoder))
+    if trajectory is not None:
+        mean, searched = number(trajectory.chi2_per_sample, 4), counted(trajectory.iterations, "simulation")
+        text = f"mean square residual {mean} times the noise's, over {trajectory.point.count} measured values"
+        rows.append(("Trajectories", f"{text}; {searched} of all recordings in the last search"))
+    if fit.objective is not None:
+        before, after = number(fit.objective_nominal, 4), number(fit.objective, 4)
+        rows.append(("J, eq. (15)", f"nominal model {before}, identified {after}"))
+    for k, link in enumerate(rig.links):
+        shapes = [data.angles.shapes[k] for data in fit.torque_data[:1]]
+        rows += [(f"Shape functions, {link.name}", f"{shape.family}, order {shape.order}") for shape in shapes]
+    for data in fit.torque_data:
+        smoothing = data.derivatives.smoothing
+        how = "interpolated" if smoothing is None else f"smoothing spline, penalty 10^{smoothing:.1f}"
+        text = f"{data.angles.time.size} frames, {data.angles.unsolved} without a solution; {how}"
+        noise = data.derivatives.noise(np.sqrt(np.diag(data.angles.covariance))).max(axis=1)
+        values = f"{number(1e3 * noise[0], 2)} mrad, {number(noise[1], 2)} rad/s, {number(noise[2], 2)} rad/s²"
+        rows.append((f"Used from {data.recording.file}", text))
+        rows.append((f"Noise in {data.recording.file}", f"angle, rate and acceleration of the worst joint: {values}"))
+    return rows
