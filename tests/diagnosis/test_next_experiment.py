@@ -38,9 +38,9 @@ def test_what_a_recording_is_worth_is_known_before_it_is_made(seed: int) -> None
     small = drives(CUBIC, seed)[:1]
     best, other = fitted(small, CUBIC, DRIFT)
     proposed = propose_recordings(best, [other])
-    (twice,) = [each.evidence for each in proposed if "twice its size" in each.text]
-    assert twice == max(each.evidence for each in proposed)
-    assert proposed[0].evidence == twice
+    (twice,) = [each.difference for each in proposed if "twice its size" in each.text]
+    assert twice == max(each.difference for each in proposed)
+    assert proposed[0].difference == twice
     (large,) = (replace(each, file="large.csv") for each in drives(CUBIC, seed + 100, factor=2.0)[:1])
     both = fitted([*small, large], CUBIC, DRIFT)
     found = both[1].chi2 - both[0].chi2
@@ -52,13 +52,13 @@ def test_twins_are_told_apart_by_nothing_on_the_menu() -> None:
     """Without gravity a turned camera and an encoder's offset are the same in every recording."""
     camera, encoder = CameraRotation(angle=0.02), EncoderOffset(link=0, offset=-0.02)
     best, other = fitted(drives(camera, 7), camera, encoder)
-    assert all(each.evidence < 1 for each in propose_recordings(best, [other]))
+    assert all(each.difference < 1 for each in propose_recordings(best, [other]))
 
 
 def test_the_nearest_of_several_counts() -> None:
     clamp = ClampCompliance(link=0, compliance=0.002)
     best, *others = fitted(drives(CUBIC, 7)[:1], CUBIC, DRIFT, clamp)
-    each = [{one.text: one.evidence for one in propose_recordings(best, [other])} for other in others]
+    each = [{one.text: one.difference for one in propose_recordings(best, [other])} for other in others]
     for one in propose_recordings(best, others):
-        assert one.evidence == pytest.approx(min(given[one.text] for given in each))
-    assert np.isfinite([one.evidence for one in propose_recordings(best, others)]).all()
+        assert one.difference == pytest.approx(min(given[one.text] for given in each))
+    assert np.isfinite([one.difference for one in propose_recordings(best, others)]).all()

@@ -82,7 +82,7 @@ def findings(**changes: Any) -> Findings:
         causes=(cause(),),
         candidates=(),
         model=StandIn(),  # type: ignore[arg-type]
-        base=StandIn(),  # type: ignore[arg-type]
+        reference=StandIn(),  # type: ignore[arg-type]
         recordings=(compared(recording(), 3e-3, 3e-4),),
         residuals=ResidualTest((), 0.4, 0.0),
         baseline_misfit=10.0,
@@ -129,7 +129,7 @@ def test_the_verdict_follows_from_what_was_found(changes: dict[str, Any], verdic
 
 def test_a_cause_of_no_use_is_no_cause() -> None:
     base = StandIn()
-    diagnosis = conclude(findings(**SMALL, base=base, next_best=(CubicStiffness(link=0),)))
+    diagnosis = conclude(findings(**SMALL, reference=base, next_best=(CubicStiffness(link=0),)))
     assert diagnosis.causes == diagnosis.next_best == ()
     assert diagnosis.model is base
     assert any("tip_payload would explain a little" in warning for warning in diagnosis.warnings)

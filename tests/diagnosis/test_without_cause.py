@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.report.diagnoses import pair
-from vjm.diagnosis.simulations import simulate_without_each_cause
+from vjm.diagnosis.diagnose import simulate_without_each_cause
 from vjm.effects import ViscousFriction
 
 

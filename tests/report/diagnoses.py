@@ -159,7 +159,7 @@ def make_diagnosis(
         causes=tuple(cause(each) for each in effects),
         candidates=candidates(experiment, effects),
         model=model,
-        base=base,
+        reference=base,
         recordings=followed,
         gain=gain,
         remaining=Remaining(0.4),

@@ -14,9 +14,11 @@ import numpy as np
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
 from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
 from vjm.diagnosis.candidate_fit import CandidateFit
+from vjm.diagnosis.encoder_feedback import simulate_open_loop, without_feedback
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Diagnosis, Findings
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
+from vjm.diagnosis.screen import Workers
 from vjm.diagnosis.selection import (
     Rules,
     Search,
@@ -24,14 +26,20 @@ from vjm.diagnosis.selection import (
     find_preexisting_effects,
     select_effects,
 )
-from vjm.diagnosis.simulations import compare_recordings, find_symptoms, simulate_without_each_cause
+from vjm.diagnosis.symptoms import Symptoms, symptoms
 from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
-from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
-from vjm.errors import ChoiceError, ShapeError
-from vjm.records import REFERENCE, Experiment, Progress
+from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
+from vjm.identification.outliers import trimmed
+from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording
+from vjm.simulation.initial_state import simulated_recording
+from vjm.simulation.measurement import Observations
+from vjm.simulation.model import Model
+from vjm.simulation.run import Run
 
-_CHANGE = 1.0  # decrease of chi^2 over what is left, where the reference recordings show more than noise: half of all
+# Decrease of chi^2 over what is left from which an effect of a change matters where something is missing already in the
+# reference recordings: as much as is left, since the old error, in another motion, may well explain less.
+_LEAST_CHANGE = 1.0
 
 
 def diagnose(
@@ -70,9 +78,9 @@ def diagnose(
     tell("fitting the model without effects")
     baseline = fit_baseline(experiment, tell.inside)
     with Workers.start(jobs) as workers:
-        before, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers)
-        start = SearchStart.of(baseline, before)
-        matters = _CHANGE if start.reference_misfit > 1 else Rules.matters
+        reference, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers)
+        start = SearchStart.of(baseline, reference)
+        matters = _LEAST_CHANGE if start.reference_misfit > 1 else Rules.matters
         search = Search(
             experiment.rig, start, chosen, Rules(matters=matters, most=max_effects, seed=seed), tell, workers
         )
@@ -106,8 +114,8 @@ def _findings(
     causes = estimate_causes(result, search, alternatives)
     search.tell("simulating the recordings")
     next_best = search.trials.next_best(best) or result.next_best
-    recordings = compare_recordings(experiment, noise, start.before, best, next_best)
-    model, base = best.model(rig, noise), start.before.model(rig, noise)
+    recordings = _compare_recordings(experiment, noise, start.reference, best, next_best)
+    model, reference = best.model(rig, noise), start.reference.model(rig, noise)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
@@ -117,7 +125,7 @@ def _findings(
         needed=search.still_needed(result),
         next_best=next_best.new_effects if next_best else (),
         model=model,
-        base=base,
+        reference=reference,
         recordings=recordings,
         residuals=residual_test(best.point.runs),
         repeats=compare_repeats(best.point.runs),
@@ -127,12 +135,91 @@ def _findings(
         decrease=(search.start.chi2 - best.chi2) / best.chi2,
         least_decrease=search.least_decrease(best),
         proposals=propose_recordings(best, search.trials.with_replaced(best, ambiguous)) if ambiguous else (),
-        symptoms=find_symptoms(base, recordings),
+        symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,
         notes=_notes(baseline, start, best),
         seed=search.rules.seed,
     )
     return simulate_without_each_cause(findings)
+
+
+_Runs = dict[str, tuple[Run, bool]]  # by file: the simulation, and whether its initial state was found
+
+
+def _compare_recordings(
+    experiment: Experiment,
+    noise: tuple[float, float],
+    reference: CandidateFit,
+    best: CandidateFit,
+    next_best: CandidateFit | None,
+) -> tuple[RecordingComparison, ...]:
+    """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
+
+    Recordings that were fitted have been simulated. With encoder feedback they are simulated again without it.
+    """
+    known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
+    further = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
+    observed = [Observations.of(experiment.rig, recording, noise) for recording in further]
+    by_best = _simulate(best, observed)
+    clean = {file: trimmed(run) for file, (run, _) in by_best.items()}
+    changed = [one for file, one in clean.items() if one is not by_best[file][0].observed]
+    by_best |= _simulate(best, changed, [by_best[one.recording.file][0].state for one in changed])
+    observed = [clean.get(one.recording.file, one) for one in observed]
+    recordings = known | {one.recording.file: one.recording for one in observed}
+
+    def by_file(model: CandidateFit | None) -> dict[str, SimulatedRecording]:
+        if model is None:
+            return {}
+        fitted = {run.observed.recording.file: (run, True) for run in without_feedback(model, reference).point.runs}
+        runs = fitted | (by_best if model is best else _simulate(model, observed))
+        return {file: simulated_recording(*run) for file, run in runs.items()}
+
+    after, before, alternative = by_file(best), by_file(reference), by_file(next_best)
+    return tuple(
+        RecordingComparison(recordings[file], noise, after.get(file), before.get(file), alternative.get(file))
+        for file in (recording.file for recording in experiment.recordings)
+    )
+
+
+def _simulate(model: CandidateFit, observed: Sequence[Observations], states: Sequence[Array] | None = None) -> _Runs:
+    """Simulations of recordings that were not fitted; those that are not possible are left out."""
+    if not observed:
+        return {}
+    try:
+        runs = simulate_open_loop(model, observed, states)
+    except (InsufficientDataError, SimulationDivergedError):
+        if len(observed) == 1:
+            return {}
+        single = [_simulate(model, [one], states and [states[k]]) for k, one in enumerate(observed)]
+        return {file: run for part in single for file, run in part.items()}
+    return {one.recording.file: run for one, run in zip(observed, runs, strict=True)}
+
+
+def simulate_without_each_cause(findings: Findings) -> Findings:
+    """Simulate the most improved recording without each cause; a single one leaves the model fitted without it."""
+    shown = findings.most_improved
+    if shown is None:
+        return findings
+    causes = []
+    for cause in findings.causes:
+        others = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
+        without = shown.reference
+        if len(findings.causes) > 1:
+            try:
+                without = replace(findings.model, effects=others).replay(shown.recording)
+            except (InsufficientDataError, SimulationDivergedError):
+                without = None
+        causes.append(replace(cause, without=without))
+    return replace(findings, causes=tuple(causes))
+
+
+def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:
+    """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
+    count = 4  # more modes are hardly ever seen by a camera
+    simulated = [comparison.reference for comparison in recordings if comparison.reference is not None]
+    payloads = {one.recording.payload for one in simulated}
+    frequencies = {payload: reference.modes(payload).frequencies[:count].tolist() for payload in payloads}
+    return symptoms(reference.rig, simulated, frequencies) if simulated else None
 
 
 def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[str, ...]:

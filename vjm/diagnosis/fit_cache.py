@@ -15,7 +15,7 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.baseline import SearchStart
+from vjm.diagnosis.baseline import CLOSE, DiscretizationBias, SearchStart, with_offset
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE,
     CandidateFit,
@@ -24,10 +24,8 @@ from vjm.diagnosis.candidate_fit import (
     named,
     refit,
 )
-from vjm.diagnosis.discretization import CLOSE, DiscretizationBias, with_offset
 from vjm.diagnosis.records import Cause
-from vjm.diagnosis.screen import Screen
-from vjm.diagnosis.workers import Workers
+from vjm.diagnosis.screen import Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError

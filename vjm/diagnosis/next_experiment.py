@@ -1,7 +1,7 @@
 """Design of the next experiment: the recording that would best distinguish models that explain these equally well.
 
 Changes of recordings that were made are simulated by both models. Fitted to what the first would show, the second,
-whose parameters are free as far as the recordings so far leave them, keeps a chi^2: the evidence to be expected
+whose parameters are free as far as the recordings so far leave them, keeps a chi^2: the difference to be expected
 (discrimination between rival models: Atkinson and Fedorov, Biometrika 62, 1975; here linearised).
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy import linalg
@@ -24,7 +25,7 @@ _Change = Callable[[Recording, Array, Indices], tuple[Recording, Array]]
 
 
 def propose_recordings(best: CandidateFit, alternatives: Sequence[CandidateFit]) -> tuple[Proposal, ...]:
-    """Rank recordings by the evidence that would distinguish a model from all of some others, the best first.
+    """Rank recordings by the chi^2 that would distinguish a model from all of some others, the best first.
 
     Args:
         best: the model taken for true.
@@ -33,9 +34,9 @@ def propose_recordings(best: CandidateFit, alternatives: Sequence[CandidateFit])
     proposals = []
     for text, change in _changes(best):
         for run in _largest_motions(best):
-            evidence = min((_evidence(best, other, run, change) for other in alternatives), default=0.0)
-            proposals.append(Proposal(f"repeat {run.observed.recording.file} {text}", evidence))
-    return tuple(sorted(proposals, key=lambda proposal: -proposal.evidence))
+            difference = min((_difference(best, other, run, change) for other in alternatives), default=0.0)
+            proposals.append(Proposal(f"repeat {run.observed.recording.file} {text}", difference))
+    return tuple(sorted(proposals, key=lambda proposal: -proposal.difference))
 
 
 def _changes(best: CandidateFit) -> Iterator[tuple[str, _Change]]:
@@ -45,19 +46,16 @@ def _changes(best: CandidateFit) -> Iterator[tuple[str, _Change]]:
         f"with a weighed mass of {1e3 * mass:.3g} g on the tip",
         lambda recording, state, active: (replace(recording, payload=recording.payload + mass), state),
     )
-    yield "at twice its size", _scaled(2.0)
-    yield "at half its size", _scaled(0.5)
+    yield "at twice its size", partial(_scaled, 2.0)
+    yield "at half its size", partial(_scaled, 0.5)
     if chain.active.size:
         yield "from a position a quarter turn away", _turned
 
 
-def _scaled(factor: float) -> _Change:
-    def change(recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
-        scaled = factor * state
-        scaled[active] = state[active]
-        return replace(recording, tau=factor * recording.tau), scaled
-
-    return change
+def _scaled(factor: float, recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
+    scaled = factor * state
+    scaled[active] = state[active]
+    return replace(recording, tau=factor * recording.tau), scaled
 
 
 def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
@@ -79,23 +77,24 @@ def _largest_motions(best: CandidateFit) -> list[Run]:
     return [run for _, run in largest.values()]
 
 
-def _evidence(true: CandidateFit, other: CandidateFit, run: Run, change: _Change) -> float:
+def _difference(true: CandidateFit, other: CandidateFit, run: Run, change: _Change) -> float:
     """The chi^2 that another model keeps in a changed recording of an arm of which the first is true.
 
     Zero where one of them cannot be simulated.
     """
     k = [one is run for one in true.point.runs].index(True)
     try:
-        shown, predicted = (_changed_run(each, k, change) for each in (true, other))
+        shown, predicted = (_changed_run(model, k, change) for model in (true, other))
         moved = replace(other.point.problem, observed=(predicted.observed,)).moved(other.point.x)[0]
-        slopes = np.zeros((predicted.residual.size, 2 * predicted.basis.slow_count + len(moved)))
+        states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
+        slopes = np.zeros((predicted.residual.size, states + len(moved)))
         for measured, part in predicted.slopes(moved):
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0
     values, vectors = linalg.eigh(other.information.normal)
     known = np.zeros((len(moved), slopes.shape[1]))
-    known[:, 2 * predicted.basis.slow_count :] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    known[:, states:] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.vstack([slopes, known])
     difference = np.concatenate([predicted.residual - shown.residual, np.zeros(len(moved))])
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
@@ -108,6 +107,6 @@ def _changed_run(candidate: CandidateFit, k: int, change: _Change) -> Run:
     point = candidate.point
     run = point.runs[k]
     recording, state = change(run.observed.recording, run.state, run.chain.active)
-    observed = run.observed.of_recording(recording)
     (arm,) = point.problem.varied.arms(point.x, [recording])
-    return simulate_runs([arm], [observed], [InitialStatePrior.of(arm, recording)], [state], 1.0)[0]
+    observed, prior = run.observed.of_recording(recording), InitialStatePrior.of(arm, recording)
+    return simulate_runs([arm], [observed], [prior], [state], 1.0)[0]

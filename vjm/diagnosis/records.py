@@ -86,38 +86,23 @@ class Candidate:
 
 @dataclass(frozen=True)
 class ResidualBand:
-    """Residuals of one kind of sensor of one recording in one band of frequencies.
+    """Residuals of one kind of sensor of one recording in one band of frequencies."""
 
-    Attributes:
-        file: the recording's.
-        sensor: `markers` or `encoder`.
-        frequencies: lowest and highest [Hz].
-        count: number of spectral coefficients.
-        excess: sum of squares beyond that of noise, in units of the noise.
-        p_value: probability of as large a sum under noise alone.
-    """
-
-    file: str
-    sensor: str
-    frequencies: tuple[float, float]
-    count: int
-    excess: float
-    p_value: float
+    file: str  # the recording's
+    sensor: str  # `markers` or `encoder`
+    frequencies: tuple[float, float]  # lowest and highest [Hz]
+    count: int  # number of spectral coefficients
+    excess: float  # sum of squares beyond that of noise, in units of the noise
+    p_value: float  # probability of as large a sum under noise alone
 
 
 @dataclass(frozen=True)
 class ResidualTest:
-    """Test of whether the residuals of all recordings are noise.
+    """Test of whether the residuals of all recordings are noise."""
 
-    Attributes:
-        bands: the least likely first.
-        p_value: probability that noise alone gives as much in any band, or in all together.
-        excess: sum of squares of all bands beyond that of noise, in units of the noise.
-    """
-
-    bands: tuple[ResidualBand, ...]
-    p_value: float
-    excess: float
+    bands: tuple[ResidualBand, ...]  # the least likely first
+    p_value: float  # probability that noise alone gives as much in any band, or in all together
+    excess: float  # sum of squares of all bands beyond that of noise, in units of the noise
 
 
 @dataclass(frozen=True)
@@ -126,16 +111,11 @@ class RepeatComparison:
 
     Noise alone gives one for both, since no two recordings share it. A model error that recurs is in the first only,
     one that differs from recording to recording in both.
-
-    Attributes:
-        common: RMS of the sum of two recordings' residuals over the square root of two.
-        individual: RMS of their difference over the square root of two.
-        noise: standard deviation of a marker coordinate [m].
     """
 
-    common: float
-    individual: float
-    noise: float
+    common: float  # RMS of the sum of two recordings' residuals over the square root of two
+    individual: float  # RMS of their difference over the square root of two
+    noise: float  # standard deviation of a marker coordinate [m]
 
     @property
     def recurring_share(self) -> float:
@@ -146,15 +126,10 @@ class RepeatComparison:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A recording to make, and what it would be worth.
+    """A recording to make."""
 
-    Attributes:
-        text: as in "repeat slew.csv with twice the torque".
-        evidence: difference of chi^2 that it will make between the best fit and the nearest alternative.
-    """
-
-    text: str
-    evidence: float
+    text: str  # as in "repeat slew.csv with twice the torque"
+    difference: float  # of chi^2 that it will make between the best fit and the nearest alternative
 
 
 @dataclass(frozen=True)
@@ -201,7 +176,7 @@ class Findings:
         causes: new effects of the best model, the one that explains most first.
         candidates: table of the effects that were looked for.
         model: the best model, with the causes.
-        base: the model before any change, without them.
+        reference: the model before any change, without them.
         recordings: simulated by both models.
         symptoms: what the model before any change gets wrong.
         next_best: effects of the next best model; empty where no other was fitted.
@@ -225,7 +200,7 @@ class Findings:
     experiment: Experiment
     causes: tuple[Cause, ...]
     model: Model
-    base: Model
+    reference: Model
     recordings: tuple[RecordingComparison, ...]
     candidates: tuple[Candidate, ...] = ()
     symptoms: Symptoms | None = None

@@ -57,18 +57,14 @@ def _bands(run: Run) -> Iterator[ResidualBand]:
         known = np.isfinite(series[rows])
         channels = known.all(axis=0) if known.all(axis=0).any() else known.mean(axis=0) > 0.5
         squares = dct(np.nan_to_num(series[rows][:, channels]), axis=0, norm="ortho") ** 2
-        duration = max(float(np.ptp(instants[rows])), 1e-300)
+        period = 2 * max(float(np.ptp(instants[rows])), 1e-300)  # coefficient k has k/2 periods
         upper = len(squares) // 2
         noise = float(np.clip(np.mean(squares[upper:]), 1.0, _MISJUDGED))
         while upper:
             lower = upper // 2 if squares[: upper // 2].size >= _LEAST_COEFFICIENTS else 0
-            octave = squares[lower:upper]
-            frequencies = (0.5 * lower / duration, 0.5 * upper / duration)  # coefficient k has k/2 periods
-            statistic = float(octave.sum()) / noise
-            p_value = float(stats.chi2.sf(statistic, octave.size))
-            yield ResidualBand(
-                observed.recording.file, sensor, frequencies, octave.size, statistic - octave.size, p_value
-            )
+            count, statistic = squares[lower:upper].size, float(squares[lower:upper].sum()) / noise
+            chance, frequencies = float(stats.chi2.sf(statistic, count)), (lower / period, upper / period)
+            yield ResidualBand(observed.recording.file, sensor, frequencies, count, statistic - count, chance)
             upper = lower
 
 
@@ -124,23 +120,29 @@ _SHAPES: tuple[tuple[str, Callable[[Array, Array, Array], Array]], ...] = (
 
 
 @dataclass(frozen=True)
-class _JointProbe(Effect):
-    """A torque of a given shape at an active joint."""
+class _Probe(Effect):
+    """A torque of a given shape at an active joint, or a bending moment all along a link."""
 
     torque: float = magnitude("N m", 0.01)
+    bending: int = shape_parameter("", 0, integer=True, grid=(0, 1))
     shape: int = shape_parameter("", 0, integer=True, grid=tuple(range(len(_SHAPES))))
 
-    id = "joint_probe"
-    clause = "a torque at the joint of {link}"
+    id = "probe"
+    clause = "a force in {link}"
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Return the active joints."""
-        return rig.active_links
+        """Return all links."""
+        return tuple(range(len(rig.links)))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Return torques (..., nv) on the joints that the probe acts on."""
-        joints, scale = self._joints(chain)
-        shape = _SHAPES[self.shape][1]
+        """Return torques (..., nv) on the joint, or on the link's, by curvature times length."""
+        i = self.link or 0
+        link, shape = chain.links[i], _SHAPES[self.shape][1]
+        if self.bending:
+            joints, scale = chain.passive_slices[i], link.length / link.cells
+        else:
+            joint = chain.joint_names.index(f"{link.name}_joint")
+            joints, scale = slice(joint, joint + 1), np.ones(1)
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
             forces = np.zeros(q.shape)
@@ -148,26 +150,6 @@ class _JointProbe(Effect):
             return forces
 
         return force
-
-    def _joints(self, chain: Chain) -> tuple[slice, Array]:
-        joint = chain.joint_names.index(f"{chain.links[self.link or 0].name}_joint")
-        return slice(joint, joint + 1), np.ones(1)
-
-
-@dataclass(frozen=True)
-class _BendingProbe(_JointProbe):
-    """A bending moment in all of a link, of a given shape in its curvature times its length."""
-
-    id = "bending_probe"
-    clause = "a bending moment in {link}"
-
-    def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Return all links."""
-        return tuple(range(len(rig.links)))
-
-    def _joints(self, chain: Chain) -> tuple[slice, Array]:
-        link = chain.links[self.link or 0]
-        return chain.passive_slices[self.link or 0], link.length / link.cells
 
 
 def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> str:
@@ -178,13 +160,12 @@ def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> st
         effects: those that its model has.
         rig: the arm.
     """
-    probes = Screen.of(
-        point, effects, [variant for probe in (_JointProbe(), _BendingProbe()) for variant in probe.variants(rig, [])]
-    )
-    best = int(np.argmax(probes.statistics))
-    probe = probes.effects[best]
-    percent = 100 * probes.statistics[best] / max(point.chi2 - point.count, 1.0)
-    if percent < 1 or not isinstance(probe, _JointProbe):
+    probes = [probe for probe in _Probe().variants(rig, []) if probe.bending or probe.link in rig.active_links]
+    statistics = Screen.of(point, effects, probes).statistics
+    best = int(np.argmax(statistics))
+    percent, probe = 100 * statistics[best] / max(point.chi2 - point.count, 1.0), probes[best]
+    if percent < 1:
         return ""
-    where = probe.clause.format(link=rig.links[probe.link or 0].name)
-    return f"most like {where}, {_SHAPES[probe.shape][0]}, which would explain {min(percent, 100):.0f} % of it"
+    force = "a bending moment in" if probe.bending else "a torque at the joint of"
+    where = f"{force} {rig.links[probe.link or 0].name}, {_SHAPES[probe.shape][0]}"
+    return f"most like {where}, which would explain {min(percent, 100):.0f} % of it"

@@ -11,17 +11,19 @@ noise that correlates as the candidates do (minP: Westfall and Young, Resampling
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Self
+from multiprocessing import get_context
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from scipy import stats
 
 from vjm.diagnosis.candidate_fit import adds_joint
 from vjm.diagnosis.records import Candidate
-from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
@@ -35,6 +37,35 @@ _ABSORBED = 1e-7  # share of a direction's square below which the projection lea
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
 _JOINT_STEP = 0.05  # the same for the second-order quotient over a joint's compliance
 _LARGEST = 1e12  # slope in units of the noise, beyond which its square has no digits left beside the others
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Processes among which a diagnosis shares its work: `count` of an executor, or this one alone."""
+
+    count: int = 1
+    executor: Executor | None = None
+
+    @classmethod
+    @contextmanager
+    def start(cls, count: int) -> Iterator[Self]:
+        """Run processes as long as they are needed."""
+        if count == 1:
+            yield cls()
+            return
+        with ProcessPoolExecutor(count, mp_context=get_context("forkserver")) as executor:
+            yield cls(count, executor)
+
+    def map(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
+        """Return the results of a function for each job, in the jobs' order."""
+        mapped = map if self.executor is None or len(jobs) < 2 else self.executor.map
+        return [*mapped(work, jobs)]
+
+
+ALONE = Workers()
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ from vjm.diagnosis.encoder_feedback import (
     nominal_with_feedback,
 )
 from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell
-from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
-from vjm.diagnosis.workers import ALONE, Workers
+from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.identification.trajectory_fit import Point

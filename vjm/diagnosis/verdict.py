@@ -14,9 +14,11 @@ from vjm.diagnosis.records import Diagnosis, Findings, Gain, Remaining, RepeatCo
 from vjm.records import REFERENCE, Array, Experiment, RecordingComparison
 
 _UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard deviations
-_NO_GAIN = 0.002  # reduction of the held-out RMS that nobody would notice
-_SMALL_DECREASE = 0.02  # share of chi^2; causes that explain more are real even where held-out recordings miss them
-_CLEARLY_MORE = 2.0  # times the misfit that was there before the change
+# Reduction of the held-out RMS (1/sqrt(2N) of noise with N = 100,000 values), and decrease of chi^2 as a share of it
+# (noise misjudged by 1 %, 1/sqrt(2N) with N = 5,000, is as much): what gains less held out and explains less of the
+# training recordings may be the error of the noise's size.
+_NO_GAIN, _SMALL_DECREASE = 0.002, 0.02
+_CLEARLY_MORE = 2.0  # times the misfit before the change: misfits add in squares, the new one is then 1.7 times the old
 _DISTINGUISHING = 30.0  # chi^2, three times the least that distinguishes: a linear forecast may be too large
 
 
@@ -171,7 +173,7 @@ def _without_causes(findings: Findings) -> Findings:
     return replace(
         findings,
         causes=(),
-        model=findings.base,
+        model=findings.reference,
         next_best=(),
         recordings=tuple(replace(one, simulated=one.reference, alternative=None) for one in findings.recordings),
         warnings=(*findings.warnings, warning),
@@ -227,9 +229,9 @@ def _next_experiment(findings: Findings, verdict: Verdict) -> str | None:
     if ambiguous is not None:
         effects = (ambiguous.effect, *(alternative.effect for alternative in ambiguous.alternatives))
         aim = f"to tell {' from '.join(effect.id for effect in effects)}"
-        if findings.proposals and findings.proposals[0].evidence > _DISTINGUISHING:
+        if findings.proposals and findings.proposals[0].difference > _DISTINGUISHING:
             best = findings.proposals[0]
-            return f"{aim}: {best.text}; chi^2 of the two will then differ by about {best.evidence:.2g}"
+            return f"{aim}: {best.text}; chi^2 of the two will then differ by about {best.difference:.2g}"
         means = dict.fromkeys(part for effect in effects for part in effect.distinguishing_experiment.split("; "))
         return f"{aim}: record {'; or '.join(part for part in means if part)}"
     if verdict != "unknown":

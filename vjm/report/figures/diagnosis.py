@@ -96,7 +96,7 @@ def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
 
 def _before_and_after(comparison: RecordingComparison, signal: Signal, diagnosis: Diagnosis) -> Figure:
     """Draw the tip of one recording, measured and by the models without and with the causes."""
-    drawn = Curve.of(comparison, _LABELS, {"reference": diagnosis.base, "simulated": diagnosis.model})
+    drawn = Curve.of(comparison, _LABELS, {"reference": diagnosis.reference, "simulated": diagnosis.model})
     before = signal.residual(drawn["reference"].simulated)
     sizes = [signal.rms_text(drawn[role].simulated) for role in ("reference", "simulated")]
     title = f"{recording_label(comparison.recording)}, {signal.name}: residual {sizes[0]} RMS without the causes, "
