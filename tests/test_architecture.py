@@ -304,7 +304,7 @@ def test_nothing_grows_too_long() -> None:
     "code",
     [
         "import vjm",
-        "from vjm.cli.arguments import parse; parse(['demo'])",
+        "from vjm.cli import parse; parse(['demo'])",
         "import vjm.errors, vjm.records",
     ],
 )

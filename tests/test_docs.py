@@ -14,7 +14,7 @@ import pytest
 
 import vjm
 from tests.fine_beam.make_demo import NOMINAL_STIFFNESS, TRUE_BEAM
-from vjm.cli.arguments import parse
+from vjm.cli import parse
 from vjm.errors import RecordingError
 from vjm.identification import identify
 

@@ -21,7 +21,7 @@ import vjm
 from tests.model.chains import HOSTILE, chains, contents, model_of, plain_chain, plain_link, write_model
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ModelFileError, ShapeError
-from vjm.files import json_text, write_text
+from vjm.files import FolderError, json_text, write_text
 from vjm.records import Estimate
 from vjm.report.model_json import load_model, read_model
 
@@ -244,8 +244,7 @@ def test_links_are_followed_and_pipes_written_to(tmp_path: Path) -> None:
     assert received == ["through"]
 
 
-def test_a_directory_that_is_missing_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        write_text(tmp_path / "absent" / "model.json", "")
-    with pytest.raises(IsADirectoryError):
-        write_text(tmp_path, "")
+def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
+    for place, words in ((tmp_path / "absent" / "model.json", "does not exist"), (tmp_path, "this is a folder")):
+        with pytest.raises(FolderError, match=words):
+            write_text(place, "")

@@ -61,25 +61,31 @@ def write_text(path: Path | str, text: str) -> None:
     """Write `text` as UTF-8 so that nobody ever sees half a file and a failure leaves what was there before.
 
     Args:
-        path: the file; its directory exists. A symbolic link is followed, an existing file's permissions are kept, and
-            what is no regular file (a terminal, a pipe) is written straight to.
+        path: the file. A symbolic link is followed, an existing file's permissions are kept, and what is no regular
+            file (a terminal, a pipe) is written straight to.
         text: the whole content.
 
     Raises:
-        OSError: the file cannot be written.
+        FolderError: the file cannot be written.
     """
     target = Path(path)
-    if target.exists() and not target.is_file():
-        target.write_bytes(_encoded(text))
-        return
-    target = Path(os.path.realpath(target))
-    # A file made in a temporary folder has the usual permissions, which one from NamedTemporaryFile has not.
-    with TemporaryDirectory(prefix=".vjm-", dir=target.parent) as stage:
-        temporary = Path(stage) / target.name
-        temporary.write_bytes(_encoded(text))
-        if target.exists():
-            shutil.copymode(target, temporary)
-        os.replace(temporary, target)
+    if target.is_dir():
+        raise FolderError(target, "this is a folder", "name a file with -o FILE")
+    try:
+        if target.exists() and not target.is_file():
+            target.write_bytes(_encoded(text))
+            return
+        target = Path(os.path.realpath(target))
+        _check_parent(target)
+        # A file made in a temporary folder has the usual permissions, which one from NamedTemporaryFile has not.
+        with TemporaryDirectory(prefix=".vjm-", dir=target.parent) as stage:
+            temporary = Path(stage) / target.name
+            temporary.write_bytes(_encoded(text))
+            if target.exists():
+                shutil.copymode(target, temporary)
+            os.replace(temporary, target)
+    except OSError as error:
+        raise _unwritable(target, error) from error
 
 
 def check_folder(directory: Path | str) -> Path:
@@ -92,24 +98,24 @@ def check_folder(directory: Path | str) -> Path:
     if folder.exists() and not folder.is_dir():
         raise FolderError(folder, "this is no folder", "choose another with -o DIR")
     if not folder.exists():
-        check_parent(folder)
+        _check_parent(folder)
     elif not os.access(folder, os.W_OK | os.X_OK):
         raise FolderError(folder, "this folder cannot be written to", "choose another with -o DIR")
     return folder
 
 
-def check_parent(path: Path) -> None:
-    """Check that a file or folder can be made where it shall stand.
-
-    Raises:
-        FolderError: its parent is missing, is no folder, or cannot be written to.
-    """
+def _check_parent(path: Path) -> None:
+    """Raise a FolderError if a file or folder cannot be made where it shall stand."""
     parent = path.parent
     if not parent.is_dir():
         problem = "is no folder" if parent.exists() else "does not exist"
         raise FolderError(path, f"the folder {parent} {problem}", "make it first, or choose another place with -o")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise FolderError(path, f"the folder {parent} cannot be written to", "choose another place with -o")
+
+
+def _unwritable(path: Path, error: OSError) -> FolderError:
+    return FolderError(path, f"cannot be written ({error.strerror or error})", "choose another with -o")
 
 
 def write_folder(directory: Path | str, files: Mapping[str, str | bytes], outdated: Iterable[str] = ()) -> Path:
@@ -138,8 +144,7 @@ def write_folder(directory: Path | str, files: Mapping[str, str | bytes], outdat
                 _replace(folder, Path(stage), files, removed)
             undo.pop_all()
     except OSError as error:
-        problem = f"cannot be written ({error.strerror or error})"
-        raise FolderError(folder, problem, "choose another with -o DIR") from error
+        raise _unwritable(folder, error) from error
     return folder
 
 

@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from vjm.cli.arguments import DEFAULT_METHOD, METHODS, PARAMETERS, parse
+from vjm.cli import METHODS, PARAMETERS, parse
 from vjm.diagnosis import diagnose
 from vjm.identification import METHODS as KNOWN_METHODS
 from vjm.identification import PARAMETRISATIONS, identify
@@ -19,7 +19,7 @@ def test_choices_are_those_of_the_identification() -> None:
     assert METHODS == KNOWN_METHODS
     assert PARAMETERS == PARAMETRISATIONS
     signature = inspect.signature(identify)
-    assert signature.parameters["method"].default == DEFAULT_METHOD
+    assert signature.parameters["method"].default == parse(["identify", "x.toml"]).method
     assert signature.parameters["parameters"].default == parse(["identify", "x.toml"]).parameters
 
 

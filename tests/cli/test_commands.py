@@ -132,7 +132,8 @@ def test_diagnose_prints_the_finding(
 def test_diagnosed_model_is_simulated_and_written_as_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", "-q")[0] == 0
     model = tmp_path / "out" / "model.json"
-    assert run(capsys, "urdf", model, "-o", tmp_path / "arm.urdf")[0] == 0
+    status, out, _ = run(capsys, "urdf", model, "-o", tmp_path / "arm.urdf")
+    assert (status, out) == (0, f"{tmp_path / 'arm.urdf'}: 4 joints, 1 flexible link\n")
     assert robot_from(tmp_path / "arm.urdf").link_map["beam_payload"].inertial.mass == 0.0133
     assert (tmp_path / "arm.urdf").read_text() == (tmp_path / "out" / "model.urdf").read_text()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,7 @@ from matplotlib import pyplot
 from tests.report.diagnoses import DIAGNOSES, undecided
 from tests.report.fits import demo_fit, elbow_fit
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
-from vjm.cli.commands import _print_page
+from vjm.cli.commands import _show
 from vjm.diagnosis.records import Diagnosis
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.identification.comparison import Comparison
@@ -35,7 +36,7 @@ def result(request: pytest.FixtureRequest) -> Result:
 
 
 def test_summary_is_what_the_command_prints(result: Result, capsys: pytest.CaptureFixture[str]) -> None:
-    _print_page(result)  # type: ignore[arg-type]
+    _show(argparse.Namespace(json=False, quiet=False), result)  # type: ignore[arg-type]
     assert result.summary() == capsys.readouterr().out
     assert "\x1b" not in result.summary()
 

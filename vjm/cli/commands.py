@@ -15,12 +15,11 @@ from rich.progress import Progress as ProgressBar
 
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.cli.arguments import DEFAULT_JOBS, DEFAULT_MAX_EFFECTS, DEFAULT_METHOD, DEFAULT_SEED
 from vjm.diagnosis import Diagnosis, diagnose
 from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
 from vjm.experiment.load import load_experiment
-from vjm.files import FolderError, check_folder, check_parent, json_text, write_folder, write_text
+from vjm.files import check_folder, json_text, write_folder, write_text
 from vjm.identification import Identification, identify
 from vjm.identification.check import Check, check
 from vjm.identification.comparison import Comparison, compare
@@ -28,7 +27,7 @@ from vjm.identification.training_data import choose_virtual_joints
 from vjm.records import Progress
 from vjm.report.model_json import load_model, read_model
 from vjm.report.output import REPORT, result_page, save
-from vjm.report.result_json import Result, result_object, urdf_result
+from vjm.report.result_json import result_object, urdf_result
 from vjm.report.text import counted
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import extended_urdf
@@ -63,27 +62,24 @@ def _print(text: str) -> None:
     sys.stdout.buffer.write(text.encode("utf-8", "backslashreplace"))
 
 
-def _print_json(result: Result) -> None:
-    _print(json_text(result))
-
-
-def _print_page(result: Saved | Check, ending: str = "") -> None:
-    """Print a result's summary and a last line; a terminal without Unicode shows substitutes instead of failing."""
-    reconfigure = getattr(sys.stdout, "reconfigure", None)
-    if reconfigure is not None:
-        reconfigure(errors="replace" if sys.stdout.encoding.lower() not in ("utf-8", "utf8") else "backslashreplace")
-    result_page(result).write(sys.stdout)
-    if ending:
-        print(ending)
+def _show(arguments: argparse.Namespace, result: Saved | Check, folder: Path | None = None) -> None:
+    """Print a result: its object, its summary and where its report is, or nothing."""
+    if arguments.json:
+        _print(json_text(result_object(result)))
+    elif not arguments.quiet:
+        # A terminal without Unicode shows a substitute instead of failing.
+        reconfigure = getattr(sys.stdout, "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(
+                errors="replace" if sys.stdout.encoding.lower() not in ("utf-8", "utf8") else "backslashreplace"
+            )
+        result_page(result).write(sys.stdout)
+        if folder is not None:
+            print(f"Report: {folder / REPORT}")
 
 
 def _run(arguments: argparse.Namespace, compute: Callable[[Progress], Saved]) -> None:
-    """Compute, write and print a result."""
-    result = _saved(arguments, arguments.out, compute)
-    if arguments.json:
-        _print_json(result_object(result))
-    elif not arguments.quiet:
-        _print_page(result, f"Report: {arguments.out / REPORT}")
+    _show(arguments, _saved(arguments, arguments.out, compute), arguments.out)
 
 
 def _identify(arguments: argparse.Namespace) -> None:
@@ -105,55 +101,41 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _demo(arguments: argparse.Namespace) -> None:
-    folders = arguments.out, arguments.out / "diagnosis"
-    options = (None, DEFAULT_MAX_EFFECTS, DEFAULT_JOBS, DEFAULT_SEED)
     with resources.as_file(resources.files("vjm") / "demo") as data:
-        first, later = (data / name for name in ("experiment.toml", "later.toml"))
-        steps: tuple[Callable[[Progress], Saved], ...] = (
-            lambda report: identify(load_experiment(first), DEFAULT_METHOD, None, "uniform", progress=report),
-            lambda report: diagnose(load_experiment(later), *options, progress=report),
-        )
+        first, later = data / "experiment.toml", data / "later.toml"
+        steps: dict[Path, Callable[[Progress], Saved]] = {
+            arguments.out: lambda report: identify(load_experiment(first), progress=report),
+            arguments.out / "diagnosis": lambda report: diagnose(load_experiment(later), progress=report),
+        }
         results = []
-        for folder, compute in zip(folders, steps, strict=True):
+        for folder, compute in steps.items():
             results.append(_saved(arguments, folder, compute))
-            if not arguments.json and not arguments.quiet:
-                _print_page(results[-1], f"Report: {folder / REPORT}")
+            if not arguments.json:
+                _show(arguments, results[-1], folder)
     if arguments.json:
-        _print_json({**result_object(results[0]), "diagnosis": result_object(results[1])})
+        identified, diagnosed = map(result_object, results)
+        _print(json_text({**identified, "diagnosis": diagnosed}))
 
 
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is not None:
         check_folder(arguments.out)
     with _progress(arguments):
-        found = check(load_experiment(arguments.experiment))
-    result = result_object(found)
+        checked = check(load_experiment(arguments.experiment))
     if arguments.out is not None:
-        write_folder(arguments.out, {"result.json": json_text(result)})
-    if arguments.json:
-        _print_json(result)
-    elif not arguments.quiet:
-        _print_page(found)
-    if found.problem:
-        raise InputError(found.problem)
+        write_folder(arguments.out, {"result.json": json_text(result_object(checked))})
+    _show(arguments, checked)
+    if checked.problem:
+        raise InputError(checked.problem)
 
 
 def _urdf(arguments: argparse.Namespace) -> None:
-    file = arguments.out
-    if file is not None and file.is_dir():
-        raise FolderError(file, "this is a folder", "name a file with -o FILE")
-    if file is not None:
-        check_parent(file)
     source, effects = _chain(arguments.source)
-    chain, text = Arm.of(source, effects).chain, extended_urdf(source, effects)
+    chain, text, file = Arm.of(source, effects).chain, extended_urdf(source, effects), arguments.out
     if file is not None:
-        try:
-            write_text(file, text)
-        except OSError as error:
-            problem = f"cannot be written ({error.strerror or error})"
-            raise FolderError(file, problem, "choose another with -o") from error
+        write_text(file, text)
     if arguments.json:
-        _print_json(urdf_result(chain, text, None if file is None else str(file)))
+        _print(json_text(urdf_result(chain, text, None if file is None else str(file))))
     elif file is None:
         _print(text)
     elif not arguments.quiet:
