@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 
 import vjm
 from tests.simulation.integrators import simulate
-from vjm.chain.curve import marker_positions
+from vjm.chain.curve import marker_poses
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.records import Experiment, Recording
@@ -192,7 +192,7 @@ def look_at_sites(sensors: Array, state: Array) -> Array:
 def look_at_curve(chain: Chain, sensors: Array, state: Array) -> Array:
     """Markers on the curve through the virtual joints, from the states of after each step."""
     q = np.vstack([np.zeros(chain.size), state[STEPS_A_SAMPLE - 1 :: STEPS_A_SAMPLE, 1 : 1 + chain.size]])
-    return columns(q[:, 0], marker_positions(chain, q, (np.array(MARKERS),), (False,)))
+    return columns(q[:, 0], marker_poses(chain, q, (np.array(MARKERS),), (False,))[0])
 
 
 def sequences(spec: mujoco.MjSpec, recording: Recording) -> sysid.ModelSequences:

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 from clock import header, in_turns, line
 
-from vjm.chain.curve import marker_positions
+from vjm.chain.curve import marker_poses
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.markers.angles import ShapeSettings, estimate_angles
@@ -28,7 +28,7 @@ def recording(frames: int) -> Recording:
     time = np.arange(frames) / 100.0
     q = 0.05 * np.sin(2 * np.pi * np.outer(time, [1.1, 1.3, 2.0, 7.0]))
     chain = Chain("beam", (uniform_chain(RIG.links[0], CUTS[0]),))
-    markers = marker_positions(chain, q, (np.array(RIG.links[0].markers),), (False,))
+    markers = marker_poses(chain, q, (np.array(RIG.links[0].markers),), (False,))[0]
     markers += np.random.default_rng(0).normal(scale=3e-4, size=markers.shape)
     none = np.empty((frames, 0))
     return Recording(time, markers, none, none, kind="decay", role="train", file="beam.csv")

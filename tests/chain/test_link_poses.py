@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.chain.beams import beam_chain
-from vjm.chain.curve import curve_map, link_poses, marker_positions
+from vjm.chain.curve import curve_map, link_poses, marker_poses
 from vjm.chain.virtual_links import Chain
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ def test_each_frame_sits_on_the_tip_before_it(joints: tuple[Joint, ...], seed: i
     chain = arm(joints)
     q = posture(chain, seed)
     origins, headings = link_poses(chain, q)
-    tips = marker_positions(chain, q, tuple(np.array([length]) for length in LENGTHS), BASE)
+    tips = marker_poses(chain, q, tuple(np.array([length]) for length in LENGTHS), BASE)[0]
     np.testing.assert_array_equal(origins[0], 0.0)
     np.testing.assert_allclose(origins[1:], tips[:2], atol=1e-12)
     heading = 0.0
@@ -64,11 +64,11 @@ def test_markers_in_the_link_frame_are_the_same_points(joints: tuple[Joint, ...]
     chain = arm(joints)
     q = posture(chain, seed)
     origins, headings = map(np.array, link_poses(chain, q))
-    base, own = marker_positions(chain, q, ARCS, BASE), marker_positions(chain, q, ARCS, OWN)
+    base, own = marker_poses(chain, q, ARCS, BASE)[0], marker_poses(chain, q, ARCS, OWN)[0]
     of_link = np.repeat([0, 1, 2], [2, 3, 1])
     carried = complex_of(origins)[of_link] + np.exp(1j * headings[of_link]) * complex_of(own)
     np.testing.assert_allclose(carried, complex_of(base), atol=1e-12)
-    mixed = marker_positions(chain, q, ARCS, (False, True, False))
+    mixed = marker_poses(chain, q, ARCS, (False, True, False))[0]
     np.testing.assert_array_equal(mixed, np.concatenate([base[:2], own[2:5], base[5:]]))
 
 
@@ -78,9 +78,9 @@ def test_turning_the_base_turns_everything(joints: tuple[Joint, ...], seed: int,
     chain = arm(joints)
     q = posture(chain, seed)
     turned = q + turn * np.eye(chain.size)[0]
-    before, after = (complex_of(marker_positions(chain, each, ARCS, BASE)) for each in (q, turned))
+    before, after = (complex_of(marker_poses(chain, each, ARCS, BASE)[0]) for each in (q, turned))
     np.testing.assert_allclose(after, np.exp(1j * turn) * before, atol=1e-12)
-    np.testing.assert_array_equal(marker_positions(chain, q, ARCS, OWN), marker_positions(chain, turned, ARCS, OWN))
+    np.testing.assert_array_equal(marker_poses(chain, q, ARCS, OWN)[0], marker_poses(chain, turned, ARCS, OWN)[0])
 
 
 @given(st.sampled_from(JOINTS), SEEDS)
@@ -88,17 +88,17 @@ def test_turning_the_base_turns_everything(joints: tuple[Joint, ...], seed: int,
 def test_many_postures_at_once_are_the_same_one_by_one(joints: tuple[Joint, ...], seed: int) -> None:
     chain = arm(joints)
     q = np.random.default_rng(seed).uniform(-0.7, 0.7, (3, 2, chain.size))
-    together = marker_positions(chain, q, ARCS, BASE)
+    together = marker_poses(chain, q, ARCS, BASE)[0]
     assert together.shape == (3, 2, 6, 2)
     for index in np.ndindex(3, 2):
-        np.testing.assert_allclose(together[index], marker_positions(chain, q[index], ARCS, BASE), atol=1e-13)
+        np.testing.assert_allclose(together[index], marker_poses(chain, q[index], ARCS, BASE)[0], atol=1e-13)
 
 
 def test_a_straight_arm_lies_along_its_active_angles() -> None:
     chain = arm(("revolute", "revolute", "clamped"))
     q = np.zeros(chain.size)
     q[chain.active] = [0.4, -1.1]
-    points = complex_of(marker_positions(chain, q, ARCS, BASE))
+    points = complex_of(marker_poses(chain, q, ARCS, BASE)[0])
     first, second = np.exp(0.4j), np.exp(-0.7j)
     expected = [0.3 * first, 0.8 * first, *(0.8 * first + np.array([0.1, 0.2, 0.5, 0.9]) * second)]
     np.testing.assert_allclose(points, expected, atol=1e-12)
@@ -109,6 +109,6 @@ def test_joints_of_an_outer_link_leave_inner_markers_alone() -> None:
     q = posture(chain, 1)
     moved = q.copy()
     moved[chain.passive_slices[2].start - 1 :] += 0.3
-    before, after = marker_positions(chain, q, ARCS, BASE), marker_positions(chain, moved, ARCS, BASE)
+    before, after = marker_poses(chain, q, ARCS, BASE)[0], marker_poses(chain, moved, ARCS, BASE)[0]
     np.testing.assert_array_equal(before[:5], after[:5])
     assert np.abs(before[5] - after[5]).max() > 0.05

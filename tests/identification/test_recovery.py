@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.simulation.setups import rollout
-from vjm.chain.curve import marker_positions
+from vjm.chain.curve import marker_poses
 from vjm.chain.layout import layout, layout_of_lengths, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError
@@ -67,7 +67,7 @@ def chain_recordings(joint: str, n: int, seed: int, free: bool = False) -> tuple
         start = np.zeros((1, truth.size))
         start[0, truth.passive] = 0.05 * rng.normal(size=n)
         q = rollout([truth], empty, start, 0 * start, step=2.5e-4)[0][:, 0]
-        markers = marker_positions(truth, q, (np.array(arcs),), (False,))
+        markers = marker_poses(truth, q, (np.array(arcs),), (False,))[0]
         recordings.append(replace(empty, theta=q[:, truth.active], markers=markers))
     rig = Rig("rig", (replace(link, bending_stiffness=2 * 1.9, hub_inertia=2 * hub),), marker_noise=1e-9)
     return Experiment(rig, tuple(recordings)), truth

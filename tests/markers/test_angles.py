@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vjm.chain.curve import marker_positions
+from vjm.chain.curve import marker_poses
 from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError
@@ -55,7 +55,7 @@ def test_angles_come_back_through_the_curve(links: int, seed: int, size: float) 
     rig, cuts, chain = arm(links)
     q = bends(rng, chain, 12, size)
     arcs = tuple(np.array(link.markers) for link in rig.links)
-    markers = marker_positions(chain, q, arcs, (False,) * links)
+    markers = marker_poses(chain, q, arcs, (False,) * links)[0]
     settings_ = ShapeSettings("clamped-polynomial", (3,) * links, "curve")
     found = estimate_angles(rig, cuts, recording(chain, q, markers), settings_, 3e-4, 1e-4)
     assert np.abs(found.q - q).max() < 1e-9
@@ -104,7 +104,7 @@ def test_the_curvature_reading_approaches_the_curve_as_the_shape_gets_finer() ->
         rig, cuts, chain = arm(1, 6, arcs)
         s = chain.links[0].joint_arcs
         q = (0.36 * (1 - s) * cuts[0].cells)[None] * np.array([[0.3], [1.0]])
-        data = recording(chain, q, marker_positions(chain, q, (np.array(arcs),), (False,)))
+        data = recording(chain, q, marker_poses(chain, q, (np.array(arcs),), (False,))[0])
         found = estimate_angles(rig, cuts, data, ShapeSettings("clamped-polynomial", (order,)), 3e-4, 1e-4)
         errors.append(np.abs(found.q - q).max())
     assert errors[0] > errors[1] > errors[2]
@@ -139,7 +139,7 @@ def test_representative_points_beyond_the_links_end_are_refused() -> None:
 def test_noise_of_the_angles_is_what_the_covariance_says(method: AngleMethod, order: int) -> None:
     rig, cuts, chain = arm(1)
     rng = np.random.default_rng(11)
-    rest = marker_positions(chain, np.zeros((20_000, chain.size)), (np.array(rig.links[0].markers),), (False,))
+    rest = marker_poses(chain, np.zeros((20_000, chain.size)), (np.array(rig.links[0].markers),), (False,))[0]
     data = recording(chain, np.zeros((20_000, chain.size)), rest + 3e-4 * rng.normal(size=rest.shape))
     found = estimate_angles(rig, cuts, data, ShapeSettings("cantilever", (order,), method), 3e-4, 1e-4)
     assert np.cov(found.q.T) == pytest.approx(found.covariance, rel=0.08, abs=2e-8)
@@ -149,7 +149,7 @@ def test_link_frame_markers_need_no_x_but_points_do() -> None:
     rig, cuts, chain = arm(1)
     local = Rig("arm", (Link(**{**rig.links[0].__dict__, "markers_frame": "link"}),))
     q = bends(np.random.default_rng(2), chain, 5, 0.1)
-    markers = marker_positions(chain, q, (np.array(rig.links[0].markers),), (True,))
+    markers = marker_poses(chain, q, (np.array(rig.links[0].markers),), (True,))[0]
     markers[..., 0] = np.nan
     data = recording(chain, q, markers)
     found = estimate_angles(local, cuts, data, ShapeSettings("cantilever", (2,), "curve"), 3e-4, 1e-4)

@@ -16,9 +16,8 @@ from hypothesis import strategies as st
 from tests.model.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
 from tests.model.urdf_contents import NAMESPACE, extension_from, robot_from, springs_from
 from vjm.chain.virtual_links import Array, Chain
-from vjm.errors import ShapeError, VjmError
+from vjm.errors import ShapeError
 from vjm.model import dynamics
-from vjm.model import urdf as templates
 from vjm.model.urdf import chain_to_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -310,9 +309,3 @@ def test_shapes_follow_the_section_and_the_payload() -> None:
     assert colours == ["vjm_even", "vjm_odd", "vjm_even"]
     radius = links["beam_payload"].visuals[0].geometry.sphere.radius
     assert 7850 * 4 / 3 * np.pi * radius**3 == pytest.approx(0.05)
-
-
-def test_missing_templates_say_where_they_were_sought(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(templates, "_FOLDER", "nowhere")
-    with pytest.raises(VjmError, match=r"vjm/nowhere and .*nowhere; reinstall"):
-        templates.template_folder()

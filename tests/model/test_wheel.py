@@ -17,8 +17,8 @@ from vjm.model.urdf import chain_to_urdf
 REPOSITORY = Path(__file__).parents[2]
 WRITE = """
 import sys, vjm
-from vjm.model.urdf import chain_to_urdf, template_folder
-print(vjm.__file__, template_folder())
+from vjm.model.urdf import _environment, chain_to_urdf
+print(vjm.__file__, _environment().get_template("chain.urdf.jinja").filename)
 open(sys.argv[2], "w", encoding="utf-8").write(chain_to_urdf(vjm.load_model(sys.argv[1]).chain))
 """
 
@@ -51,5 +51,5 @@ def test_installed_wheel_writes_urdf_with_its_own_templates(wheel: Path, tmp_pat
     run(sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", site, wheel, cwd=tmp_path)
     write_model(model_of(plain_chain()), model)
     places = run(sys.executable, "-c", WRITE, model, urdf, cwd=tmp_path, PYTHONPATH=str(site)).split()
-    assert places == [str(site / "vjm" / "__init__.py"), str(site / "vjm" / "urdf_templates")]
+    assert places == [str(site / "vjm" / "__init__.py"), str(site / "vjm" / "urdf_templates" / "chain.urdf.jinja")]
     assert urdf.read_text(encoding="utf-8") == chain_to_urdf(plain_chain())

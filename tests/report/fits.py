@@ -145,7 +145,8 @@ def _chain(rig: Rig, joints: int, bending: float, time_constant: float) -> Chain
     for i, link in enumerate(rig.links):
         distal: Literal["free", "joined"] = "free" if i == len(rig.links) - 1 else "joined"
         cuts = layout(link.length, joints, distal=distal)
-        links.append(uniform_chain(link, cuts, bending * link.bending_stiffness, time_constant))
+        nominal = uniform_chain(link, cuts, time_constant)
+        links.append(replace(nominal, stiffness=bending * nominal.stiffness, damping=bending * nominal.damping))
     return Chain(rig.name, tuple(links), rig.gravity)
 
 

@@ -17,7 +17,7 @@ from tests.fine_beam.beam import DEFAULT_NUMERICS
 from tests.fine_beam.mechanics import Mechanics
 from tests.simulation.integrators import simulate
 from tests.simulation.setups import DOWN, arm_of, recording_of, rig_of, steel_link
-from vjm.chain.curve import marker_positions
+from vjm.chain.curve import marker_poses
 from vjm.chain.virtual_links import Chain
 from vjm.model.modes import modes
 
@@ -49,7 +49,7 @@ def elastica(bending_stiffness: float, payload: float, gravity: tuple[float, flo
 def sagged(n: int, payload: float, gravity: tuple[float, float], stiffness: float = 1.97) -> tuple[Chain, Array]:
     chain = arm_of(steel_link(n, bending_stiffness=stiffness))
     q = modes(chain, payload, gravity).equilibrium
-    return chain, marker_positions(chain, q, (MARKERS,), (False,))
+    return chain, marker_poses(chain, q, (MARKERS,), (False,))[0]
 
 
 @pytest.mark.parametrize(

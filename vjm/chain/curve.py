@@ -7,6 +7,7 @@ heading and position follow by integrating it. The chords of the virtual links a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -65,44 +66,36 @@ class CurveMap:
 
 def curvature_spline(cuts: Layout | LinkChain) -> BSpline:
     """Return the curvature along a link as a spline linear in phi: evaluates to (..., n) [1/m per rad]."""
-    joints, length = np.cumsum(cuts.lengths)[:-1], float(cuts.lengths.sum())
-    return _curvature_spline(joints, cuts.cells, length, cuts.distal)
+    knots, values = np.cumsum(cuts.lengths), np.diag(1 / cuts.cells)
+    if cuts.distal == "joined":
+        knots = knots[:-1]
+    else:
+        values = np.vstack([values, np.zeros(cuts.cells.size)])
+    return make_interp_spline(knots, values, k=min(3, knots.size - 1))
 
 
 def curve_map(cuts: Layout | LinkChain, arcs: ArrayLike) -> CurveMap:
     """Return the map from a link's phi to its curve at arc lengths (k,) [m]."""
-    return _curve_map(
-        tuple(np.cumsum(cuts.lengths)[:-1].tolist()),
-        tuple(cuts.cells.tolist()),
-        float(cuts.lengths.sum()),
-        cuts.distal,
-        tuple(np.asarray(arcs, dtype=float).ravel().tolist()),
-    )
-
-
-def _curvature_spline(joint_arcs: Array, cells: Array, length: float, distal: Distal) -> BSpline:
-    knots, values = joint_arcs, np.diag(1 / cells)
-    if distal == "free":
-        knots, values = np.r_[knots, length], np.vstack([values, np.zeros(joint_arcs.size)])
-    return make_interp_spline(knots, values, k=min(3, knots.size - 1))
+    numbers = (cuts.lengths, cuts.cells, np.asarray(arcs, dtype=float).ravel())
+    lengths, cells, ends = (tuple(values.tolist()) for values in numbers)
+    return _curve_map(lengths, cells, cuts.distal, ends)
 
 
 @lru_cache(maxsize=256)
 def _curve_map(
-    joints: tuple[float, ...], cells: tuple[float, ...], length: float, distal: Distal, arcs: tuple[float, ...]
+    lengths: tuple[float, ...], cells: tuple[float, ...], distal: Distal, arcs: tuple[float, ...]
 ) -> CurveMap:
-    joint_arcs, ends = np.array(joints), np.array(arcs)
-    edges = np.unique(np.r_[0.0, np.linspace(0.0, length, _PANELS + 1), ends])
+    cuts, ends = Layout(np.array(lengths), np.array(cells), distal), np.array(arcs)
+    edges = np.unique(np.r_[np.linspace(0.0, cuts.lengths.sum(), _PANELS + 1), ends])
     abscissae, gauss = np.polynomial.legendre.leggauss(_NODES)
     half = np.diff(edges) / 2
     nodes = (edges[:-1, None] + half[:, None] * (1 + abscissae)).ravel()
     weights = (half[:, None] * gauss).ravel()
-    spline = _curvature_spline(joint_arcs, np.array(cells), length, distal).antiderivative()
-    offset = spline(0.0)
+    heading = curvature_spline(cuts).antiderivative()
     return CurveMap(
         arcs=ends,
-        heading=spline(ends) - offset,
-        node_heading=spline(nodes) - offset,
+        heading=heading(ends) - heading(0.0),
+        node_heading=heading(nodes) - heading(0.0),
         nodes=nodes,
         weights=np.where(nodes < ends[:, None], weights, 0.0),
     )
@@ -146,8 +139,10 @@ def rotate(vectors: Array, angle: Array) -> Array:
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
-def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_link_frame: tuple[bool, ...]) -> Array:
-    """Return the positions of markers on the curves of a chain.
+def marker_poses(
+    chain: Chain, q: ArrayLike, arcs: Sequence[Array], in_link_frame: Sequence[bool]
+) -> tuple[Array, Array]:
+    """Return markers on the curves of a chain, all links' one after another.
 
     Args:
         chain: the arm.
@@ -156,27 +151,18 @@ def marker_positions(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_lin
         in_link_frame: for each link, whether its markers are wanted in its own frame instead of the base frame.
 
     Returns:
-        (..., k, 2) positions [m], all links' markers one after another.
+        Positions (..., k, 2) [m], and headings (..., k) of the curve there [rad].
     """
     angles = np.asarray(q, dtype=float)
-    origins, headings = link_poses(chain, angles)
-    parts = []
+    origins, link_headings = link_poses(chain, angles)
+    positions, headings = [], []
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
-        root_angle = _root_angle(chain, angles, part)
-        local = curve_map(link, arcs[i]).positions(angles[..., part], root_angle, link.rest_curvature)
+        curve, phi, root_angle = curve_map(link, arcs[i]), angles[..., part], _root_angle(chain, angles, part)
+        position = curve.positions(phi, root_angle, link.rest_curvature)
+        heading = root_angle[..., None] + phi @ curve.heading.T + link.rest_curvature * curve.arcs
         if not in_link_frame[i]:
-            local = origins[..., i, None, :] + rotate(local, headings[..., i, None])
-        parts.append(local)
-    return np.concatenate(parts, axis=-2)
-
-
-def marker_headings(chain: Chain, q: ArrayLike, arcs: tuple[Array, ...], in_link_frame: tuple[bool, ...]) -> Array:
-    """Return (..., k) headings of the curve at the markers [rad]; arguments as of `marker_positions`."""
-    angles = np.asarray(q, dtype=float)
-    _, headings = link_poses(chain, angles)
-    parts = []
-    for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
-        local = _root_angle(chain, angles, part)[..., None] + angles[..., part] @ curve_map(link, arcs[i]).heading.T
-        local = local + link.rest_curvature * arcs[i]
-        parts.append(local if in_link_frame[i] else headings[..., i, None] + local)
-    return np.concatenate(parts, axis=-1)
+            position = origins[..., i, None, :] + rotate(position, link_headings[..., i, None])
+            heading = heading + link_headings[..., i, None]
+        positions.append(position)
+        headings.append(heading)
+    return np.concatenate(positions, axis=-2), np.concatenate(headings, axis=-1)

@@ -66,9 +66,6 @@ def layout(length: float, n: int, name: str = DEFAULT_LAYOUT, distal: Distal = "
         name: `fourth-order`, `end-corrected`; `half-ends`: the end links are half as long; `equal`: all are equal.
         distal: whether the distal end is free of moment, or joined to a further link.
 
-    Returns:
-        The lengths, which sum to `length`, and the cells.
-
     Raises:
         ChoiceError: unknown name.
         ShapeError: n below 1.
@@ -121,19 +118,15 @@ def layout_of_lengths(lengths: ArrayLike, distal: Distal = "free") -> Layout:
     return Layout(values, cells, distal)
 
 
-def uniform_chain(
-    link: Link, cuts: Layout, bending_stiffness: float | None = None, kelvin_voigt: float = 0.0
-) -> LinkChain:
+def uniform_chain(link: Link, cuts: Layout, kelvin_voigt: float = 0.0) -> LinkChain:
     """Return the chain of a uniform link: uniform rods, K = EI / cell, D = K times the Kelvin-Voigt time.
 
     Args:
         link: the rig's link; its mass is spread evenly.
         cuts: its virtual links and joints.
-        bending_stiffness: EI [N m^2]; the link's nominal one when None.
         kelvin_voigt: ratio of viscous to elastic bending moment [s].
     """
-    masses = link.mass * cuts.lengths / link.length
-    stiffness = (link.bending_stiffness if bending_stiffness is None else bending_stiffness) / cuts.cells
+    masses, stiffness = link.mass * cuts.lengths / link.length, link.bending_stiffness / cuts.cells
     return LinkChain(
         name=link.name,
         joint=link.joint,
@@ -162,14 +155,8 @@ def rig_layouts(rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT) -> 
 
 
 def nominal_chain(rig: Rig, cuts: Sequence[Layout], kelvin_voigt: float = 0.0) -> Chain:
-    """Build the chain of the experiment file's nominal values.
-
-    Args:
-        rig: the arm.
-        cuts: each link's virtual links.
-        kelvin_voigt: ratio of viscous to elastic bending moment [s], which the file does not give.
-    """
-    links = [uniform_chain(link, cut, kelvin_voigt=kelvin_voigt) for link, cut in zip(rig.links, cuts, strict=True)]
+    """Return the chain of the experiment file's nominal values, which have no Kelvin-Voigt time [s] of their own."""
+    links = [uniform_chain(link, cut, kelvin_voigt) for link, cut in zip(rig.links, cuts, strict=True)]
     return Chain(rig.name, tuple(links), rig.gravity)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from vjm.errors import ShapeError
-from vjm.records import Array, Record
+from vjm.records import Array, Indices, Record
 
 Distal = Literal["free", "joined"]
 
@@ -93,9 +93,15 @@ class LinkChain(Record):
         return int(self.stiffness.size)
 
     @property
+    def joint_kinds(self) -> tuple[str, ...]:
+        """Kind of each joint, from the proximal end: `joint` if active, `root`, then `virtual`."""
+        active, root = self.joint == "revolute", self.root_stiffness is not None
+        return ("joint",) * active + ("root",) * root + ("virtual",) * self.virtual_joints
+
+    @property
     def coordinates(self) -> int:
         """Number of joints: active, root and virtual."""
-        return self.virtual_joints + (self.joint == "revolute") + (self.root_stiffness is not None)
+        return len(self.joint_kinds)
 
     @property
     def length(self) -> float:
@@ -156,35 +162,31 @@ class Chain(Record):
         return tuple(slice(stop - link.virtual_joints, stop) for stop, link in zip(stops, self.links, strict=True))
 
     @property
-    def active(self) -> NDArray[np.intp]:
+    def active(self) -> Indices:
         """Coordinates that are active joint angles."""
-        stops = np.cumsum([link.coordinates for link in self.links])
-        return np.array(
-            [stop - link.coordinates for stop, link in zip(stops, self.links, strict=True) if link.joint == "revolute"],
-            dtype=np.intp,
-        )
+        return self._of_kind("joint")
 
     @property
-    def roots(self) -> NDArray[np.intp]:
+    def roots(self) -> Indices:
         """Coordinates that are root joints' angles."""
-        parts = zip(self.passive_slices, self.links, strict=True)
-        return np.array([part.start - 1 for part, link in parts if link.root_stiffness is not None], dtype=np.intp)
+        return self._of_kind("root")
 
     @property
-    def passive(self) -> NDArray[np.intp]:
+    def passive(self) -> Indices:
         """Coordinates that no motor drives."""
-        return np.setdiff1d(np.arange(self.size), self.active)
+        return self._of_kind("root", "virtual")
+
+    def _of_kind(self, *kinds: str) -> Indices:
+        own = [kind for link in self.links for kind in link.joint_kinds]
+        return np.array([k for k, kind in enumerate(own) if kind in kinds], dtype=np.intp)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Name of each coordinate's joint: `LINK_joint` if active, `LINK_root`, `LINK_virtual_J` (J from 1)."""
         names: list[str] = []
         for link in self.links:
-            if link.joint == "revolute":
-                names.append(f"{link.name}_joint")
-            if link.root_stiffness is not None:
-                names.append(f"{link.name}_root")
-            names.extend(f"{link.name}_virtual_{j}" for j in range(1, link.virtual_joints + 1))
+            names += [f"{link.name}_{kind}" for kind in link.joint_kinds if kind != "virtual"]
+            names += [f"{link.name}_virtual_{j}" for j in range(1, link.virtual_joints + 1)]
         return tuple(names)
 
     @property
@@ -201,10 +203,9 @@ class Chain(Record):
         """(nv,) stiffness or damping of active, root and virtual joints in the order of the coordinates."""
         values: list[Array] = []
         for link in self.links:
-            own = [getattr(link, f"joint_{field}")] if link.joint == "revolute" else []
-            own += [] if link.root_stiffness is None else [getattr(link, f"root_{field}")]
-            values += [np.array(own), getattr(link, field)]
-        return np.concatenate(values)
+            values += [getattr(link, f"{kind}_{field}") for kind in link.joint_kinds if kind != "virtual"]
+            values.append(getattr(link, field))
+        return np.hstack(values)
 
 
 def _read_only(values: ArrayLike) -> Array:

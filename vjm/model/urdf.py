@@ -6,16 +6,14 @@ import math
 import unicodedata
 from collections.abc import Iterator, Mapping
 from functools import cache
-from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jinja2 import Environment, FunctionLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.errors import ShapeError, VjmError
+from vjm.errors import ShapeError
 
 _FOLDER = "urdf_templates"
 _BASE = "base"
@@ -83,34 +81,19 @@ def chain_to_urdf(chain: Chain, friction: Mapping[str, float] | None = None) -> 
         ShapeError: no link, two links of one name, a name that XML cannot hold, a hub inertia, payload or friction
             below zero, a curvature that is not finite, or something at a joint that is not there.
     """
-    _check_links(chain)
-    _check_joints(chain, friction or {})
+    _check(chain, friction or {})
     foot = 0.02 * chain.links[0].length
     base = _Body(_BASE, shapes=(_Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
     template = _environment().get_template("chain.urdf.jinja")
     return template.render(chain=chain, base=base, joints=_joints(chain, friction or {}))
 
 
-def template_folder() -> Traversable:
-    """Return the templates' folder: inside an installed package, or next to it in a checkout.
-
-    Raises:
-        VjmError: it is in neither place; the installation is broken.
-    """
-    package = resources.files("vjm")
-    places = [package / _FOLDER, Path(str(package)).parent / _FOLDER]
-    for place in places:
-        if place.is_dir():
-            return place
-    raise VjmError(f"vjm's URDF templates are missing: looked in {' and '.join(map(str, places))}; reinstall vjm")
-
-
 @cache
 def _environment() -> Environment:
     """Environment that escapes text for XML, and writes floats so that they are read back exactly."""
-    folder = template_folder()
+    package = Path(__file__).parents[1]
     return Environment(
-        loader=FunctionLoader(lambda name: folder.joinpath(name).read_text(encoding="utf-8")),
+        loader=FileSystemLoader([package / _FOLDER, package.parent / _FOLDER]),  # installed, and in a checkout
         autoescape=True,
         undefined=StrictUndefined,
         finalize=lambda value: repr(float(value)) if isinstance(value, float | np.floating) else value,
@@ -204,38 +187,29 @@ def _section(link: LinkChain) -> tuple[float, float]:
     return width, default if link.thickness is None else float(link.thickness)
 
 
-def _check_links(chain: Chain) -> None:
+def _check(chain: Chain, friction: Mapping[str, float]) -> None:
+    """Refuse what the file would have no place for."""
     names = [link.name for link in chain.links]
     if not names:
         raise ShapeError("chain.links", "none", "at least one")
     if len(set(names)) < len(names):
         raise ShapeError("chain.links", f"names {names}", "names that differ")
     for name in (chain.name, *names):
-        if not name or not all(map(_fits_xml, name)):
+        if not name or any(unicodedata.category(c) in ("Cc", "Cs") or c in "\ufffe\uffff" for c in name):
             raise ShapeError("name", repr(name), "a name without control characters, for XML")
-    for link in chain.links:
-        for field in ("hub_inertia", "payload"):
-            value = getattr(link, field)
-            if not 0 <= value < math.inf:
-                raise ShapeError(f"{link.name}.{field}", value, "zero or a positive number")
-
-
-def _check_joints(chain: Chain, friction: Mapping[str, float]) -> None:
-    """Refuse what the file would have no place for."""
     active = [link.name for link in chain.links if link.joint == "revolute"]
-    for name, value in friction.items():
+    for name in friction:
         if name not in active:
             raise ShapeError("friction", f"link {name!r}", f"links with an active joint: {active}")
-        if not 0 <= value < math.inf:
-            raise ShapeError(f"friction[{name!r}]", value, "zero or a positive number")
+    sizes = {f"friction[{name!r}]": value for name, value in friction.items()}
     for link in chain.links:
+        sizes |= {f"{link.name}.hub_inertia": link.hub_inertia, f"{link.name}.payload": link.payload}
         if not math.isfinite(link.rest_curvature):
             raise ShapeError(f"{link.name}.rest_curvature", link.rest_curvature, "a finite number")
         if link.joint == "clamped" and (link.joint_damping or link.joint_stiffness):
             raise ShapeError(f"{link.name}.joint", "a spring or damper at a clamped joint", "an active joint")
         if link.root_stiffness is None and link.root_damping:
             raise ShapeError(f"{link.name}.root_damping", link.root_damping, "zero, without a root joint")
-
-
-def _fits_xml(character: str) -> bool:
-    return unicodedata.category(character) not in ("Cc", "Cs") and character not in "\ufffe\uffff"
+    for field, value in sizes.items():
+        if not 0 <= value < math.inf:
+            raise ShapeError(field, value, "zero or a positive number")

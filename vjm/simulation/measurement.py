@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from vjm.chain.curve import marker_headings, marker_positions
+from vjm.chain.curve import marker_poses
 from vjm.chain.virtual_links import Chain
 from vjm.records import Array, Indices, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm, EncoderFeedback
@@ -41,17 +41,15 @@ class MarkerArcs:
 
     def positions(self, chain: Chain, q: Array) -> Array:
         """Return (..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
-        return marker_positions(chain, q, self.lengths, self.in_link_frame)
+        return marker_poses(chain, q, self.lengths, self.in_link_frame)[0]
 
     def measured_positions(self, arm: Arm, q: Array) -> Array:
         """Return (F, k, 2) positions [m] as the camera gives them, at angles (F, nv), or (k, F, nv) for each marker."""
         if q.ndim == 3:
             return np.stack([self.measured_positions(arm, own)[:, marker] for marker, own in enumerate(q)], axis=1)
-        positions = self.positions(arm.chain, q)
-        if arm.sensors:
-            headings = marker_headings(arm.chain, q, self.lengths, self.in_link_frame)
-            for effect in arm.sensors:
-                positions = effect.marker_positions(positions, headings)
+        positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
+        for effect in arm.sensors:
+            positions = effect.marker_positions(positions, headings)
         return positions
 
     def slopes(self, arm: Arm, q: Array, directions: Array) -> Array:
