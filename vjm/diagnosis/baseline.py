@@ -25,7 +25,7 @@ from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.training_data import read_training_data
 from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
-from vjm.identification.trajectory_method import TrajectorySearch, first_fit
+from vjm.identification.trajectory_method import TrajectoryMethod, first_fit
 from vjm.model import dynamics
 from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
 from vjm.simulation.arm import Arm
@@ -89,7 +89,7 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
 
 
 def _further_recordings(
-    experiment: Experiment, search: TrajectorySearch
+    experiment: Experiment, search: TrajectoryMethod
 ) -> tuple[list[Observations], list[Observations], list[str]]:
     """Training recordings not yet fitted: those at rest, those that may have changed; and why others are not usable."""
     train = [recording for recording in experiment.cleaned_recordings if recording.role == "train"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -24,7 +24,7 @@ from vjm.model.modes import modes
 from vjm.records import Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
-from vjm.simulation.least_squares import Damping, SquareRootInformation
+from vjm.simulation.least_squares import Search, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run
 from vjm.simulation.sensitivity import PerturbedArm
@@ -193,6 +193,15 @@ class Point(Record):
         stacked = np.vstack(rows)
         return SquareRootInformation.of([(stacked[:, :-1], stacked[:, -1])], self.x.size), parts
 
+    @cached_property
+    def scale(self) -> Array:
+        """(p,) length of the derivative of all predictions by each coordinate, initial states eliminated."""
+        return self.reduced()[0].scale
+
+    def with_scaled_prior(self) -> Point:
+        """Return the point with initial states' priors as strong as its residuals are large."""
+        return replace(self, runs=tuple(run.with_scaled_prior() for run in self.runs))
+
 
 @dataclass(frozen=True, repr=False)
 class TrajectoryFit(Record):
@@ -252,11 +261,12 @@ def fit_trajectory(
                 within = 1 - 0.7**iteration  # how many more there will be is not known
                 progress("fitting trajectories", int(100 * (k + within) / len(horizons)), 100)
 
-        part = problem if last else problem.until(horizon)
-        fit = _search(part, x, states, report, last and not rough, stop if last else None)
-        iterations += fit.iterations
-        x, states = fit.point.x, fit.point.states
-    return replace(fit, iterations=iterations)
+        point = _first_point(problem if last else problem.until(horizon), x, states)
+        search = TrajectorySearch(point, last and not rough, stop if last else None, report)
+        minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], most=60)
+        iterations += len(search.decreases) + 1
+        x, states = search.point.x, search.point.states
+    return TrajectoryFit(search.point, search.status == "converged", iterations, search.predicted_decrease)
 
 
 def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
@@ -275,48 +285,101 @@ def _horizons(problem: TrajectoryProblem, x: Array, known_duration: float) -> li
     return [*horizons, np.inf]
 
 
-def _search(
-    problem: TrajectoryProblem,
-    x: Array,
-    states: Sequence[Array] | None,
-    report: Callable[[int], None],
-    final: bool,
-    stop: Callable[[Point, float], bool] | None,
-) -> TrajectoryFit:
-    if states is None:
-        likely = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
-        point = Point(problem, x, tuple(run for run, _ in likely))
-    else:
-        point = _reweighted(_point(problem, x, states, states))
-    damping, converged, iteration, predicted = Damping(), False, 0, np.inf
-    for iteration in range(60):
-        report(iteration)
-        step = _step(point, damping.value)
-        predicted = np.inf if damping.value else step.predicted
-        unit = max(point.misfit, 1.0) ** 2
-        negligible = _NEGLIGIBLE * unit if final else max(_NEGLIGIBLE * unit, _NEGLIGIBLE_PART * point.chi2)
-        if step.predicted < negligible:
-            converged = True
-            break
-        if stop is not None and stop(point, step.predicted):
-            break
-        trial = _attempt(point, step)
-        if trial is not None and trial.cost < point.cost:
-            point = _reweighted(trial)
-            damping = damping.better()
-            continue
-        if trial is not None and _step(point, 0.0).predicted < _NEGLIGIBLE_NONSMOOTH * unit:
-            converged = True  # play and stiction make the cost rough: no step finds the decrease that slopes predict
-            break
-        damping = damping.worse(partial(_step_length, point))
-        if damping.exhausted:
-            break
-    return TrajectoryFit(point, converged, iteration + 1, predicted)
+def _first_point(problem: TrajectoryProblem, x: Array, states: Sequence[Array] | None) -> Point:
+    """The point at coordinates x with the initial states given, or with the most likely ones."""
+    if states is not None:
+        return _point(problem, x, states, states).with_scaled_prior()
+    likely = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
+    return Point(problem, x, tuple(run for run, _ in likely))
 
 
-def _reweighted(point: Point) -> Point:
-    """The point with initial states' priors as strong as its residuals are large."""
-    return replace(point, runs=tuple(run.with_scaled_prior() for run in point.runs))
+@dataclass(frozen=True)
+class TrajectoryStep(Step):
+    """Step of coordinates and initial states.
+
+    Attributes:
+        change: (p,) of the coordinates.
+        states: (2 nv,) of each recording's initial state.
+        own: (2 nv,) of each, were the coordinates to stay.
+        gains: predicted decrease of each recording's part of the cost.
+    """
+
+    change: Array
+    states: list[Array]
+    own: list[Array]
+    gains: list[float]
+
+
+class TrajectorySearch(Search[Point, TrajectoryStep]):
+    """Levenberg-Marquardt search over coordinates, with each recording's initial state eliminated.
+
+    Attributes:
+        final: False if the minimum is only a start for another search.
+        stop: ends the search, as of `fit_trajectory`.
+        report: told the number of the iteration.
+        predicted_decrease: of the cost, by the last Gauss-Newton step; infinite after a damped one.
+    """
+
+    def __init__(
+        self,
+        point: Point,
+        final: bool,
+        stop: Callable[[Point, float], bool] | None,
+        report: Callable[[int], None],
+    ) -> None:
+        super().__init__(point)
+        self.final, self.stop, self.report = final, stop, report
+        self.predicted_decrease = np.inf
+
+    def step_at(self, damping: float) -> TrajectoryStep:
+        """Minimise the linearised problem within the coordinates' bounds and largest steps."""
+        point = self.point
+        together, parts = point.reduced(damping)
+        change = _bounded(together, point)
+        states, own, gains = [], [], []
+        for run, part, plain in zip(point.runs, parts, point.linearizations, strict=True):
+            modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
+            states.append(run.basis.states @ modal)
+            own.append(run.basis.states @ alone)
+            gains.append(plain.decrease(np.concatenate([modal, change])))
+        rows, residual = point.problem.prior(point.x)
+        prior_gain = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
+        length = float(np.linalg.norm(point.scale * change))
+        return TrajectoryStep(sum(gains) + prior_gain, length, change, states, own, gains)
+
+    def stopping_rule(self) -> Status:
+        """Converge where the predicted decrease is negligible; stop where `stop` says so."""
+        self.report(len(self.decreases))
+        self.predicted_decrease = np.inf if self.damping else self.step.predicted
+        negligible = _NEGLIGIBLE * self._mean_square
+        if not self.final:
+            negligible = max(negligible, _NEGLIGIBLE_PART * self.point.chi2)
+        if self.step.predicted < negligible:
+            return "converged"
+        return "stopped" if self.stop is not None and self.stop(self.point, self.step.predicted) else "running"
+
+    def is_rough_minimum(self, trial: Point | None) -> bool:
+        """Return True where a step fails that slopes promise little from: play and stiction make the cost rough."""
+        rejected = trial is not None and not self.decreases[-1] > 0
+        return rejected and self.step_at(0.0).predicted < _NEGLIGIBLE_NONSMOOTH * self._mean_square
+
+    @property
+    def _mean_square(self) -> float:
+        """Mean square residual that counts as noise."""
+        return max(self.point.misfit, 1.0) ** 2
+
+
+def _bounded(problem: SquareRootInformation, point: Point) -> Array:
+    """Change of the coordinates (p,) that minimises a linearised problem within their bounds and largest steps."""
+    max_step = point.problem.varied.max_step
+    lower, upper = point.problem.varied.bounds
+    lower, upper = np.maximum(lower - point.x, -max_step), np.minimum(upper - point.x, max_step)
+    change = problem.best()
+    if ((change < lower) | (change > upper)).any():
+        scale = np.maximum(problem.scale, 1e-300)
+        bounds = np.minimum(lower * scale, 0.0) - 1e-12, np.maximum(upper * scale, 0.0) + 1e-12
+        change = np.clip(lsq_linear(problem.R[:, :-1] / scale, problem.R[:, -1], bounds).x / scale, lower, upper)
+    return change
 
 
 def _point(
@@ -335,54 +398,7 @@ def _point(
     return Point(problem, x, tuple(runs))
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A step from a point.
-
-    Attributes:
-        change: (p,) of the coordinates.
-        states: (2 nv,) of each recording's initial state.
-        own: (2 nv,) of each, were the coordinates to stay.
-        gains: predicted decrease of each recording's part of the cost.
-        predicted: decrease of the cost.
-    """
-
-    change: Array
-    states: list[Array]
-    own: list[Array]
-    gains: list[float]
-    predicted: float
-
-
-def _step(point: Point, damping: float) -> _Step:
-    """The minimum of the linearised problem within the coordinates' bounds and largest steps."""
-    together, parts = point.reduced(damping)
-    max_step = point.problem.varied.max_step
-    lower, upper = point.problem.varied.bounds
-    lower, upper = np.maximum(lower - point.x, -max_step), np.minimum(upper - point.x, max_step)
-    change = together.best()
-    if ((change < lower) | (change > upper)).any():
-        R = together.R[:, :-1]
-        scale = np.maximum(np.linalg.norm(R, axis=0), 1e-300)
-        bounds = np.minimum(lower * scale, 0.0) - 1e-12, np.maximum(upper * scale, 0.0) + 1e-12
-        change = np.clip(lsq_linear(R / scale, together.R[:, -1], bounds).x / scale, lower, upper)
-    states, own, gains = [], [], []
-    for run, part, plain in zip(point.runs, parts, point.linearizations, strict=True):
-        modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
-        states.append(run.basis.states @ modal)
-        own.append(run.basis.states @ alone)
-        gains.append(plain.decrease(np.concatenate([modal, change])))
-    rows, residual = point.problem.prior(point.x)
-    prior_gain = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
-    return _Step(change, states, own, gains, sum(gains) + prior_gain)
-
-
-def _step_length(point: Point, damping: float) -> float:
-    """Length of the step of the coordinates, each in units of the predictions' derivative by it."""
-    return float(np.linalg.norm(point.reduced()[0].scale * _step(point, damping).change))
-
-
-def _attempt(point: Point, step: _Step) -> Point | None:
+def _attempt(point: Point, step: TrajectoryStep) -> Point | None:
     """The point a step further; None where a simulation diverges or the arm finds no rest under its load."""
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
@@ -394,7 +410,7 @@ def _attempt(point: Point, step: _Step) -> Point | None:
     return trial
 
 
-def _backtracked(point: Point, step: _Step, trial: Point) -> Point:
+def _backtracked(point: Point, step: TrajectoryStep, trial: Point) -> Point:
     """The trial with nonsmooth recordings begun nearer to where they did before, if that follows them better.
 
     The coordinates' part of a step is right for them, the part of an initial state of its own often not.

@@ -33,7 +33,7 @@ _DISCRETIZATION_CHI2 = 0.01  # of the integration error: no direction of the par
 
 
 @dataclass(frozen=True)
-class TrajectorySearch:
+class TrajectoryMethod:
     """Fits of one experiment's trajectories with different numbers of virtual joints.
 
     Attributes:
@@ -158,7 +158,7 @@ class TrajectorySearch:
 
 def first_fit(
     data: TrainingData, loss: str = "linear", progress: Progress | None = None, rough: bool = False
-) -> tuple[TrajectorySearch, TrajectoryFit]:
+) -> tuple[TrajectoryMethod, TrajectoryFit]:
     """Fit uniform links with few joints, from far away, to recordings without their outliers.
 
     Args:
@@ -177,7 +177,7 @@ def first_fit(
     recordings, problems = simulatable(data.recordings)
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_uniform_torque(data, progress) if data.prepared else None
-    search = TrajectorySearch(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
+    search = TrajectoryMethod(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
     joints = search.candidates()[0]
     fit = search._far(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -11,15 +12,12 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.records import Array, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.least_squares import Damping, SquareRootInformation
+from vjm.simulation.least_squares import Search, Status, Step, minimise
 from vjm.simulation.measurement import Observations, sensor_readings
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
 
-_MOST_ITERATIONS = 20
 _TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
-_IN_VAIN = 4  # steps that gain no more than that, after which none will with feedback and effects that are not smooth
-_NEGLIGIBLE = 1e-2  # decrease of chi^2: a tenth of a standard deviation of the state
 
 
 def _state_at_rest(arm: Arm, observed: Observations, prior: InitialStatePrior) -> Array:
@@ -98,44 +96,30 @@ def _simulate_again(runs: Sequence[Run], states: Sequence[Array], step_multiple:
     return simulate_runs(arms, observed, priors, states, step_multiple)
 
 
-class _Search:
-    """Levenberg-Marquardt search for one recording's most likely initial state."""
+@dataclass(frozen=True)
+class _StateStep(Step):
+    """Step to another initial state (2 nv,)."""
 
-    def __init__(self, run: Run) -> None:
-        self.run = run
-        self.damping = Damping()
-        self.linearized: SquareRootInformation | None = None
-        self.converged = False
-        self.gains = [np.inf] * _IN_VAIN
+    state: Array
 
-    def propose(self) -> Array | None:
-        """Return the next state to try; None once the search has converged."""
-        rough = self.run.observed.feedback is not None and is_nonsmooth(self.run.arm.effects)
-        if rough and sum(self.gains[-_IN_VAIN:]) < _TOLERANCE * self.run.cost:
-            self.converged = True  # slopes promise more than there is
-            return None
-        if self.linearized is None:
-            self.linearized = self.run.linearized()
-        step = self.linearized.damped(self.damping.value).best()
-        if self.linearized.decrease(step) < max(_TOLERANCE * self.run.chi2, _NEGLIGIBLE):
-            self.converged = True
-            return None
-        return self.run.state + self.run.basis.states @ step
 
-    def judge(self, trial: Run | None) -> None:
-        """Accept a trial if its cost is lower; shorten the next step otherwise."""
-        gain = 0.0 if trial is None else max(self.run.cost - trial.cost, 0.0)
-        self.gains.append(gain)
-        if trial is not None and gain > 0:
-            self.run, self.linearized = trial.with_scaled_prior(), None
-            self.damping = self.damping.better()
-        else:
-            self.damping = self.damping.worse(self._step_length)
+class _InitialStateSearch(Search[Run, _StateStep]):
+    """Search for one recording's most likely initial state."""
 
-    def _step_length(self, damping: float) -> float:
-        """Length of the step at a damping, in units of the predictions' derivatives."""
-        linearized = self.run.linearized() if self.linearized is None else self.linearized
-        return float(np.linalg.norm(linearized.scale * linearized.damped(damping).best()))
+    def step_at(self, damping: float) -> _StateStep:
+        linearized = self.point.linearized_by_state
+        change = linearized.damped(damping).best()
+        length = float(np.linalg.norm(linearized.scale * change))
+        return _StateStep(linearized.decrease(change), length, self.point.state + self.point.basis.states @ change)
+
+    def stopping_rule(self) -> Status:
+        # A hundredth of chi^2 is a tenth of a standard deviation of the state.
+        return "converged" if self.step.predicted < max(_TOLERANCE * self.point.chi2, 1e-2) else "running"
+
+    def is_rough_minimum(self, trial: Run | None) -> bool:
+        recent = self.decreases[-4:]
+        rough = self.point.observed.feedback is not None and is_nonsmooth(self.point.arm.effects)
+        return rough and len(recent) == 4 and sum(recent) < _TOLERANCE * self.point.cost
 
 
 def fit_initial_states(
@@ -143,7 +127,7 @@ def fit_initial_states(
     observed: Sequence[Observations],
     states: Sequence[Array | None] | None = None,
     step_multiple: float = 1.0,
-    most: int = _MOST_ITERATIONS,
+    most: int = 20,
 ) -> list[tuple[Run, bool]]:
     """Return each recording's run from its most likely initial state, and whether the search for it converged.
 
@@ -162,26 +146,20 @@ def fit_initial_states(
     given = [None] * len(priors) if states is None else states
     first = [prior.rest if state is None else state for prior, state in zip(priors, given, strict=True)]
     runs = simulate_runs(arms, observed, priors, first, step_multiple)
-    searches = [_Search(run.with_scaled_prior()) for run in runs]
-    for _ in range(most):
-        proposals = [(search, search.propose()) for search in searches if not search.converged]
-        pending = [(search, state) for search, state in proposals if state is not None]
-        if not pending:
-            break
-        for (search, _), trial in zip(pending, _attempts(pending, step_multiple), strict=True):
-            search.judge(trial)
-    return [(search.run, search.converged) for search in searches]
+    searches = [_InitialStateSearch(run.with_scaled_prior()) for run in runs]
+    minimise(searches, lambda running: _attempts(running, step_multiple), most)
+    return [(search.point, search.status == "converged") for search in searches]
 
 
-def _attempts(pending: Sequence[tuple[_Search, Array]], step_multiple: float) -> list[Run | None]:
-    """Runs from the proposed states; None where one diverges."""
-    searches, states = zip(*pending, strict=True)
+def _attempts(searches: Sequence[Search[Run, _StateStep]], step_multiple: float) -> list[Run | None]:
+    """Runs from the states that steps lead to; None where one diverges."""
     try:
-        return [*_simulate_again([search.run for search in searches], states, step_multiple)]
+        runs, states = [search.point for search in searches], [search.step.state for search in searches]
+        return [*_simulate_again(runs, states, step_multiple)]
     except SimulationDivergedError:
-        if len(pending) == 1:
+        if len(searches) == 1:
             return [None]
-        return [_attempts([proposal], step_multiple)[0] for proposal in pending]
+        return [_attempts([search], step_multiple)[0] for search in searches]
 
 
 def simulated_recording(run: Run, converged: bool) -> SimulatedRecording:

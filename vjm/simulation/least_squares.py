@@ -1,13 +1,17 @@
-"""Linear least squares by triangular factors, damping of its steps, and robust losses."""
+"""Least squares: linear problems by triangular factors, Levenberg-Marquardt searches, and robust losses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
 from vjm.records import Array
+
+_LEAST_DAMPING = 1e-10  # eigenvalues below are rounding errors of forward differences
 
 
 @dataclass(frozen=True)
@@ -80,42 +84,114 @@ def _solved(R: Array, z: Array) -> Array:
     return np.asarray((np.linalg.lstsq(R / scale, z, rcond=1e-13)[0].T / scale).T)
 
 
-_SMALLEST, _LARGEST = 1e-10, 1e6  # damping, in units of the columns' squared lengths
-_RISE, _FALL = 4.0, 5.0
+class _Iterate(Protocol):
+    """Point that a search has reached."""
+
+    @property
+    def cost(self) -> float:
+        """Objective of the search."""
+
+    def with_scaled_prior(self) -> Self:
+        """Return the point with priors in units of its residuals' size; other points are compared with it so."""
 
 
 @dataclass(frozen=True)
-class Damping:
-    """Damping of Levenberg and Marquardt's steps.
+class Step:
+    """Step of a search, from the linearised problem.
 
     Attributes:
-        value: of the columns' squared lengths; zero for a full step.
+        predicted: decrease of the cost that the linearised problem predicts.
+        length: of the step, each unknown in units of the predictions' derivative by it.
     """
 
-    value: float = 0.0
+    predicted: float
+    length: float
 
-    @property
-    def exhausted(self) -> bool:
-        """True if no step however small has helped."""
-        return self.value > _LARGEST
 
-    def better(self) -> Damping:
-        """Return the damping after a step that helped."""
-        lower = self.value / _FALL
-        return Damping(lower if lower > _SMALLEST else 0.0)
+Status = Literal["running", "converged", "stopped"]
+P = TypeVar("P", bound=_Iterate)
+S = TypeVar("S", bound=Step)
 
-    def worse(self, length: Callable[[float], float]) -> Damping:
-        """Return the damping after a step that failed: large enough to halve the next one, which else would fail again.
 
-        Args:
-            length: of the step at a damping, in any metric.
-        """
-        longest, damping = length(self.value) / 2, self
-        while not damping.exhausted:
-            damping = Damping(max(_RISE * damping.value, _SMALLEST))
-            if length(damping.value) < longest:
-                break
-        return damping
+class Search(ABC, Generic[P, S]):
+    """State of a Levenberg-Marquardt search.
+
+    Source: J. J. More, The Levenberg-Marquardt algorithm: implementation and theory, 1978; J. Nocedal and S. J. Wright,
+    Numerical Optimization, 2nd ed. 2006, section 10.3. Gauss-Newton steps are taken as long as they lower the cost.
+
+    Attributes:
+        point: best point so far.
+        step: last one proposed from there.
+        damping: lambda, in units of the squared lengths of the Jacobian's columns; zero for a Gauss-Newton step.
+        decreases: of the cost, by each trial; zero for a rejected one.
+        status: `running`, `converged`, or `stopped` before that.
+    """
+
+    step: S
+
+    def __init__(self, point: P) -> None:
+        self.point = point
+        self.damping = 0.0
+        self.decreases: list[float] = []
+        self.status: Status = "running"
+
+    @abstractmethod
+    def step_at(self, damping: float) -> S:
+        """Minimise the linearised problem at the point, with Levenberg and Marquardt's rows."""
+
+    @abstractmethod
+    def stopping_rule(self) -> Status:
+        """Judge by the step proposed whether to go on."""
+
+    @abstractmethod
+    def is_rough_minimum(self, trial: P | None) -> bool:
+        """Return True if a trial shows that the cost is too rough for slopes to tell how to lower it further."""
+
+    def propose(self) -> None:
+        """Find the next step, or stop."""
+        self.step = self.step_at(self.damping)
+        self.status = self.stopping_rule()
+
+    def judge(self, trial: P | None) -> None:
+        """Accept the trial that the step led to if it lowers the cost; None: it could not be simulated."""
+        decrease = 0.0 if trial is None else max(self.point.cost - trial.cost, 0.0)
+        self.decreases.append(decrease)
+        if trial is not None and decrease > 0:
+            self.point = trial.with_scaled_prior()
+            self.damping = self.damping / 5 if self.damping > 5 * _LEAST_DAMPING else 0.0
+        if self.is_rough_minimum(trial):
+            self.status = "converged"
+        elif not decrease > 0:
+            self._shorten_step()
+
+    def _shorten_step(self) -> None:
+        """Damp the next step until it is half as long, or it would fail again; stop where no damping does that."""
+        while (damping := max(4 * self.damping, _LEAST_DAMPING)) < 1e6:  # a millionth of a Gauss-Newton step
+            self.damping = damping
+            if self.step_at(damping).length < self.step.length / 2:
+                return
+        self.status = "stopped"
+
+
+def minimise(
+    searches: Sequence[Search[P, S]], simulate: Callable[[Sequence[Search[P, S]]], Iterable[P | None]], most: int
+) -> None:
+    """Advance searches side by side until each has converged or stopped.
+
+    Args:
+        searches: each with its own point and damping.
+        simulate: returns for each of some searches the point that its step leads to; None where it cannot be simulated.
+        most: number of trials of each.
+    """
+    for _ in range(most):
+        for search in searches:
+            if search.status == "running":
+                search.propose()
+        running = [search for search in searches if search.status == "running"]
+        if not running:
+            break
+        for search, trial in zip(running, simulate(running), strict=True):
+            search.judge(trial)
 
 
 _TUNING = 3.0**2  # squared standard deviations from which a loss departs from the square

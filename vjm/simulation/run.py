@@ -158,6 +158,11 @@ class Run:
             raise SimulationDivergedError(float(self.trajectory.time[-1]), self.trajectory.step, remedy)
         return problem
 
+    @cached_property
+    def linearized_by_state(self) -> SquareRootInformation:
+        """The linearised problem of the initial state alone."""
+        return self.linearized()
+
     def prior_rows(self, columns: int) -> tuple[Array, Array]:
         """Return the prior's rows (2 nv, columns) and right-hand side (2 nv,)."""
         states = self.basis.states
