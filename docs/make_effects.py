@@ -26,7 +26,7 @@ NULLS = {np.inf: "infinite", 0.0: "0", 1.0: "1"}
 def parameters(effect: Effect) -> str:
     """Return an effect's parameters with unit and null value, as one cell of a table."""
     cells = []
-    for parameter in effect.parameters():
+    for parameter in effect.parameters:
         unit = parameter.unit or "-"
         null = "" if parameter.shape_parameter else f"; null {NULLS.get(parameter.null, parameter.null)}"
         cells.append(f"{parameter.name} [{unit}{null}]")

@@ -156,8 +156,8 @@ class OnlySmall(CubicFriction):
 
 @dataclass(frozen=True)
 class StateWithoutRates(CubicFriction):
-    def state_count(self, chain: Chain) -> int:
-        return 0 if self.is_null else 1
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        return np.zeros((*q.shape[:-1], 1))
 
 
 @dataclass(frozen=True)
@@ -165,43 +165,43 @@ class WayWithoutSlope(StateWithoutRates):
     """Does not say what stands for what slips where derivatives are taken."""
 
     def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        return None if self.is_null else (lambda q, z, to: np.clip(z + to[..., :1] - q[..., :1], -0.1, 0.1))
+        return lambda q, z, to: np.clip(z + to[..., :1] - q[..., :1], -0.1, 0.1)
 
 
 @dataclass(frozen=True)
-class Restless(StateWithoutRates):
+class Restless(CubicFriction):
     """Its internal state changes while nothing moves."""
 
-    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        return None if self.is_null else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        return np.zeros((*q.shape[:-1], 0 if self.smooth else 1))
 
-    def smoothed(self) -> Effect:
-        return CubicFriction(self.coefficient, link=self.link)
+    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
+        return None if self.smooth else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
 
 
 @dataclass(frozen=True)
-class SmoothedAway(CubicFriction):
+class SmoothedAway(JointEffect):
     """Has derivatives of nothing."""
 
-    def smoothed(self) -> Effect:
-        return self.at(np.zeros(1))
+    stiffness: float = magnitude("N m/rad", 0.05, lower=0.0)
 
+    id = "smoothed_away"
+    description = "a spring at the active joint"
+    reference = "A. Author, A Book, 2001"
 
-@dataclass(frozen=True)
-class _WithState(CubicFriction):
-    def state_count(self, chain: Chain) -> int:
-        return 1
-
-    def state_rates(self, chain: Chain) -> Motion | None:
-        return lambda time, q, v, z: -z
+    def chain(self, chain: Chain) -> Chain:
+        return chain if self.smooth else self.with_link(chain, joint_stiffness=self.stiffness)
 
 
 @dataclass(frozen=True)
 class SmoothWithStates(CubicFriction):
     """Where derivatives are taken it has an internal state that it has not otherwise."""
 
-    def smoothed(self) -> Effect:
-        return _WithState(self.coefficient, link=self.link)
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        return np.zeros((*q.shape[:-1], 1 if self.smooth else 0))
+
+    def state_rates(self, chain: Chain) -> Motion | None:
+        return (lambda time, q, v, z: -z) if self.smooth else None
 
 
 @dataclass(frozen=True)

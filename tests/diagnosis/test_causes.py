@@ -18,7 +18,7 @@ def test_standard_errors_follow_each_parameters_scale() -> None:
     """A size is proportional to its coordinate, a time constant exponential, a gear's stiffness reciprocal."""
     creep = ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.12)
     parameters = _with_errors(creep, np.diag([0.01, 0.04]))
-    unit = {parameter.name: parameter.typical_magnitude for parameter in creep.parameters()}
+    unit = {parameter.name: parameter.typical_magnitude for parameter in creep.parameters}
     assert parameters["ratio"].value == pytest.approx(0.04)
     assert parameters["ratio"].std == pytest.approx(0.1 * unit["ratio"], rel=1e-4)
     assert parameters["time_constant"].std == pytest.approx(0.2 * 0.12, rel=1e-4)

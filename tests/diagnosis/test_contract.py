@@ -28,7 +28,7 @@ BROKEN = [
     (broken.OneInstantOnly(), "hooks", "at many instants is not what it is at each alone"),
     (broken.NotANumber(), "hooks", "not finite"),
     (broken.OnlySmall(), "hooks", "ValueError: too much friction"),
-    (broken.StateWithoutRates(), "hooks", "1 states, rates None and update None"),
+    (broken.StateWithoutRates(), "hooks", "1 states, `state_rates` None, `rate_independent_update` None"),
     (
         broken.WayWithoutSlope(),
         "hooks",
@@ -45,7 +45,7 @@ BROKEN = [
     (broken.Motor(), "energy", "at a random state its forces give the arm"),
     (broken.Spring(), "energy", "at a random state its forces give the arm"),
     (broken.TakesDampingAway(), "energy", "at a random state its forces give the arm"),
-    (broken.HiddenMotor(), "energy", "a free decay of the driven link gains"),
+    (broken.HiddenMotor(), "energy", "at a random state its forces give the arm"),
     (broken.Constant(), "recovery", "nothing that is measured depends on `coefficient`"),
     (broken.Folded(), "recovery", "with coefficient 0.004 .* finds coefficient 0.001"),
     (broken.Stiffer(), "recovery", "can stand in for all but"),

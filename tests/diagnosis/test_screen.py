@@ -225,7 +225,7 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25
     # A force that takes longer than the recordings is another cause, and no search may end there.
     for effect in candidate_set.variants:
-        typical = effect.parameters()[1].typical_magnitude
+        typical = effect.parameters[1].typical_magnitude
         assert effect.bounds[0][2] == pytest.approx(np.log(0.5 / typical), rel=1e-3)
 
 

@@ -21,7 +21,7 @@ FORE = replace(LINK, name="fore", length=0.7, mass=0.2, markers=(0.4, 0.7), hub_
 POST = replace(LINK, name="post", joint="clamped", hub_inertia=0.0, markers=(1.0,))
 # A clamped first link makes the numbers of links and of active joints differ.
 RIG = Rig("arm", (POST, LINK, FORE))
-PRESENT = [each for each in BUILTIN if each.parameters()]  # those that can be present at all
+PRESENT = [each for each in BUILTIN if each.parameters]  # those that can be present at all
 
 
 def chain_of(*links: Link, n: int = 4, kelvin_voigt: float = 1e-3) -> Chain:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.effects.setups import LINK, PRESENT, RIG, typical_magnitude
+from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
 from vjm.effects import BUILTIN, Effect, TipPayload, magnitude
 from vjm.errors import ShapeError
 from vjm.records import Rig
@@ -24,7 +25,7 @@ every_present = pytest.mark.parametrize("effect", PRESENT, ids=lambda effect: ef
 @every_present
 def test_coordinate_one_is_a_typical_magnitude(effect: Effect) -> None:
     present = typical_magnitude(effect)
-    for parameter in present.parameters():
+    for parameter in present.parameters:
         if parameter.shape_parameter:
             assert present.values[parameter.name] == pytest.approx(parameter.grid[-1]) or not parameter.grid[1:]
         elif effect.id != "external_tone":  # whose amplitude has two coordinates
@@ -56,10 +57,8 @@ POWERS = {  # of length, mass and time
 scales = st.floats(1e-3, 1e3)
 
 
-@settings(max_examples=40)
-@given(scales, scales, scales)
-def test_typical_magnitudes_scale_with_the_rig(length: float, mass: float, time: float) -> None:
-    """Scaling a rig scales all typical magnitudes, bounds and grids by their units, and no coordinate."""
+def scaled_rig(length: float, mass: float, time: float) -> Rig:
+    """RIG in other units."""
     links = [
         replace(
             link,
@@ -71,17 +70,53 @@ def test_typical_magnitudes_scale_with_the_rig(length: float, mass: float, time:
         )
         for link in RIG.links
     ]
-    scaled = Rig("scaled", tuple(links))
+    return Rig("scaled", tuple(links))
+
+
+@settings(max_examples=40)
+@given(scales, scales, scales)
+def test_typical_magnitudes_scale_with_the_rig(length: float, mass: float, time: float) -> None:
+    """Scaling a rig scales all typical magnitudes, bounds and grids by their units, and no coordinate."""
+    scaled = scaled_rig(length, mass, time)
     for effect in BUILTIN:
         if effect.id == "in_plane_gravity":  # which is the world's, not the rig's
             continue
         for one, other in zip(effect.variants(RIG, []), effect.variants(scaled, []), strict=True):
             assert other.coordinates == pytest.approx(one.coordinates)
-            for before, after in zip(one.parameters(), other.parameters(), strict=True):
+            for before, after in zip(one.parameters, other.parameters, strict=True):
                 unit = np.prod(np.power((length, mass, time), POWERS[before.unit]))
                 assert after.typical_magnitude == pytest.approx(unit * before.typical_magnitude), (effect.id, before)
                 assert (after.lower, after.upper) == pytest.approx((unit * before.lower, unit * before.upper))
                 assert after.grid == pytest.approx(unit * np.array(before.grid))
+
+
+@settings(max_examples=5, deadline=None)
+@given(scales, scales, scales, st.booleans())
+def test_what_effects_do_scales_with_the_rig(length: float, mass: float, time: float, smooth: bool) -> None:
+    """Scaling a rig scales forces, changes of the chain and time steps by their units, with its units and without."""
+    torque, rng = mass * length**2 / time**2, np.random.default_rng(1)
+    rigs = RIG, scaled_rig(length, mass, time)
+    chains = [chain_of(*rig.links, kelvin_voigt=5e-3 * unit) for rig, unit in zip(rigs, (1.0, time), strict=True)]
+    for effect, on_rig in product((effect for effect in PRESENT if not effect.sensor), (True, False)):
+        present = [replace(typical_magnitude(effect, rig), smooth=smooth) for rig in rigs]
+        one, other = present if on_rig else (replace(each, rig_units=None) for each in present)
+        before, after = one.chain(chains[0]), other.chain(chains[1])
+        q, v, to = rng.normal(size=(3, before.size)) * [[1.0], [1e-4], [1.0]]  # rates so low that signs are rounded off
+        z = one.initial_states(before, q)
+        assert other.initial_states(after, q) == pytest.approx(z)
+        assert after.stiffness == pytest.approx(torque * before.stiffness), effect.id
+        assert after.damping == pytest.approx(torque * time * before.damping), effect.id
+        assert other.max_step(after) == pytest.approx(time * one.max_step(before)), effect.id
+        for hook, unit in (("force", torque), ("state_rates", 1 / time)):
+            functions = [
+                getattr(present, hook)(chain, *((payload,) if hook == "force" else ()))
+                for present, chain, payload in ((one, before, 0.1), (other, after, 0.1 * mass))
+            ]
+            if None not in functions:
+                first, second = (f(np.array(0.7 * t), q, v / t, z) for f, t in zip(functions, (1.0, time), strict=True))
+                assert second == pytest.approx(unit * first, rel=1e-6, abs=1e-14 * unit), (effect.id, hook)
+        update = one.rate_independent_update(before), other.rate_independent_update(after)
+        assert None in update or update[1](q, z, to) == pytest.approx(update[0](q, z, to))  # type: ignore[misc]
 
 
 def test_coordinates_stay_in_the_rig_s_units() -> None:
@@ -104,8 +139,8 @@ class Own(Effect):
 
 def test_a_user_s_own_magnitude_may_be_plain_and_its_unit_must_be_known() -> None:
     with pytest.raises(ShapeError, match="furlong"):
-        Own().variants(RIG, [])[0].parameters()
-    assert Own().parameters()[0].typical_magnitude == 0.3
+        _ = Own().variants(RIG, [])[0].parameters
+    assert Own().parameters[0].typical_magnitude == 0.3
 
 
 @every
@@ -144,7 +179,7 @@ def described(effect: Effect) -> dict[str, tuple[str, str]]:
     """Unit and null of each parameter, in the published table's words."""
     nulls = {0.0: "0", 1.0: "1", np.inf: "infinite"}
     found = {}
-    for parameter in effect.parameters():
+    for parameter in effect.parameters:
         unit = "index" if parameter.integer else parameter.unit or "-"
         found[parameter.name] = (unit, "" if parameter.shape_parameter else nulls[parameter.null])
     return found

@@ -126,7 +126,7 @@ def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
     ends = []
     for factor in 1.0 + 2e-5 * np.arange(9):
         links = tuple(replace(link, stiffness=factor * link.stiffness) for link in HUB.links)
-        arm = Arm.of(replace(HUB, links=links), (CoulombFriction(torque=0.008),))
+        arm = Arm.of(replace(HUB, links=links), (CoulombFriction(torque=0.008).placed(Rig("hub", (LINK,)), 0),))
         (steps,) = simulate_trajectories([arm], [recording], [np.zeros(HUB.size)], [np.zeros(HUB.size)])
         ends.append(steps.angles(time)[:, 0])
     bent = np.diff(np.array(ends), n=2, axis=0)
@@ -169,7 +169,8 @@ def test_dry_friction_sticks_slips_and_sticks_again(torque: float) -> None:
     time = np.linspace(0.0, 3.0, 1501)
     push = np.where(time < 0.5, 1.8 * np.minimum(time, 0.4), np.where(time < 1.0, 3.0, 0.0)) * torque
     recording = driven(push, time)
-    arm, rest = Arm.of(stiff, (CoulombFriction(torque=torque),)), np.zeros(stiff.size)
+    friction = CoulombFriction(torque=torque).placed(Rig("hub", (LINK,)), 0)
+    arm, rest = Arm.of(stiff, (friction,)), np.zeros(stiff.size)
     (steps,) = simulate_trajectories([arm], [recording], [rest], [rest])
     angle = steps.angles(time)[:, 0]
     rate = torque / (LINK.hub_inertia + LINK.mass * LINK.length**2 / 3)  # of speeding up at 2, of slowing down at 1

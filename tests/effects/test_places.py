@@ -68,7 +68,7 @@ def without(recording: Recording, *names: str) -> Recording:
 
 
 def blind_effects(rig: Rig, recording: Recording) -> dict[str, str]:
-    found = {effect.id: effect.untestable(rig, [recording]) for effect in BUILTIN if effect.parameters()}
+    found = {effect.id: effect.untestable(rig, [recording]) for effect in BUILTIN if effect.parameters}
     return {identifier: reason for identifier, reason in found.items() if reason}
 
 

@@ -55,16 +55,16 @@ def test_velocities_and_forces_are_those_of_the_geometry(
     distances = rng.uniform(0, 1, rods.lengths.size) * rods.lengths
     force = rng.normal(size=rods.lengths.size)
 
-    motion = rods.motion(q[0], v[0])
+    direction, rate, normal = rods.motion(q[0], v[0])
     _, headings = drawn(chain, q[0], distances)
     normals = np.stack([-np.sin(headings), np.cos(headings)], axis=-1)
-    np.testing.assert_allclose(motion.direction, np.exp(1j * headings), atol=1e-12)
+    np.testing.assert_allclose(direction, np.exp(1j * headings), atol=1e-12)
 
     def along_normals(direction: Array) -> Array:
         moved = [drawn(chain, q[0] + sign * STEP * direction, distances)[0] for sign in (1, -1)]
         return np.sum((moved[0] - moved[1]) / (2 * STEP) * normals, axis=-1)
 
-    np.testing.assert_allclose(motion.normal + motion.rate * distances, along_normals(v[0]), atol=1e-6)
+    np.testing.assert_allclose(normal + rate * distances, along_normals(v[0]), atol=1e-6)
     # Virtual work: each joint's force is what a turn of it makes the forces' points do.
     expected = [along_normals(unit) @ force for unit in np.eye(chain.size)]
-    np.testing.assert_allclose(rods.torques(motion.direction, force, force * distances), expected, atol=1e-6)
+    np.testing.assert_allclose(rods.torques(direction, force, force * distances), expected, atol=1e-6)

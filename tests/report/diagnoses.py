@@ -119,7 +119,7 @@ def candidates(experiment: Experiment, found: tuple[Effect, ...]) -> tuple[Candi
         if reason:
             listed.append(Candidate(variant, None, None, {}, {}, reason))
             continue
-        sizes = {each.name: each.typical_magnitude for each in variant.parameters() if not each.shape_parameter}
+        sizes = {each.name: each.typical_magnitude for each in variant.parameters if not each.shape_parameter}
         z = 400.0 / (1 + k) if present else 1.0 + 0.05 * k
         p = 1e-300 if z > 10 else 0.8
         named = present.get(effect.id, variant).values
@@ -131,7 +131,7 @@ def candidates(experiment: Experiment, found: tuple[Effect, ...]) -> tuple[Candi
 def cause(effect: Effect, alternatives: tuple[Alternative, ...] = ()) -> Cause:
     """An effect with a standard error of a hundredth."""
     sizes = {}
-    for each in effect.parameters():
+    for each in effect.parameters:
         value = float(effect.values[each.name])
         sizes[each.name] = Estimate(each.name, value, None if each.integer else 0.01 * abs(value), each.unit)
     words = "without it the model misses the training recordings by 7.3 times the noise, with it by 1.0"

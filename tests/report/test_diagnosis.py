@@ -135,7 +135,7 @@ def test_every_effect_has_words(effect: Effect) -> None:
     named = clause(replace(usual, link=0), model)
     assert "{" not in named
     assert named[0].islower()
-    if effect.parameters():
+    if effect.parameters:
         assert any(character.isdigit() for character in named)
 
 

@@ -138,7 +138,7 @@ def _with_errors(effect: Effect, spread: Array) -> dict[str, Estimate]:
     steps = 1e-5 * np.maximum(np.abs(x), 1.0)
     moved = [effect.at(x + step).values for step in np.diag(steps)]
     parameters = {}
-    for parameter in effect.parameters():
+    for parameter in effect.parameters:
         name = parameter.name
         slope = np.array([(other[name] - values[name]) / step for other, step in zip(moved, steps, strict=True)])
         with np.errstate(invalid="ignore"):  # the recordings may not determine a cause among several

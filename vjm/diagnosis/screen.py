@@ -376,7 +376,7 @@ class CandidateSet:
                 untestable.append(Candidate.untestable(effect, reason))
                 continue
             own, tests = effect.variants(rig, recordings), 1.0
-            for parameter in effect.parameters():
+            for parameter in effect.parameters:
                 if parameter.from_spectrum:
                     peaks, frequencies = _residual_peaks(point.runs)
                     places = {variant.link: variant for variant in own}.values()
@@ -486,7 +486,7 @@ class FamilyTest:
                 rows.append(Candidate.untestable(effect, reason))
                 continue
             guess = effect.at(np.r_[screen.guess([k]), effect.coordinates[effect.magnitude_count :]]).values
-            sizes = [parameter for parameter in effect.parameters() if not parameter.shape_parameter]
+            sizes = [parameter for parameter in effect.parameters if not parameter.shape_parameter]
             smallest = {}
             for parameter, coordinate in zip(sizes, (detectable[k] * screen.std(k)).tolist(), strict=False):
                 value = parameter.value(coordinate)

@@ -12,8 +12,9 @@ from vjm.effects.effect import Effect, LinkEffect, Motion, magnitude, shape_para
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording, Rig
 
-# Modes above are damped no faster than one here [rad/s]: no camera shows them, and steps need not follow them.
-_FASTEST = 1000.0
+# Modes above are damped no faster than one of this angular frequency, in the link's own units 1 / T (a cantilever's
+# seventh has 417, its eighth 555): no camera shows them, and steps need not follow them.
+_FASTEST = 500.0
 
 
 @dataclass(frozen=True)
@@ -45,15 +46,14 @@ class StructuralDamping(LinkEffect):
         modes = modes_of(M, D, K, rest)
         energies = np.diag(K)[:, None] * modes.shapes**2
         shares = energies[self.virtual_joints(chain)].sum(axis=0) / energies.sum(axis=0)
-        momenta = M @ modes.shapes
-        rates = self.loss_factor * shares * np.minimum(2 * np.pi * modes.frequencies, _FASTEST)
+        momenta, fastest = M @ modes.shapes, _FASTEST / self.units(chain)[2]
+        rates = self.loss_factor * shares * np.minimum(2 * np.pi * modes.frequencies, fastest)
         result: Array = (momenta * rates) @ momenta.T
         return (result + result.T) / 2
 
-    @property
-    def max_step(self) -> float:
-        """Time step [s]; light damping is stable with any, of the fastest modes 1.5 of 2 over their rate is."""
-        return np.inf if self.loss_factor <= 0.03 else 1.5 / _FASTEST
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s]; light damping is stable with any, of the fastest modes 1.5 of 2 over their rate."""
+        return np.inf if self.loss_factor <= 0.03 else 1.5 / _FASTEST * self.units(chain)[2]
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,9 @@ class ViscoelasticCreep(LinkEffect):
     """Standard linear solid: beside each spring K another, ratio K, in series with a damper, whose angle is a state."""
 
     ratio: float = magnitude("", 0.03, lower=0.0, upper=1.0)
-    time_constant: float = shape_parameter("s", 0.2, 2e-3, 2e3, (0.02, 0.064, 0.2, 0.64, 2.0), in_rig_units=True)
+    time_constant: float = shape_parameter(
+        "s", 0.2, 2e-3, upper=2e3, grid=(0.02, 0.064, 0.2, 0.64, 2.0), in_rig_units=True
+    )
 
     id = "viscoelastic_creep"
     description = "creep: a part of the bending stiffness that relaxes"
@@ -140,33 +142,28 @@ class ViscoelasticCreep(LinkEffect):
     distinguishing_experiment = "two or more modes in free decay, and a static bend that is held"
     abscissa = "amplitude"
 
-    def state_count(self, chain: Chain) -> int:
-        """Return one for each virtual joint of the link."""
-        return 0 if self.is_null else self.link_of(chain).virtual_joints
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        """Return the angles of the relaxing springs, one at each virtual joint: none."""
+        return np.zeros_like(q[..., self.virtual_joints(chain)])
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the moments of the relaxing springs."""
-        if self.is_null:
-            return None
         factor = -self.ratio * self.link_of(chain).stiffness
         return self.force_on(self.virtual_joints(chain), lambda time, q, v, z: factor * z)
 
     def state_rates(self, chain: Chain) -> Motion | None:
         """Return how the springs follow phi and relax: z' = phi' - z / time_constant."""
-        if self.is_null:
-            return None
         part, relaxation = self.virtual_joints(chain), 1 / self.time_constant
         return lambda time, q, v, z: v[..., part] - relaxation * z
 
-    @property
-    def max_step(self) -> float:
-        """Time step [s] that is stable; an explicit one of fourth order is up to 2.8 time constants."""
-        return np.inf if self.is_null else 1.5 * self.time_constant
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s] that is stable; an explicit one of fourth order is up to 2.8 time constants."""
+        return 1.5 * self.time_constant
 
 
-# Of hysteresis: the link's bending rate [rad/s] at which steps follow slipping; the sign of a joint's rate below the
-# second one is rounded off.
-_FAST_SLIP, _SLOW_SLIP = 5.0, 1e-4
+# Of hysteresis, in the link's own units rad / T: the bending rate at which steps follow slipping, that of a bend by
+# 0.7 rad in the first mode (3.5 rad / T); the sign of a joint's rate below the second one is rounded off.
+_FAST_SLIP, _SLOW_SLIP = 2.4, 5e-5
 
 
 @dataclass(frozen=True)
@@ -186,36 +183,26 @@ class Hysteresis(LinkEffect):
     distinguishing_experiment = "recordings at two amplitudes, and a slow one"
     abscissa = "amplitude"
 
-    def state_count(self, chain: Chain) -> int:
-        """Return one for each virtual joint of the link."""
-        return 0 if self.is_null else self.link_of(chain).virtual_joints
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        """Return the virtual joints' angles, as far as they do not slip."""
+        yields = self.yields(chain)
+        result: Array = yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
+        return result
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the moments beside the springs' own -K phi."""
-        if self.is_null:
-            return None
         part, factor = self.virtual_joints(chain), self.ratio * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: factor * (q[..., part] - z))
 
     def state_rates(self, chain: Chain) -> Motion | None:
         """Return how the springs slip: z' = phi' (1 - |z| / y (1 + sign(phi' z)) / 2)."""
-        if self.is_null:
-            return None
-        part, scale = self.virtual_joints(chain), 0.5 / self.yields(chain)
+        part, scale, slow = self.virtual_joints(chain), 0.5 / self.yields(chain), _SLOW_SLIP / self.units(chain)[2]
 
         def rates(time: Array, q: Array, v: Array, z: Array) -> Array:
             rate = v[..., part]
-            return rate * (1 - scale * (np.abs(z) + z * np.tanh(rate / _SLOW_SLIP)))  # |z| sign(phi' z) = z sign(phi')
+            return rate * (1 - scale * (np.abs(z) + z * np.tanh(rate / slow)))  # |z| sign(phi' z) = z sign(phi')
 
         return rates
-
-    def initial_states(self, chain: Chain, q: Array) -> Array:
-        """Return the joints' angles, as far as they do not slip."""
-        if self.is_null:
-            return super().initial_states(chain, q)
-        yields = self.yields(chain)
-        result: Array = yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
-        return result
 
     def yields(self, chain: Chain) -> Array:
         """Return (n,) each joint's part of the yield angle [rad]."""
@@ -223,7 +210,6 @@ class Hysteresis(LinkEffect):
         result: Array = self.yield_angle * link.cells / link.length
         return result
 
-    @property
-    def max_step(self) -> float:
-        """Time step [s] that is stable in fast motion, 1.5 of the time in which it bends by one yield angle."""
-        return np.inf if self.is_null else 1.5 * self.yield_angle / _FAST_SLIP
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s] that is stable in fast motion: 1.5 of the time of a bend by one yield angle."""
+        return 1.5 * self.yield_angle / _FAST_SLIP * self.units(chain)[2]

@@ -25,21 +25,6 @@ Key = tuple[str, int | None]
 Motion = Callable[[Array, Array, Array, Array], Array]
 # From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
 RateIndependentUpdate = Callable[[Array, Array, Array], Array]
-# What the residual is drawn against: time, the local amplitude of the motion, a marker's velocity or coordinate, the
-# distance from the base (of residuals along the radius, or across it), the marker's number, the frequency, or, as a
-# missing torque, the active joint's angle or rate.
-Abscissa = Literal[
-    "time",
-    "amplitude",
-    "velocity",
-    "position",
-    "radial",
-    "tangential",
-    "marker",
-    "frequency",
-    "joint_angle",
-    "joint_rate",
-]
 _METADATA = "vjm"
 # Powers of length, mass and time in units.
 _UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "Hz": (0, 0, -1), "N": (1, 1, -2), "rad": (0, 0, 0)}
@@ -50,29 +35,31 @@ class Parameter:
     """One parameter of an effect.
 
     Attributes:
-        name: as in the class.
         unit: SI; empty without one.
-        null: value at which the effect is absent; NaN for a shape parameter, which is irrelevant then.
         typical_magnitude: typical difference from `null` (the value itself if reciprocal or a shape parameter).
+        null: value at which the effect is absent; NaN for a shape parameter, which is irrelevant then.
         lower, upper: bounds of the value.
         grid: values of a shape parameter from which searches start.
         reciprocal: the effect grows with one over the value, whose null is infinite.
         integer: it is a whole number, which is never varied in a fit.
         from_spectrum: searches start from peaks of the residuals' spectrum instead of the grid [Hz].
-        in_rig_units: typical magnitude, bounds and grid are multiples of the rig's own unit, see `magnitude`.
+        in_rig_units: typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length
+            l, its mass m and the time (m l^3 / EI)^(1/2). In these units all uniform beams have the same equation of
+            motion; the first natural frequency of a clamped one is 0.56.
+        name: as in the class.
     """
 
-    name: str
     unit: str
-    null: float
     typical_magnitude: float
-    lower: float
-    upper: float
+    null: float
+    lower: float = -np.inf
+    upper: float = np.inf
     grid: tuple[float, ...] = ()
     reciprocal: bool = False
     integer: bool = False
     from_spectrum: bool = False
     in_rig_units: bool = False
+    name: str = ""
 
     @property
     def shape_parameter(self) -> bool:
@@ -81,10 +68,11 @@ class Parameter:
 
     def coordinate(self, value: float) -> float:
         """Return the number that a search varies: zero at the null, one at a typical magnitude; of a shape, a log."""
-        if self.reciprocal:
-            return self.typical_magnitude / value
-        if self.shape_parameter:
-            return float(np.log(value / self.typical_magnitude))
+        with np.errstate(divide="ignore"):
+            if self.reciprocal:
+                return float(np.divide(self.typical_magnitude, max(value, 0.0)))
+            if self.shape_parameter:
+                return float(np.log(value / self.typical_magnitude))
         return (value - self.null) / self.typical_magnitude
 
     def value(self, coordinate: float) -> float:
@@ -98,10 +86,6 @@ class Parameter:
     @property
     def bounds(self) -> tuple[float, float]:
         """Lower and upper bound of the coordinate."""
-        if self.reciprocal:
-            return 0.0, self.typical_magnitude / self.lower if self.lower > 0 else np.inf
-        if self.shape_parameter:
-            return (self.coordinate(self.lower) if self.lower > 0 else -np.inf), self.coordinate(self.upper)
         low, high = sorted((self.coordinate(self.lower), self.coordinate(self.upper)))
         return low, high
 
@@ -115,10 +99,9 @@ class Parameter:
             return self
         if rig_units is None:
             return replace(self, lower=0.0 if self.lower >= 0 else -np.inf, upper=np.inf, in_rig_units=False)
-        unit = np.prod(np.array(rig_units) ** _powers(self.unit))
-        lower, upper, typical = (float(each * unit) for each in (self.lower, self.upper, self.typical_magnitude))
-        grid = tuple(float(each * unit) for each in self.grid)
-        return replace(self, typical_magnitude=typical, lower=lower, upper=upper, grid=grid, in_rig_units=False)
+        unit = float(np.prod(np.array(rig_units) ** _powers(self.unit)))
+        scaled = {name: unit * getattr(self, name) for name in ("typical_magnitude", "lower", "upper")}
+        return replace(self, **scaled, grid=tuple(unit * value for value in self.grid), in_rig_units=False)
 
 
 def _powers(unit: str) -> Array:
@@ -132,43 +115,28 @@ def _powers(unit: str) -> Array:
     return powers
 
 
-def magnitude(
-    unit: str,
-    typical_magnitude: float,
-    null: float = 0.0,
-    lower: float = -np.inf,
-    upper: float = np.inf,
-    reciprocal: bool = False,
-    in_rig_units: bool = False,
-) -> Any:
+def _units(length: float, mass: float, bending_stiffness: float) -> tuple[float, float, float]:
+    return length, mass, float(np.sqrt(mass * length**3 / bending_stiffness))
+
+
+def magnitude(unit: str, typical_magnitude: float, null: float = 0.0, **attributes: Any) -> Any:
     """Declare a field that says how large an effect is; its default is the null value.
 
-    The arguments are attributes of `Parameter`. With `in_rig_units`, typical magnitude and bounds are multiples of the
-    rig's own unit, made of the link's length l, its mass m and the time (m l^3 / EI)^(1/2). In these units all uniform
-    beams have the same equation of motion; the first natural frequency of a clamped one is 0.56.
+    Further attributes of `Parameter` that it may have: `lower`, `upper`, `reciprocal`, `in_rig_units`.
     """
-    kept = Parameter("", unit, null, typical_magnitude, lower, upper, (), reciprocal, in_rig_units=in_rig_units)
-    return field(default=null, metadata={_METADATA: kept})
+    return field(default=null, metadata={_METADATA: Parameter(unit, typical_magnitude, null, **attributes)})
 
 
-def shape_parameter(
-    unit: str,
-    typical_magnitude: float,
-    lower: float = 0.0,
-    upper: float = np.inf,
-    grid: Sequence[float] = (),
-    integer: bool = False,
-    from_spectrum: bool = False,
-    in_rig_units: bool = False,
-) -> Any:
+def shape_parameter(unit: str, typical_magnitude: float, lower: float = 0.0, **attributes: Any) -> Any:
     """Declare a field that says how an effect is, and is irrelevant where its magnitudes are null.
 
-    The arguments are attributes of `Parameter`, as of `magnitude`. The typical value is the default, and the grid if
-    that is empty.
+    The typical value is the default, and the grid if none is given. Further attributes of `Parameter` that it may have:
+    `upper`, `grid`, `integer`, `from_spectrum`, `in_rig_units`.
     """
-    typical, values = typical_magnitude, tuple(grid) or (typical_magnitude,)
-    kept = Parameter("", unit, np.nan, typical, lower, upper, values, False, integer, from_spectrum, in_rig_units)
-    return field(default=int(typical) if integer else typical, metadata={_METADATA: kept})
+    default = int(typical_magnitude) if attributes.get("integer") else typical_magnitude
+    grid = attributes.pop("grid", (typical_magnitude,))
+    shape = Parameter(unit, typical_magnitude, np.nan, lower, grid=grid, **attributes)
+    return field(default=default, metadata={_METADATA: shape})
 
 
 @dataclass(frozen=True)
@@ -178,10 +146,12 @@ class Effect:
     Attributes:
         link: index of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
         rig_units: length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
+        smooth: True in an arm whose derivatives are taken: what sticks or touches then does so gradually.
     """
 
     link: int | None = field(default=None, kw_only=True)
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
+    smooth: bool = field(default=False, kw_only=True, repr=False)
 
     id: ClassVar[str] = ""
     # The effect in a few words, as a noun phrase.
@@ -193,8 +163,10 @@ class Effect:
     reference: ClassVar[str] = ""
     # The recording that distinguishes it from effects that look alike.
     distinguishing_experiment: ClassVar[str] = ""
-    # Abscissa of the picture that shows the residual without and with it.
-    abscissa: ClassVar[Abscissa] = "time"
+    # Abscissa of the picture that shows the residual without and with it: `time`; `amplitude`, the local one of the
+    # motion; `velocity` or `position` of a marker's coordinate; `radial` or `tangential`, the distance from the base of
+    # residuals along or across it; `marker`; `frequency`; of a missing torque `joint_angle` or `joint_rate`.
+    abscissa: ClassVar[str] = "time"
     # It is a frequent cause, whose smallest detectable magnitude is reported first.
     common: ClassVar[bool] = False
     # It can only take energy out of the arm.
@@ -207,13 +179,10 @@ class Effect:
     # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
 
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Return its parameters, in order, on its rig."""
-        return self._parameters
-
     @cached_property
-    def _parameters(self) -> tuple[Parameter, ...]:
-        declared = [(each.name, each.metadata[_METADATA]) for each in fields(self) if _METADATA in each.metadata]
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters, in order, on its rig."""
+        declared = [(one.name, one.metadata[_METADATA]) for one in fields(self) if _METADATA in one.metadata]
         return tuple(replace(parameter, name=name).on(self.rig_units) for name, parameter in declared)
 
     @property
@@ -224,12 +193,12 @@ class Effect:
     @property
     def values(self) -> Mapping[str, float]:
         """Its parameters' values by name."""
-        return {each.name: getattr(self, each.name) for each in self.parameters()}
+        return {each.name: getattr(self, each.name) for each in self.parameters}
 
     @cached_property
     def is_null(self) -> bool:
         """True if it is absent: every magnitude is null."""
-        return all(getattr(self, each.name) == each.null for each in self.parameters() if not each.shape_parameter)
+        return all(getattr(self, each.name) == each.null for each in self.parameters if not each.shape_parameter)
 
     @property
     def coordinates(self) -> Array:
@@ -251,11 +220,11 @@ class Effect:
     @property
     def magnitude_count(self) -> int:
         """Number of coordinates, the first ones, that are magnitudes."""
-        return sum(not each.shape_parameter for each in self.parameters())
+        return sum(not each.shape_parameter for each in self.parameters)
 
     @property
     def _varied(self) -> tuple[Parameter, ...]:
-        varied = [each for each in self.parameters() if not each.integer]
+        varied = [each for each in self.parameters if not each.integer]
         return tuple(sorted(varied, key=lambda each: each.shape_parameter))
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
@@ -265,15 +234,14 @@ class Effect:
     def placed(self, rig: Rig, link: int | None) -> Self:
         """Return the effect on a link of a rig, or on the whole arm, whose units then scale its coordinates."""
         own = rig.links if link is None else (rig.links[link],)
-        length, mass = sum(each.length for each in own), sum(each.mass for each in own)
-        time = float(np.sqrt(mass * length**3 / min(each.bending_stiffness for each in own)))
-        return replace(self, link=link, rig_units=(length, mass, time))
+        length, mass = sum(one.length for one in own), sum(one.mass for one in own)
+        return replace(self, link=link, rig_units=_units(length, mass, min(one.bending_stiffness for one in own)))
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return absent instances from which searches start: one for each place and combination of shape parameters."""
         found: list[Self] = []
         for own in (self.placed(rig, link) for link in self.places(rig)):
-            grids = [[(each.name, value) for value in each.grid] for each in own.parameters() if each.shape_parameter]
+            grids = [[(each.name, value) for value in each.grid] for each in own.parameters if each.shape_parameter]
             changes: list[dict[str, Any]] = [dict(chosen) for chosen in product(*grids)]
             found += [replace(own, **change) for change in changes]
         return tuple(found)
@@ -301,13 +269,12 @@ class Effect:
         """
         return None
 
-    def smoothed(self) -> Effect:
-        """Return the effect from which derivatives by the parameters are taken: itself, if the motion is smooth."""
-        return self
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        """Return internal states (..., nz), such as the deflection of a bristle, at a recording's start.
 
-    def state_count(self, chain: Chain) -> int:
-        """Return the number nz of its internal states, such as the deflection of a bristle."""
-        return 0
+        The angles there are q (..., nv) [rad].
+        """
+        return np.zeros((*q.shape[:-1], 0))
 
     def state_rates(self, chain: Chain) -> Motion | None:
         """Return the function, as of `force`, that gives the internal states' rates of change (..., nz).
@@ -320,21 +287,16 @@ class Effect:
         """Return the function that moves internal states along with the joints, whatever time that takes.
 
         It takes angles (..., nv) [rad], the states (..., nz) there and other angles, and returns the states at these.
-        States that slip have no derivatives: `smoothed` must then return an effect without internal states.
+        States that slip have no derivatives: an effect that is `smooth` must not have any.
         """
         return None
-
-    def initial_states(self, chain: Chain, q: Array) -> Array:
-        """Return internal states (..., nz) at a recording's start, where the angles are q (..., nv) [rad]."""
-        return np.zeros((*q.shape[:-1], self.state_count(chain)))
 
     def rest_angles(self, chain: Chain, q: Array) -> Array:
         """Return angles (..., nv) near q (..., nv) [rad] at which an arm without load would stay at rest."""
         return q
 
-    @property
-    def max_step(self) -> float:
-        """Longest time step [s] with which a simulation resolves it."""
+    def max_step(self, chain: Chain) -> float:
+        """Return the longest time step [s] with which a simulation resolves it."""
         return np.inf
 
     @property
@@ -396,10 +358,13 @@ class LinkEffect(Effect):
         """Return the coordinates of its link's virtual joints."""
         return chain.passive_slices[self.link_index]
 
+    def units(self, chain: Chain) -> tuple[float, float, float]:
+        """Return its units of length [m], mass [kg] and time [s]: its rig's, or else those of a chain's link."""
+        link = self.link_of(chain)
+        return self.rig_units or _units(link.length, float(link.masses.sum()), link.bending_stiffness)
+
     def with_link(self, chain: Chain, **changes: Any) -> Chain:
-        """Return the chain with fields of its link replaced; the same chain if it is absent."""
-        if self.is_null:
-            return chain
+        """Return the chain with fields of its link replaced."""
         links = list(chain.links)
         links[self.link_index] = replace(self.link_of(chain), **changes)
         return replace(chain, links=tuple(links))

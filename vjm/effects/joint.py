@@ -7,21 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.effects.effect import (
-    ColumnEffect,
-    Effect,
-    JointEffect,
-    LinkEffect,
-    Motion,
-    RateIndependentUpdate,
-    magnitude,
-)
+from vjm.effects.effect import ColumnEffect, JointEffect, LinkEffect, Motion, RateIndependentUpdate, magnitude
 from vjm.records import Array, Recording
 
-# Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows. An arm that
-# sticks with a typical torque swings on it at some 10 Hz, which steps of a millisecond resolve.
-_PRESLIDING, _FRICTION_STEP = 1e-5, 1e-3
-_GRADUAL_REVERSAL = 0.05  # rad/s; what the joint's rate changes by between instants at which derivatives are taken
+# Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows. In the link's
+# own unit of time T: the step, 1/30 of the period of a hub of 0.05 m l^2 on the bristle of a typical torque; and by how
+# much the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
+_PRESLIDING, _FRICTION_STEP, _GRADUAL_REVERSAL = 1e-5, 1 / 480, 1 / 40
 
 
 @dataclass(frozen=True)
@@ -45,50 +37,33 @@ class CoulombFriction(JointEffect):
     in_urdf = True
     nonsmooth = True
 
-    def smoothed(self) -> Effect:
-        """Return friction without the bristle: reversals take as long as derivatives are apart."""
-        return _SmoothFriction(link=self.link, torque=self.torque)
-
-    def state_count(self, chain: Chain) -> int:
-        """Return one, the bristle."""
-        return 0 if self.is_null else 1
+    def initial_states(self, chain: Chain, q: Array) -> Array:
+        """Return the bristle's angle, none."""
+        return super().initial_states(chain, q) if self.smooth else np.zeros((*q.shape[:-1], 1))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
-        """Return the torque of the bristle."""
-        if self.is_null:
-            return None
-        stiffness = self.torque / _PRESLIDING
-        return self.force_on(self.active_joint(chain), lambda time, q, v, z: -stiffness * z[..., 0])
+        """Return the torque of the bristle, or one whose sign changes gradually."""
+        joint, torque = self.active_joint(chain), self.torque
+        if self.smooth:
+            gradual = self.units(chain)[2] / _GRADUAL_REVERSAL
+            return self.force_on(joint, lambda time, q, v, z: -torque * np.tanh(gradual * v[..., joint]))
+        return self.force_on(joint, lambda time, q, v, z: -torque / _PRESLIDING * z[..., 0])
 
     def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         """Return how the bristle follows the joint, as far as it does not slip."""
-        if self.is_null:
+        if self.smooth:
             return None
         joint = self.active_joint(chain)
         return lambda q, z, to: np.clip(z + (to - q)[..., joint, None], -_PRESLIDING, _PRESLIDING)
 
-    @property
-    def max_step(self) -> float:
-        """Time step [s] that resolves sticking."""
-        return np.inf if self.is_null else _FRICTION_STEP
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s] that resolves sticking."""
+        return self.units(chain)[2] * _FRICTION_STEP
 
     @property
     def joint_friction(self) -> float:
         """Dry friction torque at the active joint [N m]."""
         return self.torque
-
-
-@dataclass(frozen=True)
-class _SmoothFriction(JointEffect):
-    """Dry friction whose sign changes gradually."""
-
-    torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
-
-    id = "coulomb_friction"
-
-    def force(self, chain: Chain, payload: float) -> Motion | None:
-        joint, torque = self.active_joint(chain), self.torque
-        return self.force_on(joint, lambda time, q, v, z: -torque * np.tanh(v[..., joint] / _GRADUAL_REVERSAL))
 
 
 @dataclass(frozen=True)
@@ -144,7 +119,7 @@ class TorqueGain(ColumnEffect):
 
     def true_inputs(self, recording: Recording) -> Recording:
         """Return the recording with the true torque."""
-        return recording if self.is_null else replace(recording, tau=self.with_column(recording.tau, gain=self.gain))
+        return replace(recording, tau=self.with_column(recording.tau, gain=self.gain))
 
 
 @dataclass(frozen=True)
@@ -162,16 +137,14 @@ class TorqueOffset(ColumnEffect):
 
     def true_inputs(self, recording: Recording) -> Recording:
         """Return the recording with the true torque."""
-        return (
-            recording if self.is_null else replace(recording, tau=self.with_column(recording.tau, offset=self.offset))
-        )
+        return replace(recording, tau=self.with_column(recording.tau, offset=self.offset))
 
 
-# Flanks of teeth in contact: [N m/rad], and damped [N m s/rad] enough for a hub of 0.02 kg m^2 to rebound with a third
-# of its speed. Steps [s] are short against their own oscillation (a light hub of 0.005 kg m^2 on its flank: 5 ms a
-# period), which is no part of the chain's linear springs while the gap is open.
-_FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP = 2000.0, 2.0, 6e-4
-_GRADUAL_CONTACT = 0.15  # of the gap, over which flanks come into contact where derivatives are taken
+# Flanks of teeth in contact, in the link's own units l, m, T: a stiffness in EI / l, which turns by a thousandth of
+# what the link bends; a damping in EI T / l, with which a hub of 0.05 m l^2 rebounds with a third of its speed; a step,
+# a ninth of the period of a light hub of 0.012 m l^2 on its flank, which is no part of the chain's linear springs while
+# the gap is open; and the part of the gap over which flanks come into contact where derivatives are taken.
+_FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP, _GRADUAL_CONTACT = 1000.0, 2.2, 1 / 800, 0.15
 
 
 @dataclass(frozen=True)
@@ -229,21 +202,17 @@ class Backlash(JointEffect):
     reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
     distinguishing_experiment = "a marker on the hub, and slow motion that changes its direction"
 
-    def smoothed(self) -> Effect:
-        """Return play whose contact does not begin between two instants at which derivatives are taken."""
-        return _SmoothBacklash(link=self.link, gap=self.gap)
-
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with the stiff flanks in contact for good; `force` makes the gap."""
         if self.is_null:
             return chain
-        link = self.link_of(chain)
-        return self.with_link(chain, **_in_series(link, _FLANK_STIFFNESS, _FLANK_DAMPING), **_behind_gear(link))
+        link, (length, mass, time) = self.link_of(chain), self.units(chain)
+        unit = mass * length**2 / time**2
+        flank = _in_series(link, _FLANK_STIFFNESS * unit, _FLANK_DAMPING * unit * time)
+        return self.with_link(chain, **flank, **_behind_gear(link))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the torque that cancels the root joint's spring and damper inside the gap."""
-        if self.is_null:
-            return None
         link, root = self.link_of(chain), self.virtual_joints(chain).start - 1
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping
         sides = np.array([1.0, -1.0])
@@ -266,22 +235,14 @@ class Backlash(JointEffect):
 
     def _contact(self, beyond: Array) -> tuple[Array, Array]:
         """Depth to which a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
-        return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
-
-    @property
-    def max_step(self) -> float:
-        """Time step [s] that resolves an impact."""
-        return np.inf if self.is_null else _CONTACT_STEP
-
-
-@dataclass(frozen=True)
-class _SmoothBacklash(Backlash):
-    """Play whose contact begins gradually."""
-
-    def _contact(self, beyond: Array) -> tuple[Array, Array]:
-        """Return the depth and the share by a sigmoid, whose integral is a logarithm, instead of a corner."""
-        soft = 2 * _GRADUAL_CONTACT * self.gap
+        if not self.smooth:
+            return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
+        soft = 2 * _GRADUAL_CONTACT * self.gap  # a sigmoid, whose integral is a logarithm, instead of a corner
         return soft / 2 * np.logaddexp(0.0, 2 * beyond / soft), (1 + np.tanh(beyond / soft)) / 2
+
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s] that resolves an impact."""
+        return self.units(chain)[2] * _CONTACT_STEP
 
 
 def _in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> dict[str, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -64,8 +64,6 @@ class InPlaneGravity(Effect):
 
     def true_inputs(self, recording: Recording) -> Recording:
         """Return the recording with more gravity."""
-        if self.is_null:
-            return recording
         x, y = recording.gravity
         return replace(recording, gravity=(x + self.gx, y + self.gy))
 
@@ -96,13 +94,13 @@ class ExternalTone(_TipEffect):
     @property
     def coordinates(self) -> Array:
         """(3,) amplitudes of cosine and sine over a typical one, logarithm of the frequency over a typical one."""
-        amplitude, frequency, _ = self.parameters()
+        amplitude, frequency, _ = self.parameters
         radius, tone = amplitude.coordinate(self.amplitude), frequency.coordinate(self.frequency)
         return np.array([radius * np.cos(self.phase), radius * np.sin(self.phase), tone])
 
     def at(self, coordinates: Array) -> Self:
         """Return the same effect at other coordinates (3,); without amplitude, at phase zero."""
-        amplitude, frequency, _ = self.parameters()
+        amplitude, frequency, _ = self.parameters
         cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
         size, phase = amplitude.value(float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
         return replace(self, amplitude=size, frequency=frequency.value(tone), phase=phase)
@@ -110,7 +108,7 @@ class ExternalTone(_TipEffect):
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (3,), (3,) of the coordinates, of which only the frequency has any."""
-        frequency = self.parameters()[1]
+        frequency = self.parameters[1]
         low, high = frequency.bounds
         low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
         return np.array([-np.inf, -np.inf, low]), np.array([np.inf, np.inf, high])
@@ -125,7 +123,7 @@ class ExternalTone(_TipEffect):
         steps = [float(np.median(np.diff(own.time[own.frames]))) for own in recordings if own.frames.size > 1]
         longest = max((float(np.ptp(own.time)) for own in recordings), default=0.0)
         (own,) = (self.placed(rig, link) for link in self.places(rig))
-        typical = own.parameters()[1].typical_magnitude
+        typical = own.parameters[1].typical_magnitude
         lowest = 1 / longest if longest > 0 else typical / 25
         highest = max(0.5 / min(steps) if steps else 10 * typical, 2 * lowest)
         frequencies = np.geomspace(lowest, highest, 12).tolist()
@@ -140,17 +138,9 @@ class ExternalTone(_TipEffect):
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
             wave = np.sin(2 * np.pi * self.frequency * np.asarray(time) + self.phase)
             push = self.amplitude * wave[..., None] * last
-            return rods.torques(rods.motion(q, still).direction, push, rods.lengths[-1] * push)
+            return rods.torques(rods.motion(q, still)[0], push, rods.lengths[-1] * push)
 
         return force
-
-
-class _RodMotion(NamedTuple):
-    """(..., B) directions exp(i psi), rates w [rad/s], and velocities of the proximal ends along the normals [m/s]."""
-
-    direction: Complex
-    rate: Array
-    normal: Array
 
 
 class Rods:
@@ -177,12 +167,16 @@ class Rods:
         # [a, b]: what rod a adds to the place of rod b's proximal end.
         self._reach = np.triu(np.repeat(self.lengths[:, None], self.lengths.size, axis=1), 1)
 
-    def motion(self, q: Array, v: Array) -> _RodMotion:
-        """Return how the rods move at angles (..., nv) [rad] and rates (..., nv) [rad/s]."""
+    def motion(self, q: Array, v: Array) -> tuple[Complex, Array, Array]:
+        """Return how the rods move at angles (..., nv) [rad] and rates (..., nv) [rad/s].
+
+        Returns:
+            (..., B) directions exp(i psi), rates [rad/s], and velocities of the proximal ends along the normals [m/s].
+        """
         direction = self._rest * np.exp(1j * (q @ self._turns))
         rate = v @ self._turns
         normal = (((direction * rate) @ self._reach) * direction.conj()).real
-        return _RodMotion(direction, rate, normal)
+        return direction, rate, normal
 
     def torques(self, direction: Complex, force: Array, moment: Array) -> Array:
         """Return the generalised forces (..., nv) [N m] of forces on the rods.
@@ -197,6 +191,10 @@ class Rods:
         return result
 
 
+# In the link's own units l / T: 1/1000 of the speed of a tip that swings by l / 7 in the first mode (3.5 rad / T).
+_SLOW = 5e-4
+
+
 @dataclass(frozen=True)
 class _Drag(LinkEffect):
     """Air's resistance to the normal velocity of a link."""
@@ -205,8 +203,8 @@ class _Drag(LinkEffect):
     abscissa = "amplitude"
     dissipative = True
 
-    def density(self, normal: Array) -> Array:
-        """Force per length [N/m] at normal velocities [m/s]."""
+    def density(self, normal: Array, slow: float) -> Array:
+        """Force per length [N/m] at normal velocities [m/s], whose sign may be rounded off below a slow one."""
         raise NotImplementedError
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -218,15 +216,17 @@ class _Drag(LinkEffect):
         places, weights = lengths * (1 + abscissae) / 2, lengths * gauss / 2  # (b, nodes)
         moments = weights * places
         first, last = int(own[0]), int(own[-1]) + 1
+        length, _, time = self.units(chain)
+        slow = _SLOW * length / time
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            motion = rods.motion(q, v)
-            normal, rate = motion.normal[..., first:last, None], motion.rate[..., first:last, None]
-            densities = self.density(normal + rate * places)
+            direction, rates, normals = rods.motion(q, v)
+            normal = normals[..., first:last, None] + rates[..., first:last, None] * places
+            densities = self.density(normal, slow)
             pushes, turns = np.zeros((2, *v.shape[:-1], rods.lengths.size))
             pushes[..., first:last] = (densities * weights).sum(axis=-1)
             turns[..., first:last] = (densities * moments).sum(axis=-1)
-            return rods.torques(motion.direction, pushes, turns)
+            return rods.torques(direction, pushes, turns)
 
         return force
 
@@ -242,7 +242,7 @@ class LinearDrag(_Drag):
     clause = "air drag of {coefficient} on {link}, in proportion to the velocity"
     distinguishing_experiment = "two or more modes in free decay: drag damps the slow ones most"
 
-    def density(self, normal: Array) -> Array:
+    def density(self, normal: Array, slow: float) -> Array:
         """Return the force per length [N/m] at normal velocities [m/s]."""
         return -self.coefficient * normal
 
@@ -258,6 +258,6 @@ class QuadraticDrag(_Drag):
     clause = "air drag of {coefficient} on {link}, in proportion to the square of the velocity"
     distinguishing_experiment = "two amplitudes: its damping grows with the amplitude"
 
-    def density(self, normal: Array) -> Array:
-        """Return the force per length [N/m] at normal velocities [m/s], whose sign is rounded off below 1 mm/s."""
-        return -self.coefficient * normal * np.sqrt(normal * normal + 1e-3**2)
+    def density(self, normal: Array, slow: float) -> Array:
+        """Return the force per length [N/m] at normal velocities [m/s], whose sign is rounded off below a slow one."""
+        return -self.coefficient * normal * np.sqrt(normal * normal + slow * slow)

@@ -41,7 +41,7 @@ class CameraScale(Effect):
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Return larger positions."""
-        return positions if self.is_null else self.scale * positions
+        return self.scale * positions
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class CameraRotation(Effect):
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Return turned positions."""
-        return positions if self.is_null else rotate(positions, np.asarray(self.angle))
+        return rotate(positions, np.asarray(self.angle))
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,6 @@ class LensDistortion(Effect):
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Return distorted positions."""
-        if self.is_null:
-            return positions
         squares: Array = (positions * positions).sum(axis=-1, keepdims=True)
         return positions * (1 + self.k1 * squares)
 
@@ -145,8 +143,6 @@ class MarkerOffset(LinkEffect):
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Return the positions with that marker displaced."""
-        if self.is_null:
-            return positions
         displaced, heading = positions.copy(), headings[..., self.column]
         displaced[..., self.column, :] += rotate(np.array([self.along, self.across]), heading)
         return displaced
@@ -168,7 +164,7 @@ class EncoderOffset(ColumnEffect):
 
     def encoder_angles(self, theta: Array) -> Array:
         """Return shifted angles."""
-        return theta if self.is_null else self.with_column(theta, offset=self.offset)
+        return self.with_column(theta, offset=self.offset)
 
 
 @dataclass(frozen=True)
@@ -198,7 +194,7 @@ class TimeOffset(_ClockEffect):
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return earlier instants."""
-        return time if self.is_null else time - self.delay
+        return time - self.delay
 
 
 @dataclass(frozen=True)
@@ -215,7 +211,7 @@ class ClockScale(_ClockEffect):
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return the instants by the encoder's clock."""
-        return time if self.is_null else time / self.scale
+        return time / self.scale
 
 
 @dataclass(frozen=True)

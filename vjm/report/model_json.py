@@ -232,7 +232,7 @@ def _valued(path: Path | str, key: str, entry: _EffectEntry, chain: Chain, catal
     if entry.link is not None and entry.link not in names:
         raise ModelFileError(path, f"key '{key}.link': got {entry.link!r}", f"null or one of {names}")
     effect = catalogue[entry.effect]
-    parameters = {parameter.name: parameter for parameter in effect.parameters()}
+    parameters = {parameter.name: parameter for parameter in effect.parameters}
     values: dict[str, Any] = {}
     for name, value in {**dict.fromkeys(parameters), **entry.parameters}.items():
         fault = f"key '{key}.parameters.{name}'"
@@ -267,7 +267,7 @@ def _placed(path: Path | str, key: str, effect: Effect, rig: Rig, recordings: Se
     if effect.link not in places:
         names = [rig.links[place].name for place in places if place is not None]
         raise ModelFileError(path, f"key '{key}.link': got {name}", f"one of {names}" if names else "null")
-    whole = [parameter.name for parameter in effect.parameters() if parameter.integer]
+    whole = [parameter.name for parameter in effect.parameters if parameter.integer]
     there = [variant for variant in effect.variants(rig, recordings) if variant.link == effect.link]
     for variant in there:
         if all(getattr(variant, name) == getattr(effect, name) for name in whole):

@@ -150,7 +150,7 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = 
         sizes: with standard errors; None: the effect's own values, without.
     """
     texts = {}
-    for parameter in effect.parameters():
+    for parameter in effect.parameters:
         value, size = effect.values[parameter.name], (sizes or {}).get(parameter.name)
         if parameter.integer:
             texts[parameter.name] = str(int(value))
@@ -171,7 +171,7 @@ def sizes_text(effect: Effect, sizes: Mapping[str, float], from_null: bool = Fal
     A dimensionless parameter whose null is not zero, such as a scale, is told by the difference: `+0.04 %`, or
     `off by 0.04 %` where `sizes` are themselves differences `from_null`.
     """
-    for parameter in effect.parameters():
+    for parameter in effect.parameters:
         scale = bool(parameter.null) and math.isfinite(parameter.null) and not parameter.unit
         if scale and list(sizes) == [parameter.name]:
             size = sizes[parameter.name]
@@ -184,7 +184,7 @@ def sizes_text(effect: Effect, sizes: Mapping[str, float], from_null: bool = Fal
 
 def _together(effect: Effect, sizes: Mapping[str, float]) -> str:
     """Return values by name; those of one unit share it: `along 4.0, across -6.0 mm`."""
-    units = {parameter.name: parameter.unit for parameter in effect.parameters()}
+    units = {parameter.name: parameter.unit for parameter in effect.parameters}
     if len(sizes) > 1 and len({units.get(name, "") for name in sizes}) == 1 and np.isfinite([*sizes.values()]).all():
         largest = max(abs(value) for value in sizes.values())
         factor, name = _everyday(largest, units.get(next(iter(sizes)), ""))

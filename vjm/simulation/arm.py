@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Motion, RateIndependentUpdate
+from vjm.effects.effect import Effect, Motion, RateIndependentUpdate, is_nonsmooth
 from vjm.errors import InsufficientDataError
 from vjm.markers.smoothing import Smoother
 from vjm.model import dynamics
@@ -60,7 +60,8 @@ class Arm:
     @cached_property
     def states(self) -> tuple[int, ...]:
         """Number of each effect's internal states."""
-        return tuple(effect.state_count(self.chain) for effect in self.effects)
+        q = np.zeros(self.chain.size)
+        return tuple(effect.initial_states(self.chain, q).size for effect in self.effects)
 
     def initial_states(self, q: Array) -> Array:
         """Return (..., nz) internal states at a recording's start, at angles q (..., nv) [rad]."""
@@ -119,7 +120,7 @@ class Arm:
     @property
     def longest_step(self) -> float:
         """Time step that the effects allow [s]."""
-        return min((effect.max_step for effect in self.effects), default=np.inf)
+        return min((effect.max_step(self.chain) for effect in self.effects), default=np.inf)
 
     @cached_property
     def sensors(self) -> tuple[Effect, ...]:
@@ -143,15 +144,12 @@ class Arm:
     @cached_property
     def smooth(self) -> tuple[Arm, NDArray[np.intp]]:
         """The arm of which derivatives are taken, and which of this arm's internal states it has."""
-        effects = tuple(effect.smoothed() for effect in self.effects)
-        if all(one is two for one, two in zip(effects, self.effects, strict=True)):
+        if not is_nonsmooth(self.effects):
             return self, np.arange(sum(self.states))
-        kept = [
-            np.arange(part.start, part.stop)
-            for part, effect in zip(self._state_slices, effects, strict=True)
-            if effect.state_count(self.chain)
-        ]
-        return Arm(self.chain, effects, self.feedback), np.concatenate([np.zeros(0, dtype=np.intp), *kept])
+        effects = tuple(replace(effect, smooth=True) for effect in self.effects)
+        smooth = Arm(self.chain, effects, self.feedback)
+        slices = zip(self._state_slices, smooth.states, strict=True)
+        return smooth, np.concatenate([np.arange(part.start, part.start + count) for part, count in slices])
 
     @cached_property
     def _state_slices(self) -> list[slice]:
