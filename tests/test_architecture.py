@@ -238,7 +238,7 @@ def test_only_the_command_line_prints() -> None:
 def test_recordings_are_cleaned_in_one_place() -> None:
     """Whoever fits or compares models takes `Experiment.cleaned_recordings`."""
     calls = [path for path, call in nodes(ast.Call) if ast.unparse(call.func).split(".")[-1] == "cleaned"]
-    assert [path.relative_to(PACKAGE).as_posix() for path in calls] == ["experiment/experiment.py"]
+    assert [path.relative_to(PACKAGE).as_posix() for path in calls] == ["experiment/records.py"]
 
 
 def test_records_are_frozen() -> None:

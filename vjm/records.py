@@ -10,47 +10,19 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.experiment.experiment import Experiment
-from vjm.experiment.records import (
-    Array,
-    Complex,
-    Indices,
-    Joint,
-    Kind,
-    Link,
-    MarkersFrame,
-    Mask,
-    Recording,
-    Rig,
-    Role,
-)
+from vjm.experiment.records import Array as Array
+from vjm.experiment.records import Complex as Complex
+from vjm.experiment.records import Experiment as Experiment
+from vjm.experiment.records import Indices as Indices
+from vjm.experiment.records import Kind as Kind
+from vjm.experiment.records import Link as Link
+from vjm.experiment.records import Mask as Mask
+from vjm.experiment.records import Recording as Recording
+from vjm.experiment.records import Rig as Rig
+from vjm.experiment.records import Role as Role
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = [
-    "REFERENCE",
-    "Array",
-    "Complex",
-    "Estimate",
-    "Experiment",
-    "Indices",
-    "Joint",
-    "Kind",
-    "Link",
-    "MarkersFrame",
-    "Mask",
-    "Progress",
-    "Record",
-    "Recording",
-    "RecordingComparison",
-    "Result",
-    "Rig",
-    "Role",
-    "SimulatedRecording",
-    "SimulatedResult",
-    "Simulation",
-]
 
 Progress = Callable[[str, int, int], None]  # called with (text, done, total) now and then
 

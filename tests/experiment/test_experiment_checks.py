@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from experiment_files import DRIVEN, FREE, ROWS, TOML, csv_text, rows, write_experiment
 
-from vjm.errors import InsufficientDataError, RecordingError
+from vjm.errors import RecordingError
 from vjm.experiment.checks import (
     _absence_warnings,
     _clipped_runs,
@@ -22,7 +22,6 @@ from vjm.experiment.checks import (
     _moves,
     _torque_difference,
     _unit_warnings,
-    camera_rate,
 )
 from vjm.experiment.load import load_experiment
 from vjm.records import Experiment, Recording
@@ -185,14 +184,6 @@ def test_torque_difference() -> None:
     assert _torque_difference(first, recording(TIME[:300], 1.2 * torque[:300])) == pytest.approx(0.2)
     assert _torque_difference(recording(TIME, 0.0 * torque), first) == np.inf
     assert _torque_difference(first, recording(TIME, np.full_like(torque, np.nan))) == 0.0
-
-
-def test_camera_rate(tmp_path: Path) -> None:
-    drive = load_experiment(write_experiment(tmp_path)).recordings[0]
-    assert camera_rate(drive) == pytest.approx(50.0)
-    first = {key: getattr(drive, key)[:2] for key in ("time", "markers", "theta", "tau")}
-    with pytest.raises(InsufficientDataError, match=r"drive_1\.csv has 1 frame "):
-        camera_rate(replace(drive, **first))
 
 
 def frozen(table: np.ndarray, columns: list[str]) -> None:

@@ -6,11 +6,14 @@ import difflib
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vjm.errors import InsufficientDataError, RecordingError
-from vjm.experiment.records import Array, Indices, Mask, Recording, Rig
+from vjm.errors import RecordingError
+
+if TYPE_CHECKING:
+    from vjm.experiment.records import Array, Indices, Mask, Recording, Rig
 
 _DEFAULT_MARKER_NOISE = 1e-3  # m, where the experiment does not give it
 _DEFAULT_ENCODER_NOISE = 1e-3  # rad, where the experiment does not give it
@@ -30,21 +33,6 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
     files = [recording.file for recording in recordings]
     listed = {file: files.count(file) for file in files}  # twice: it would count as independent measurements
     return warnings + [f"{file}: listed {count} times" for file, count in listed.items() if count > 1]
-
-
-def camera_rate(recording: Recording) -> float:
-    """Return the frames per second of a recording's camera, from the median interval between frames [Hz].
-
-    Half of it bounds the modes that can be asked of the recording.
-
-    Raises:
-        InsufficientDataError: the recording has fewer than two frames.
-    """
-    times = recording.time[recording.frames]
-    if times.size < 2:
-        reason = f"{recording.file} has {times.size} frame{'' if times.size == 1 else 's'} with a marker"
-        raise InsufficientDataError("camera rate", reason, "record at least two")
-    return float(1.0 / np.median(np.diff(times)))
 
 
 def cleaned(rig: Rig, recording: Recording) -> Recording:

@@ -19,8 +19,7 @@ from annotated_types import MinLen
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError, RecordingError, shown
-from vjm.experiment.experiment import Experiment
-from vjm.experiment.records import Array, Indices, Link, Recording, Rig, check_columns
+from vjm.experiment.records import Array, Experiment, Indices, Link, Recording, Rig, check_columns
 from vjm.experiment.schema import STRICT, explain, table_model
 
 _TEXT = "a CSV text file in UTF-8"

@@ -1,4 +1,4 @@
-"""The rig and its recordings, built from files or in Python; validated when they are built."""
+"""The rig, its recordings and the experiment, from files or from Python; validated when they are built."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -14,6 +15,7 @@ from annotated_types import Ge, Gt, Le, MinLen, Predicate
 from numpy.typing import ArrayLike, NDArray
 
 from vjm.errors import ExperimentError, RecordingError, shown, suggestion
+from vjm.experiment.checks import cleaned, experiment_warnings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -156,7 +158,7 @@ class Rig:
     def __post_init__(self) -> None:
         """Validate."""
         _check_fields(self, self.name)
-        links = several(self.links, Link, f"rig {self.name}", "links")
+        links = _several(self.links, Link, f"rig {self.name}", "links")
         object.__setattr__(self, "links", links)
         names = [link.name for link in links]
         for index, name in enumerate(names):
@@ -260,7 +262,7 @@ class Recording:
             ExperimentError: a field has the wrong type or value.
             RecordingError: a column is unknown or missing, a cell is no number, or too few frames are usable.
         """
-        file, rig = fields.get("file"), as_rig(rig)
+        file, rig = fields.get("file"), _as_rig(rig)
         name = file if isinstance(file, str) and file else "recording"
         if not hasattr(frame, "columns"):
             raise RecordingError(name, None, None, f"got {shown(frame)}", "a pandas DataFrame")
@@ -283,7 +285,7 @@ class Recording:
             role=role,
             **{"gravity": rig.gravity, **fields},
         )
-        check_recording(name, rig, recording)
+        _check_recording(name, rig, recording)
         return recording
 
     def __eq__(self, other: object) -> bool:
@@ -318,12 +320,80 @@ class Recording:
         return np.flatnonzero(np.isfinite(self.markers).any(axis=(1, 2)))
 
 
-def as_rig(rig: Rig | Link) -> Rig:
-    """Return a rig, or that of a bare link.
+@dataclass(frozen=True)
+class Experiment:
+    """A rig and what was recorded on it.
+
+    Attributes:
+        rig: the arm; a bare link is fine too.
+        recordings: in the file's order; a bare one is fine too.
+        file: the experiment file, None for an experiment built in Python.
 
     Raises:
-        ExperimentError: it is neither.
+        ExperimentError: no recording, or recordings of one `repeat` label that differ in kind, payload or gravity.
+        RecordingError: a recording that does not fit the rig, or has fewer than 10 usable frames.
     """
+
+    rig: Rig
+    recordings: tuple[Recording, ...]
+    file: Path | None = None
+
+    def __post_init__(self) -> None:
+        """Validate."""
+        rig = _as_rig(self.rig)
+        rig.require_markers()
+        recordings = []
+        for number, recording in enumerate(_several(self.recordings, Recording, "experiment", "recordings"), start=1):
+            recording = recording.completed(rig, number)
+            _check_recording(recording.file, rig, recording)
+            recordings.append(recording)
+        object.__setattr__(self, "rig", rig)
+        object.__setattr__(self, "recordings", tuple(recordings))
+        self._check_repeats()
+
+    def _check_repeats(self) -> None:
+        """Refuse recordings of one `repeat` label that differ in kind, payload or gravity."""
+        first: dict[str, int] = {}
+        for index, recording in enumerate(self.recordings):
+            if recording.repeat is None:
+                continue
+            number = first.setdefault(recording.repeat, index)
+            other = self.recordings[number]
+            for key in ("kind", "payload", "gravity"):
+                here, there = getattr(recording, key), getattr(other, key)
+                if here != there:
+                    place = f"[recording[{number + 1}] {other.file}] with the same repeat label '{recording.repeat}'"
+                    problem = f"{shown(here)}, but {place} has another"
+                    table, expected = f"recording[{index + 1}] {recording.file}", f"{shown(there)}, or another label"
+                    raise ExperimentError(self.file, table, key, problem, expected)
+
+    def __repr__(self) -> str:
+        lines = [repr(self.rig), *map(repr, self.recordings[:8])]
+        more = len(self.recordings) - 8
+        lines += [f"and {more} more recordings"] if more > 0 else []
+        return "Experiment(" + "\n  ".join(lines) + ")"
+
+    @cached_property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences that a user should read before trusting results."""
+        return tuple(experiment_warnings(self.rig, self.recordings))
+
+    @cached_property
+    def cleaned_recordings(self) -> tuple[Recording, ...]:
+        """The recordings without coordinates that cannot be right: what models are fitted to and compared with.
+
+        Raises:
+            RecordingError: nothing is left of a link's markers in a recording.
+        """
+        return tuple(cleaned(self.rig, recording) for recording in self.recordings)
+
+    def with_role(self, role: Role) -> tuple[Recording, ...]:
+        """Return the recordings of one role as they were read, in order."""
+        return tuple(recording for recording in self.recordings if recording.role == role)
+
+
+def _as_rig(rig: Rig | Link) -> Rig:
+    """Return a rig, or that of a bare link."""
     if isinstance(rig, Link):
         return Rig(rig.name, (rig,))
     if not isinstance(rig, Rig):
@@ -358,12 +428,8 @@ def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind
             raise RecordingError(name, row, column, "the column is missing", expected)
 
 
-def check_recording(name: Path | str, rig: Rig, recording: Recording) -> None:
-    """Check that a recording fits its rig and that enough of it was measured.
-
-    Raises:
-        RecordingError: arrays of the wrong width, angles or torques that are needed and absent, too few usable frames.
-    """
+def _check_recording(name: Path | str, rig: Rig, recording: Recording) -> None:
+    """Check that arrays are as wide as the rig needs, and that enough of each was measured."""
     counts = ", ".join(f"{link.name} {len(link.markers)}" for link in rig.links)
     total = sum(len(link.markers) for link in rig.links)
     active = [rig.links[i].name for i in rig.active_links]
@@ -398,12 +464,8 @@ def _check_fields(record: object, name: object) -> None:
     check_fields(record, name)
 
 
-def several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
-    """Return records of one kind as a tuple; a bare one is fine too.
-
-    Raises:
-        ExperimentError: there is none, or something else.
-    """
+def _several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
+    """Return records of one kind as a tuple; a bare one is fine too."""
     try:
         items = (values,) if isinstance(values, kind) else tuple(values)
     except TypeError:  # not iterable

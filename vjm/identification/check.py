@@ -9,7 +9,7 @@ import numpy as np
 
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import InsufficientDataError
-from vjm.experiment.checks import camera_rate, overlapping_samples
+from vjm.experiment.checks import overlapping_samples
 from vjm.identification.parameters import PARAMETRISATIONS
 from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_uniform_torque
@@ -119,7 +119,7 @@ def data_warnings(data: TrainingData) -> list[str]:
             warnings.append(f"{name}: the arm moves only {motion:.1f} times its angles' noise; it can tell little")
     fastest = max((float(m.frequencies[-1]) for m in data.modes if m.frequencies.size), default=0.0)
     for one in data.prepared:
-        rate = camera_rate(one.recording)
+        rate = 1 / float(np.median(np.diff(one.angles.time)))
         if fastest and rate < _MIN_FRAMES_PER_PERIOD * fastest:
             warnings.append(
                 f"{one.recording.file}: the camera takes {rate:.3g} frames/s, {rate / fastest:.2g} a period of the "
