@@ -16,7 +16,6 @@ from vjm.experiment.checks import (
     _clipped_runs,
     _clipping_warnings,
     _coverage_warnings,
-    _difference_noise,
     _distance_warnings,
     _gap_warnings,
     _moves,
@@ -52,25 +51,25 @@ def load_changed(
 
 def test_gaps() -> None:
     times = np.delete(0.01 * np.arange(100), np.r_[20:25, 60])
-    assert _gap_warnings(0.01 * np.arange(100)) == []
-    assert _gap_warnings(np.delete(0.01 * np.arange(100), 60)) == []
+    assert list(_gap_warnings(0.01 * np.arange(100))) == []
+    assert list(_gap_warnings(np.delete(0.01 * np.arange(100), 60))) == []
     (sentence,) = _gap_warnings(times)
     assert "1 gap without any marker" in sentence
     assert "0.06 s from t = 0.19 s" in sentence
     assert "every 0.01 s" in sentence
-    assert _gap_warnings(np.array([0.0, 5.0])) == []
+    assert list(_gap_warnings(np.array([0.0, 5.0]))) == []
 
 
 def test_units() -> None:
-    assert _unit_warnings(beam(), 1.0) == []
+    assert list(_unit_warnings(beam(), 1.0)) == []
     (sentence,) = _unit_warnings(1000.0 * beam(), 1.0)
     assert "millimetres" in sentence
-    assert _unit_warnings(np.full((3, 2, 2), np.nan), 1.0) == []
+    assert list(_unit_warnings(np.full((3, 2, 2), np.nan), 1.0)) == []
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_straight_beam_is_consistent(seed: int) -> None:
-    assert _distance_warnings(TIME, beam(seed), ARCS, NAMES, NOISE) == []
+    assert list(_distance_warnings(TIME, beam(seed), ARCS, NAMES, NOISE)) == []
 
 
 def test_markers_too_far_apart() -> None:
@@ -86,7 +85,7 @@ def test_markers_too_far_apart() -> None:
 def test_a_bent_beam_is_consistent() -> None:
     markers = beam()
     markers[:, 1:] -= 0.3 * (markers[:, 1:] - markers[:, [0]])
-    assert _distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    assert list(_distance_warnings(TIME, markers, ARCS, NAMES, NOISE)) == []
 
 
 @pytest.mark.parametrize(("first", "second"), [(0, 1), (1, 2), (0, 4), (2, 4)])
@@ -108,9 +107,9 @@ def test_distances_with_occluded_markers_and_lone_y() -> None:
     markers = beam()
     markers[::2, 1] = np.nan
     markers[:, 3] = np.nan
-    assert _distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    assert list(_distance_warnings(TIME, markers, ARCS, NAMES, NOISE)) == []
     markers[..., 0] = np.nan
-    assert _distance_warnings(TIME, markers, ARCS, NAMES, NOISE) == []
+    assert list(_distance_warnings(TIME, markers, ARCS, NAMES, NOISE)) == []
     markers[7, 2, 1] += 5.0
     (sentence,) = _distance_warnings(TIME, markers, ARCS, NAMES, NOISE)
     assert "in 1 frame (first at t = 0.07 s)" in sentence
@@ -118,14 +117,14 @@ def test_distances_with_occluded_markers_and_lone_y() -> None:
 
 def test_clipping() -> None:
     y = 0.1 * np.sin(3.0 * TIME)
-    assert _clipping_warnings(TIME, y[:, None], ["beam.m1.y"]) == []
+    assert list(_clipping_warnings(TIME, y[:, None], ["beam.m1.y"])) == []
     (sentence,) = _clipping_warnings(TIME, np.minimum(y, 0.08)[:, None], ["beam.m1.y"])
     assert "beam.m1.y stays at exactly its largest value, 0.08 m" in sentence
     (sentence,) = _clipping_warnings(TIME, np.maximum(y, -0.08)[:, None], ["beam.m1.y"])
     assert "smallest value, -0.08 m" in sentence
     gappy = np.minimum(y, 0.08)
     gappy[::2] = np.nan
-    assert len(_clipping_warnings(TIME, gappy[:, None], ["beam.m1.y"])) == 1
+    assert len(list(_clipping_warnings(TIME, gappy[:, None], ["beam.m1.y"]))) == 1
 
 
 def test_what_only_resembles_clipping() -> None:
@@ -138,37 +137,35 @@ def test_what_only_resembles_clipping() -> None:
 
 def test_noise_and_motion() -> None:
     noise = np.random.default_rng(0).normal(0.0, NOISE, 2000)
-    assert _difference_noise(noise) == pytest.approx(NOISE, rel=0.1)
-    assert _difference_noise(noise[:1]) == 0.0
     for given in (NOISE, None):
-        assert not _moves(noise, given, 1e-3)
-        assert _moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given, 1e-3)
-    assert not _moves(np.full(50, 0.1 + 0.2), None, 1e-3)
-    assert not _moves(np.full(97, 0.1), None, 1e-3)
-    assert not _moves(np.full(50, np.nan), None, 1e-3)
+        assert not _moves(noise, given)
+        assert _moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given)
+    assert not _moves(np.full(50, 0.1 + 0.2), None)
+    assert not _moves(np.full(97, 0.1), None)
+    assert not _moves(np.full(50, np.nan), None)
     fast = 0.05 * np.sin(2.0 * np.pi * 31.0 * TIME)  # near half the sampling rate, differences are no longer noise
-    assert _moves(fast, None, 1e-3)
+    assert _moves(fast, None)
 
 
 def test_absence() -> None:
     markers = beam(count=20)
     needs_x = np.ones(5, dtype=bool)
-    assert _absence_warnings(markers, NAMES, needs_x) == []
+    assert list(_absence_warnings(markers, NAMES, needs_x)) == []
     markers[:, 2] = np.nan
     markers[4, 1, 0] = np.nan
     first, second = _absence_warnings(markers, NAMES, needs_x)
     assert first == "no position of beam.m3 in this recording"
     assert second.startswith("in 1 frame a marker has one coordinate")
-    assert _absence_warnings(markers[:, 1:2], NAMES[1:2], ~needs_x[:1]) == []
+    assert list(_absence_warnings(markers[:, 1:2], NAMES[1:2], ~needs_x[:1])) == []
 
 
 def test_coverage() -> None:
     frames = 0.01 * np.arange(100)
-    assert _coverage_warnings("beam.tau", frames[1:-1], frames) == []
+    assert list(_coverage_warnings("beam.tau", frames[1:-1], frames)) == []
     (sentence,) = _coverage_warnings("beam.tau", frames[:50], frames)
     assert "beam.tau is measured from t = 0 to 0.49 s only" in sentence
-    assert len(_coverage_warnings("beam.tau", frames[5:], frames)) == 1
-    assert _coverage_warnings("beam.tau", frames[:0], frames) == []
+    assert len(list(_coverage_warnings("beam.tau", frames[5:], frames))) == 1
+    assert list(_coverage_warnings("beam.tau", frames[:0], frames)) == []
 
 
 def recording(time: np.ndarray, tau: np.ndarray) -> Recording:
@@ -285,10 +282,10 @@ def test_marker_without_columns(tmp_path: Path) -> None:
 def test_markers_in_millimetres_are_refused_once_they_are_used(tmp_path: Path) -> None:
     experiment = load_changed(tmp_path, "free", millimetres)
     assert len(experiment.warnings) == 1
-    words = r"free\.csv: in no frame .* 'arm' .* rig's marker positions: .* up to 100[0-9] times .*; expected .* metres"
+    words = r"free\.csv: in no frame .* 'arm' .* rig's marker positions: .* 100[0-9] times .*; expected .* metres"
     with pytest.raises(RecordingError, match=words):
         _ = experiment.cleaned_recordings
     free = experiment.recordings[2]
     shrunk = replace(experiment, recordings=(replace(free, markers=0.02 * free.markers),))
-    with pytest.raises(RecordingError, match=r"up to 20.* times"):
+    with pytest.raises(RecordingError, match=r"are 20.* times"):
         _ = shrunk.cleaned_recordings

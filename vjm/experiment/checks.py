@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -15,24 +16,22 @@ from vjm.errors import RecordingError
 if TYPE_CHECKING:
     from vjm.experiment.records import Array, Indices, Mask, Recording, Rig
 
-_DEFAULT_MARKER_NOISE = 1e-3  # m, where the experiment does not give it
-_DEFAULT_ENCODER_NOISE = 1e-3  # rad, where the experiment does not give it
+_DEFAULT_NOISE = 1e-3  # m or rad, as much as a sensor may have where the experiment does not give it
 
 
-def experiment_warnings(rig: Rig, recordings: Sequence[Recording]) -> list[str]:
-    """Return everything the checks have to say about an experiment, recording by recording, then across them."""
-    warnings = [
-        f"{recording.file}: {sentence}" for recording in recordings for sentence in _recording_warnings(rig, recording)
-    ]
-    warnings += _repeat_warnings(recordings)
+def experiment_warnings(rig: Rig, recordings: Sequence[Recording]) -> Iterator[str]:
+    """Yield everything the checks have to say about an experiment, recording by recording, then across them."""
+    for recording in recordings:
+        yield from (f"{recording.file}: {sentence}" for sentence in _recording_warnings(rig, recording))
+    yield from _repeat_warnings(recordings)
     for recording in recordings:
         label = recording.condition
         near = label and difflib.get_close_matches(label.lower(), ["reference", "ref"], n=1, cutoff=0.75)
         if near and label != "reference":
-            warnings.append(f"{recording.file}: its condition {label!r} is not 'reference', and has no meaning")
-    files = [recording.file for recording in recordings]
-    listed = {file: files.count(file) for file in files}  # twice: it would count as independent measurements
-    return warnings + [f"{file}: listed {count} times" for file, count in listed.items() if count > 1]
+            yield f"{recording.file}: its condition {label!r} is not 'reference', and has no meaning"
+    for file, count in Counter(recording.file for recording in recordings).items():
+        if count > 1:  # it would count as independent measurements
+            yield f"{file}: listed {count} times"
 
 
 def cleaned(rig: Rig, recording: Recording) -> Recording:
@@ -58,14 +57,14 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     wrong = clipped.reshape(recording.markers.shape)
     for link, own in zip(rig.links, rig.marker_slices, strict=True):
         arcs, markers = np.array(link.markers), recording.markers[:, own]
-        impossible = _impossible(markers, arcs, rig.marker_noise or _DEFAULT_MARKER_NOISE)
+        impossible = _impossible(markers, arcs, rig.marker_noise or _DEFAULT_NOISE)
         seen = np.isfinite(markers).any(axis=2)
         if seen.any() and impossible[seen].all():
             first, second = np.triu_indices(arcs.size, 1)
-            distances = np.median(_distances(markers[recording.frames])[:, first, second], axis=0)
+            ratios = _distances(markers)[impossible.any(axis=1)][:, first, second] / (arcs[second] - arcs[first])
             problem = (
                 f"in no frame are the markers of '{link.name}' compatible with the rig's marker positions: they are "
-                f"up to {np.max(distances / (arcs[second] - arcs[first])):.4g} times as far apart as along the link"
+                f"{np.median(ratios.max(axis=1)):.4g} times as far apart as along the link"
             )
             raise RecordingError(recording.file, None, None, problem, "coordinates in metres, marker by marker")
         wrong[:, own] |= impossible[..., None]
@@ -143,98 +142,95 @@ def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
     return starts[clipped], lengths[clipped]
 
 
-def _recording_warnings(rig: Rig, recording: Recording) -> list[str]:
-    """Return what the checks have to say about one recording, without its name."""
+def _recording_warnings(rig: Rig, recording: Recording) -> Iterator[str]:
+    """Yield what the checks have to say about one recording, without its name."""
     frames = recording.frames
     time, markers = recording.time[frames], recording.markers[frames]
     names = [f"{link.name}.m{number}" for link in rig.links for number in range(1, len(link.markers) + 1)]
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
-    warnings = _absence_warnings(markers, names, needs_x) + _gap_warnings(time)
+    yield from _absence_warnings(markers, names, needs_x)
+    yield from _gap_warnings(time)
     for quantity, values in (("theta", recording.theta), ("tau", recording.tau)):
         for index, column in zip(rig.active_links, values.T, strict=True):
             measured = recording.time[np.isfinite(column)]
-            warnings += _coverage_warnings(f"{rig.links[index].name}.{quantity}", measured, time)
+            yield from _coverage_warnings(f"{rig.links[index].name}.{quantity}", measured, time)
     if recording.kind == "driven" and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
-        warnings.append("every torque is zero, though the kind is 'driven'")
+        yield "every torque is zero, though the kind is 'driven'"
     with np.errstate(over="ignore", invalid="ignore"):  # absurd coordinates deserve the sentence on units, not noise
-        units = _unit_warnings(markers, sum(link.length for link in rig.links))
-        warnings += units
+        units = list(_unit_warnings(markers, sum(link.length for link in rig.links)))
+        yield from units
         for link, own in zip(rig.links, rig.marker_slices, strict=True):
             if not units and len(link.markers) > 1:
-                noise = _DEFAULT_MARKER_NOISE if rig.marker_noise is None else rig.marker_noise
-                warnings += _distance_warnings(time, markers[:, own], np.array(link.markers), names[own], noise)
-        if recording.kind in ("driven", "decay") and not _anything_moves(rig, recording):
-            warnings.append(f"nothing moves beyond the noise, though the recording is of kind '{recording.kind}'")
+                noise = rig.marker_noise or _DEFAULT_NOISE
+                yield from _distance_warnings(time, markers[:, own], np.array(link.markers), names[own], noise)
+        moving = [_moves(values, rig.marker_noise) for values in recording.markers.reshape(len(recording.time), -1).T]
+        moving += [_moves(values, rig.encoder_noise) for values in recording.theta.T]
+        if recording.kind in ("driven", "decay") and not any(moving):
+            yield f"nothing moves beyond the noise, though the recording is of kind '{recording.kind}'"
     coordinates = [f"{name}.{axis}" for name in names for axis in "xy"]
-    return warnings + _clipping_warnings(time, markers.reshape(len(time), -1), coordinates)
+    yield from _clipping_warnings(time, markers.reshape(len(time), -1), coordinates)
 
 
-def _absence_warnings(markers: Array, names: list[str], needs_x: Mask) -> list[str]:
+def _absence_warnings(markers: Array, names: list[str], needs_x: Mask) -> Iterator[str]:
     """Tell of k markers never measured, and of frames that have one coordinate of a marker but not the other."""
     measured = np.isfinite(markers)
     never = [names[index] for index in np.flatnonzero(~np.any(measured, axis=(0, 2)))]
-    warnings = [f"no position of {', '.join(never)} in this recording"] if never else []
+    if never:
+        yield f"no position of {', '.join(never)} in this recording"
     halves = int(((measured[..., 0] != measured[..., 1]) & needs_x).any(axis=1).sum())
     if halves:
-        warnings.append(f"in {halves} frame{'s' if halves > 1 else ''} a marker has one coordinate but not the other")
-    return warnings
+        yield f"in {halves} frame{'s' if halves > 1 else ''} a marker has one coordinate but not the other"
 
 
-def _gap_warnings(times: Array) -> list[str]:
+def _gap_warnings(times: Array) -> Iterator[str]:
     """Tell of intervals between frames (F,) [s] more than three times as long as the median."""
-    if times.size < 3:
-        return []
     intervals = np.diff(times)
-    median = float(np.median(intervals))
+    median = float(np.median(intervals)) if intervals.size else 0.0
     gaps = np.flatnonzero(intervals > 3.0 * median)
-    if not gaps.size:
-        return []
-    longest = gaps[intervals[gaps].argmax()]
-    return [
-        f"{gaps.size} gap{'s' if gaps.size > 1 else ''} without any marker, the longest {intervals[longest]:.4g} s "
-        f"from t = {times[longest]:.6g} s, where frames usually follow every {median:.4g} s"
-    ]
+    if gaps.size:
+        longest = gaps[intervals[gaps].argmax()]
+        yield (
+            f"{gaps.size} gap{'s' if gaps.size > 1 else ''} without any marker, the longest {intervals[longest]:.4g} s "
+            f"from t = {times[longest]:.6g} s, where frames usually follow every {median:.4g} s"
+        )
 
 
-def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> list[str]:
+def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> Iterator[str]:
     """Tell of a sensor that starts after the first frame or stops before the last, by more than a camera interval."""
     if not sensor_times.size or frame_times.size < 2:
-        return []
+        return
     interval = float(np.median(np.diff(frame_times)))
-    if sensor_times[0] - frame_times[0] <= interval and frame_times[-1] - sensor_times[-1] <= interval:
-        return []
-    return [
-        f"{column} is measured from t = {sensor_times[0]:.6g} to {sensor_times[-1]:.6g} s only, "
-        f"the markers from {frame_times[0]:.6g} to {frame_times[-1]:.6g} s"
-    ]
+    if sensor_times[0] - frame_times[0] > interval or frame_times[-1] - sensor_times[-1] > interval:
+        yield (
+            f"{column} is measured from t = {sensor_times[0]:.6g} to {sensor_times[-1]:.6g} s only, "
+            f"the markers from {frame_times[0]:.6g} to {frame_times[-1]:.6g} s"
+        )
 
 
-def _unit_warnings(markers: Array, arm_length: float) -> list[str]:
+def _unit_warnings(markers: Array, arm_length: float) -> Iterator[str]:
     """Tell of coordinates more than 20 arm lengths from the base: no longer metres."""
     largest = float(np.nanmax(np.abs(markers), initial=0.0))
-    if largest <= 20.0 * arm_length:
-        return []
-    return [
-        f"a marker coordinate reaches {largest:.4g} m with an arm {arm_length:.4g} m long: "
-        "the coordinates look like millimetres, and metres are expected"
-    ]
+    if largest > 20.0 * arm_length:
+        yield (
+            f"a marker coordinate reaches {largest:.4g} m with an arm {arm_length:.4g} m long: "
+            "the coordinates look like millimetres, and metres are expected"
+        )
 
 
-def _distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str], noise: float) -> list[str]:
+def _distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str], noise: float) -> Iterator[str]:
     """Tell of frames (T, k, 2) in which two markers are farther apart than the link between them is long."""
     limits = _distance_limits(arcs, noise)
     excess = _distances(markers) - limits
     bad = (excess > 0.0).any(axis=(1, 2))
-    if not bad.any():
-        return []
-    count, largest = int(bad.sum()), excess.max(axis=0)
-    one, other = np.unravel_index(largest.argmax(), largest.shape)
-    return [
-        f"in {count} frame{'s' if count > 1 else ''} (first at t = {time[bad][0]:.6g} s) markers are "
-        f"farther apart than the link allows, by up to {largest.max() + limits[0, 0]:.3g} m between {names[one]} and "
-        f"{names[other]}, which are {abs(arcs[other] - arcs[one]):.4g} m apart along the link"
-        + _swap_hint(markers[bad], limits, names)
-    ]
+    if bad.any():
+        count, largest = int(bad.sum()), excess.max(axis=0)
+        one, other = np.unravel_index(largest.argmax(), largest.shape)
+        yield (
+            f"in {count} frame{'s' if count > 1 else ''} (first at t = {time[bad][0]:.6g} s) markers are farther apart "
+            f"than the link allows, by up to {largest.max() + limits[0, 0]:.3g} m between {names[one]} and "
+            f"{names[other]}, which are {abs(arcs[other] - arcs[one]):.4g} m apart along the link"
+            + _swap_hint(markers[bad], limits, names)
+        )
 
 
 def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
@@ -257,50 +253,36 @@ def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
     )
 
 
-def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> list[str]:
+def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> Iterator[str]:
     """Tell of coordinates (T, c) [m] that stand still at their very extreme, as at the edge of a camera's image."""
-    return [
-        f"{names[column]} stays at exactly its {extreme} value, {coordinates[begin, column]:.6g} m, for up to "
-        f"{longest} frames in a row (first at t = {time[begin]:.6g} s): it looks clipped, as at the edge of the image"
-        for column, extreme, begin, longest in _clippings(coordinates)
-    ]
+    for column, extreme, begin, longest in _clippings(coordinates):
+        yield (
+            f"{names[column]} stays at exactly its {extreme} value, {coordinates[begin, column]:.6g} m, for up to "
+            f"{longest} frames in a row (first at t = {time[begin]:.6g} s): it looks clipped, as at the edge of the image"
+        )
 
 
-def _anything_moves(rig: Rig, recording: Recording) -> bool:
-    coordinates = recording.markers.reshape(len(recording.time), -1).T
-    return any(_moves(values, rig.marker_noise, _DEFAULT_MARKER_NOISE) for values in coordinates) or any(
-        _moves(values, rig.encoder_noise, _DEFAULT_ENCODER_NOISE) for values in recording.theta.T
-    )
-
-
-def _moves(values: Array, noise: float | None, most_noise: float) -> bool:
-    """Return True if a signal (N,) spreads over more than its noise explains.
+def _moves(values: Array, noise: float | None) -> bool:
+    """Return True if a signal (N,) [m or rad] spreads over more than its noise explains.
 
     The spread is the range of a sinusoid of the same variance, 2.8 standard deviations; unlike the plain range it
-    does not grow with the number of samples. Where the noise is not known, first differences tell it, up to
-    `most_noise`: fast motion inflates them.
+    does not grow with the number of samples. Where the noise is not known, first differences of a well sampled signal
+    tell it; fast motion inflates them.
     """
     measured = values[np.isfinite(values)]
     if measured.size < 2:
         return False
-    sigma = min(_difference_noise(measured), most_noise) if noise is None else noise
+    if noise is None:
+        differences = np.diff(measured)
+        deviation = np.median(np.abs(differences - np.median(differences)))
+        noise = min(1.4826 * deviation / np.sqrt(2.0), _DEFAULT_NOISE)  # 1.4826: standard over median deviation
     spread = 2.0 * np.sqrt(2.0) * (measured - measured[0]).std()  # from the first: a constant has exactly none
-    return bool(spread > 4.0 * sigma)  # pure noise spreads over 2.8 sigma
+    return bool(spread > 4.0 * noise)  # pure noise spreads over 2.8 sigma
 
 
-def _difference_noise(values: Array) -> float:
-    """Return the 1-sigma noise of a well sampled signal (N,), from the median size of its first differences."""
-    differences = np.diff(values)
-    if not differences.size:
-        return 0.0
-    spread = np.median(np.abs(differences - np.median(differences)))
-    return float(1.4826 * spread / np.sqrt(2.0))  # 1.4826: standard deviation over median deviation, for a Gaussian
-
-
-def _repeat_warnings(recordings: Sequence[Recording]) -> list[str]:
+def _repeat_warnings(recordings: Sequence[Recording]) -> Iterator[str]:
     """Tell of recordings with one `repeat` label that differ in their torque or in their condition."""
     first: dict[str, Recording] = {}
-    warnings: list[str] = []
     for recording in recordings:
         if recording.repeat is None or first.setdefault(recording.repeat, recording) is recording:
             continue
@@ -308,11 +290,10 @@ def _repeat_warnings(recordings: Sequence[Recording]) -> list[str]:
         pair = f"{recording.file}: it repeats {other.file} (label '{recording.repeat}')"
         difference = _torque_difference(other, recording)
         if difference > 0.05:
-            warnings.append(f"{pair}, but their torques differ by {100.0 * difference:.3g} % of their root mean square")
+            yield f"{pair}, but their torques differ by {100.0 * difference:.3g} % of their root mean square"
         if recording.condition != other.condition:
             mine, its = (repr(one.condition) if one.condition else "none" for one in (recording, other))
-            warnings.append(f"{pair}, but its condition is {mine} and the other's is {its}")
-    return warnings
+            yield f"{pair}, but its condition is {mine} and the other's is {its}"
 
 
 def _torque_difference(first: Recording, second: Recording) -> float:

@@ -43,13 +43,6 @@ def table_model(record: type, keys: tuple[str, ...] = (), required: tuple[str, .
     return create_model(record.__name__, __config__=STRICT, **fields)
 
 
-@cache
-def _defaults(record: type) -> dict[str, Any]:
-    """Return the defaults of a record's annotated fields."""
-    checked = table_model(record).model_fields
-    return {field.name: field.default for field in dataclasses.fields(record) if field.name in checked}
-
-
 def check_fields(record: Any, name: object) -> None:
     """Check a record's annotated fields and put the plain Python values in their place.
 
@@ -61,8 +54,10 @@ def check_fields(record: Any, name: object) -> None:
         ExperimentError: a field has the wrong type or value.
     """
     kind: type = type(record)
-    model, defaults = table_model(kind), _defaults(kind)
-    given = {key: _plain(value) for key, default in defaults.items() if (value := getattr(record, key)) is not default}
+    model = table_model(kind)
+    values = {key: getattr(record, key) for key in model.model_fields}
+    # A default may be what no table can say, as the rig's gravity.
+    given = {key: _plain(value) for key, value in values.items() if value is not model.model_fields[key].default}
     try:
         valid = model.model_validate(given)
     except ValidationError as error:
