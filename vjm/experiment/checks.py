@@ -258,7 +258,8 @@ def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> Ite
     for column, extreme, begin, longest in _clippings(coordinates):
         yield (
             f"{names[column]} stays at exactly its {extreme} value, {coordinates[begin, column]:.6g} m, for up to "
-            f"{longest} frames in a row (first at t = {time[begin]:.6g} s): it looks clipped, as at the edge of the image"
+            f"{longest} frames in a row (first at t = {time[begin]:.6g} s): "
+            "it looks clipped, as at the edge of the image"
         )
 
 

@@ -25,28 +25,33 @@ def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, floa
 
     Quiet recordings, where there are any, speak for all.
     """
-    quiet = [recording for recording in recordings if recording.kind == "quiet"]
-    chosen = quiet or list(recordings)
-    size = max(link.length for link in rig.links)
-    markers = rig.marker_noise or _median([_marker_noise(recording) for recording in chosen], size)
-    encoder = rig.encoder_noise or _median([_white_noise(_complete_rows(r.theta)) for r in chosen if r.theta.size], 1.0)
+    chosen = [recording for recording in recordings if recording.kind == "quiet"] or recordings
+    length = max(link.length for link in rig.links)
+    markers = rig.marker_noise or _median_noise([r.markers.reshape(len(r.time), -1) for r in chosen], length)
+    encoder = rig.encoder_noise or _median_noise([r.theta for r in chosen], 1.0)
     return markers, encoder
 
 
-def _white_noise(samples: ArrayLike) -> float:
+def _median_noise(signals: Sequence[Array], scale: float) -> float:
+    known = [noise for noise in map(_white_noise, signals) if np.isfinite(noise)]
+    return max(float(np.median(known)) if known else 0.0, 1e-9 * scale)  # exact data still need a finite weight
+
+
+def _white_noise(samples: Array) -> float:
     """Return the 1-sigma of the white part of evenly sampled signals.
 
     A low quantile of the windowed periodogram: its bins are noise power times an exponential variate, and the few that
     hold motion do not move the quantile.
 
     Args:
-        samples: (T, m), complete rows; columns are signals with the same noise.
+        samples: (T, m) signals with the same noise; of those measured at all, only complete rows are used.
 
     Returns:
         The noise, in the signals' unit; NaN for fewer than 16 samples.
     """
-    values = np.asarray(samples, dtype=float)
-    if len(values) < 16:
+    values = samples[:, np.isfinite(samples).any(axis=0)]
+    values = values[np.isfinite(values).all(axis=1)]
+    if not values.size or len(values) < 16:
         return float("nan")
     # Ends that differ would leak over the whole spectrum: the window and the second difference of a line take that out.
     line = np.linspace(0, 1, len(values))[:, None]
@@ -55,23 +60,6 @@ def _white_noise(samples: ArrayLike) -> float:
     power = np.abs(np.fft.rfft(detrended * window, axis=0)[4:-1]) ** 2 / np.sum(window**2)
     low = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
     return float(np.sqrt(np.quantile(power, low) / -np.log(1 - low)))
-
-
-def _complete_rows(values: Array) -> Array:
-    """Return the complete rows of the columns that were measured."""
-    rows = values[np.isfinite(values).any(axis=1)]
-    rows = rows[:, np.isfinite(rows).any(axis=0)]
-    kept: Array = rows[np.isfinite(rows).all(axis=1)]
-    return kept
-
-
-def _marker_noise(recording: Recording) -> float:
-    return _white_noise(_complete_rows(recording.markers[recording.frames].reshape(recording.frames.size, -1)))
-
-
-def _median(values: list[float], size: float) -> float:
-    known = [value for value in values if np.isfinite(value)]
-    return max(float(np.median(known)) if known else 0.0, 1e-9 * size)  # exact data still need a finite weight
 
 
 class Oscillators:
@@ -144,14 +132,12 @@ class MeasuredModes:
         damping_ratios: (m,) fractions of critical damping.
         frequency_std: (m,) standard errors [Hz].
         damping_std: (m,) standard errors.
-        residual: root mean square of what the modes leave, in units of the noise.
     """
 
     frequencies: Array
     damping_ratios: Array
     frequency_std: Array
     damping_std: Array
-    residual: float
 
 
 def measure_modes(
@@ -170,7 +156,7 @@ def measure_modes(
         most: number of modes at most.
         torque: instants (U,) [s] and joint torques (U, n_a) [N m] that drove the motion; None for free motion.
     """
-    t, y = _complete(np.asarray(time, dtype=float), np.asarray(signals, dtype=float))
+    t, y = _complete(time, signals)
     oscillators = Oscillators(t, torque)
     values = np.zeros((0, 2))
     residual, _ = _project(oscillators.columns(values), y)
@@ -185,54 +171,34 @@ def measure_modes(
     std = _standard_errors(oscillators, y, values)
     order = np.argsort(values[:, 0])
     sure = order[std[order, 0] < _LARGEST_STD * values[order, 0]]
-    return MeasuredModes(
-        values[sure, 0],
-        values[sure, 1],
-        std[sure, 0],
-        std[sure, 1],
-        float(np.sqrt(np.mean(residual**2)) / noise) if residual.size else 0.0,
-    )
+    return MeasuredModes(values[sure, 0], values[sure, 1], std[sure, 0], std[sure, 1])
 
 
-@dataclass(frozen=True)
-class CombinedMode:
-    """One mode over several recordings: inverse-variance means."""
-
-    frequency: float
-    frequency_std: float
-    damping_ratio: float
-    damping_std: float
-
-
-def match(
-    expected: float, measured: Sequence[MeasuredModes], tolerance: float, floor: float = 5e-4
-) -> CombinedMode | None:
-    """Return the measured mode nearest to an expected frequency [Hz], averaged over the recordings that show it.
+def match(expected: float, measured: Sequence[MeasuredModes], tolerance: float) -> tuple[float, float, float] | None:
+    """Return the measured mode nearest to an expected frequency, averaged over the recordings that show it.
 
     Args:
         expected: [Hz].
         measured: one entry a recording.
         tolerance: largest relative distance.
-        floor: relative standard error below which recordings are not trusted: amplitudes differ between them.
+
+    Returns:
+        Frequency [Hz], its standard error [Hz] and damping ratio, inverse-variance means; None where no mode is near.
     """
-    rows = []
-    for modes in measured:
-        if modes.frequencies.size == 0:
-            continue
-        table = (modes.frequencies, modes.frequency_std, modes.damping_ratios, modes.damping_std)
-        nearest = int(np.argmin(np.abs(modes.frequencies - expected)))
-        if abs(modes.frequencies[nearest] / expected - 1) < tolerance:
-            rows.append([column[nearest] for column in table])
+    tables = [
+        np.stack([modes.frequencies, modes.frequency_std, modes.damping_ratios, modes.damping_std])
+        for modes in measured
+        if modes.frequencies.size
+    ]
+    nearest = [table[:, np.argmin(np.abs(table[0] - expected))] for table in tables]
+    rows = [row for row in nearest if abs(row[0] / expected - 1) < tolerance]
     if not rows:
         return None
     f, f_std, d, d_std = np.array(rows).T
-    f_weight, d_weight = 1 / (f_std**2 + (floor * f) ** 2), 1 / np.maximum(d_std, 1e-6) ** 2
-    return CombinedMode(
-        float(np.average(f, weights=f_weight)),
-        float(f_weight.sum() ** -0.5),
-        float(np.average(d, weights=d_weight)),
-        float(d_weight.sum() ** -0.5),
-    )
+    least = 5e-4 * f  # standard error below which recordings are not trusted: amplitudes differ between them
+    weights = 1 / (f_std**2 + least**2)
+    ratio = np.average(d, weights=1 / np.maximum(d_std, 1e-6) ** 2)
+    return float(np.average(f, weights=weights)), float(weights.sum() ** -0.5), float(ratio)
 
 
 def mode_shapes(
@@ -250,7 +216,7 @@ def mode_shapes(
         (m, c, r) deflections of the modes' free motion and of their response to each of r - 1 torques, as RMS values
         over the recording [m].
     """
-    t, y = _complete(np.asarray(time, dtype=float), np.asarray(signals, dtype=float))
+    t, y = _complete(time, signals)
     values = np.column_stack([modes.frequencies, modes.damping_ratios])
     columns = Oscillators(t, torque).columns(values)
     _, amplitudes = _project(columns, y)
@@ -259,8 +225,9 @@ def mode_shapes(
     return np.moveaxis(pairs[:, :, 0] - 1j * pairs[:, :, 1], 1, 2)
 
 
-def _complete(t: Array, y: Array) -> tuple[Array, Array]:
+def _complete(time: ArrayLike, signals: ArrayLike) -> tuple[Array, Array]:
     """Return the frames without a gap, of a very long recording its beginning."""
+    t, y = np.asarray(time, dtype=float), np.asarray(signals, dtype=float)
     kept = np.flatnonzero(np.isfinite(y).all(axis=1))[:_MOST_FRAMES]
     return t[kept], y[kept]
 

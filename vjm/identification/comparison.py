@@ -152,15 +152,15 @@ def compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ...
     alike = [one for one in data.prepared if one.recording.payload == data.payload]
     rows = []
     for frequency, ratio, shape in zip(found.frequencies.tolist(), found.damping_ratios.tolist(), shapes, strict=True):
-        mode = match(frequency, data.modes, MODE_TOLERANCE)
+        value, std, damping = match(frequency, data.modes, MODE_TOLERANCE) or (None, None, None)
         measured = _measured_shape(data.rig, frequency, alike, data.modes)
         rows.append(
             ModeComparison(
                 frequency_model=frequency,
-                frequency_measured=None if mode is None else mode.frequency,
-                frequency_std=None if mode is None else mode.frequency_std,
+                frequency_measured=value,
+                frequency_std=std,
                 damping_model=ratio,
-                damping_measured=None if mode is None else mode.damping_ratio,
+                damping_measured=damping,
                 mac=None if measured is None else _modal_assurance(shape, measured),
             )
         )

@@ -157,9 +157,9 @@ class TorqueFit:
         for mode, frequency in enumerate(modes(self.chain, data.payload).frequencies):
             measured = match(float(frequency), data.modes, MODE_TOLERANCE)
             if measured is not None:
-                model_error = 5e-4 * measured.frequency  # of a small chain, however sharp the measurement is
-                std = float(np.hypot(measured.frequency_std, model_error))
-                targets.append(_FrequencyTarget(mode, measured.frequency, std))
+                value, std, _ = measured
+                model_error = 5e-4 * value  # of a small chain, however sharp the measurement is
+                targets.append(_FrequencyTarget(mode, value, float(np.hypot(std, model_error))))
         if not targets:
             reason = "no peak of the recordings' spectra is near a mode of the model"
             raise InsufficientDataError("torque+frequency", reason, "use method 'torque'")
