@@ -25,7 +25,7 @@ from vjm.effects import (
 from vjm.experiment.load import load_experiment
 from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig
 from vjm.report.figures.diagnosis import diagnosis_pictures
-from vjm.report.figures.style import Picture
+from vjm.report.figures.panels import Picture
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import Model
 

@@ -24,7 +24,7 @@ from vjm.markers.angles import ShapeSettings, estimate_angles
 from vjm.markers.smoothing import Smoother
 from vjm.records import Estimate, Experiment, Link, Recording, RecordingComparison, Rig, SimulatedRecording
 from vjm.report.figures.identification import identification_pictures
-from vjm.report.figures.style import Picture
+from vjm.report.figures.panels import Picture
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import InitialStatePrior, simulate_runs

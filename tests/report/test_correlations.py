@@ -12,7 +12,7 @@ from tests.report.fits import demo_fit, elbow_fit, pictures_of
 from tests.report.test_figures import figure_of
 from vjm.records import Estimate
 from vjm.report.figures.identification import identification_pictures
-from vjm.report.figures.style import Picture
+from vjm.report.figures.panels import Picture
 
 Array = NDArray[np.float64]
 

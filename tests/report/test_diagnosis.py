@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from tests.report.diagnoses import (
     unknown,
 )
 from tests.report.schema import DiagnoseResult
-from tests.report.test_figures import assert_nothing_overlaps, assert_readable, figure_of
+from tests.report.test_figures import assert_nothing_overlaps, assert_readable, figure_of, marks
 from tests.report.test_page import HOSTILE, Elements, assert_self_contained
 from vjm.diagnosis.records import Diagnosis, Remaining
 from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag, TimeOffset, TipPayload
@@ -34,6 +35,7 @@ from vjm.report import output
 from vjm.report.diagnosis import _alternative_points, _candidate_table, _cause_table
 from vjm.report.figures import diagnosis as drawing
 from vjm.report.figures.diagnosis import _evidence, diagnosis_pictures
+from vjm.report.figures.panels import Picture
 from vjm.report.model_json import read_model
 from vjm.report.output import result_page, save
 from vjm.report.result_json import result_object
@@ -213,8 +215,7 @@ def test_residuals_without_and_with_the_causes_are_drawn() -> None:
     sizes = {line.get_label(): np.ptp(np.asarray(line.get_ydata())) for line in residual.lines}
     assert sizes["with the causes"] < sizes["without the causes"]
     gain = figure_of(diagnosis_pictures(found), "gain").axes[0]
-    marks = [line for line in gain.lines if line.get_label() == "with the causes"]
-    assert np.ravel(marks[0].get_xdata())[0] == pytest.approx(1e3 * shown.simulated.marker_rms)  # held out comes first
+    assert marks(gain, "with the causes")[0] == pytest.approx(1e3 * shown.simulated.marker_rms)  # held out comes first
 
 
 def test_pictures_have_their_names(diagnosis: Diagnosis) -> None:
@@ -232,7 +233,7 @@ def test_every_effect_has_its_evidence() -> None:
     first = found.recordings[0]
     for effect in BUILTIN:
         cause = replace(found.causes[0], effect=replace(effect, link=0), parameters={})
-        assert_nothing_overlaps(_evidence(cause, found.model, [first]))
+        assert_nothing_overlaps(Picture("cause", "", partial(_evidence, cause, found.model, [first])).figure)
 
 
 @pytest.mark.parametrize("name", ["undecided", "pair", "nothing"])

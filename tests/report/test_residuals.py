@@ -13,8 +13,7 @@ from tests.report.test_figures import figure_of
 from vjm.identification.records import Identification
 from vjm.records import RecordingComparison, SimulatedRecording
 from vjm.report.figures.identification import identification_pictures
-from vjm.report.figures.panels import Spectrum
-from vjm.report.figures.style import Picture
+from vjm.report.figures.panels import Picture, Spectrum
 
 Array = NDArray[np.float64]
 _NOISE = 3e-4

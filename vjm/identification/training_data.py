@@ -60,16 +60,19 @@ class PreparedRecording(Record):
         errors = np.nan_to_num(self.errors(chain, self.derivatives.interior)) @ self.rows
         return np.asarray(solve_triangular(noise_factor, errors.T, lower=True).T)
 
-    def noise_factor(self, chain: Chain) -> Array:
-        """Return the Cholesky factor (r, r) of the noise covariance of a chain's torque errors [N m]."""
-        d = self.derivatives
+    def noise_covariance(self, chain: Chain) -> Array:
+        """Return the covariance (nv, nv) that the noise of the angles gives a chain's torque errors [N^2 m^2]."""
+        d, noise = self.derivatives, self.angles.covariance
         mechanism = dynamics.build(chain, self.recording.payload, self.recording.gravity)
         inertia = dynamics.mass_matrix(mechanism, d.value[d.interior].mean(axis=0)[None])[0]
-        terms = [self.rows.T @ A for A in (np.diag(chain.stiffness), np.diag(chain.damping), inertia)]
+        terms = [np.diag(chain.stiffness), np.diag(chain.damping), inertia]
         pairs = [(i, j) for i in range(3) for j in range(3)]
-        noise = self.angles.covariance
         covariance = np.asarray(sum(d.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
-        covariance = (covariance + covariance.T) / 2
+        return (covariance + covariance.T) / 2
+
+    def noise_factor(self, chain: Chain) -> Array:
+        """Return the Cholesky factor (r, r) of the noise covariance of a chain's torque errors [N m]."""
+        covariance = self.rows.T @ self.noise_covariance(chain) @ self.rows
         ridge = 1e-12 * np.trace(covariance)  # keeps exact data's covariance invertible
         return cholesky(covariance + ridge * np.eye(len(covariance)), lower=True)
 

@@ -27,7 +27,7 @@ from vjm.report.text import (
 from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
-    from vjm.report.figures.style import Picture
+    from vjm.report.figures.panels import Picture
 
 _MOST_NAMED = 3  # of a list in a sentence; the tables have all
 

@@ -16,7 +16,7 @@ from vjm.report.figures import identification as identification_figures
 from vjm.report.figures import symptoms as symptom_figures
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.identification import identification_pictures, replay_pictures
-from vjm.report.figures.style import Picture
+from vjm.report.figures.panels import Picture
 from vjm.report.identification import check_page, comparison_page, identification_page
 from vjm.report.model_json import model_text
 from vjm.report.page import Page
@@ -55,7 +55,7 @@ def save(result: Identification | Comparison | Diagnosis, directory: Path | str)
     if isinstance(result, Identification):
         pictures = identification_pictures(result)
     elif isinstance(result, Comparison):
-        pictures = replay_pictures(result.recordings, result.model, result.nominal)
+        pictures = replay_pictures(result.recordings, result.model)
     else:
         pictures = diagnosis_pictures(result)
     covariance = None if isinstance(result, Diagnosis) else result.covariance

@@ -21,7 +21,7 @@ from rich.text import Text
 from vjm.report.text import UNKNOWN
 
 if TYPE_CHECKING:
-    from vjm.report.figures.style import Picture
+    from vjm.report.figures.panels import Picture
 
 _WIDTH = 110  # columns where the output is no terminal
 _MOST_ROWS = 16  # of a table on a terminal

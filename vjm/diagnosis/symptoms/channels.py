@@ -315,10 +315,6 @@ class SensorAtRest(NamedTuple):
     size: Coefficient  # root mean square over the noise supposed, minus one
     correlation: Coefficient  # of one value with the next, any tone taken out
     tone: Tone | None
-    frequency: Array  # (L,) of the residual's spectrum [Hz]
-    amplitude: Array  # (L,) of a sine, root mean square over the coordinates [m or rad]
-    white: float  # amplitude that white noise of the size supposed gives, and
-    limit: float  # that it passes anywhere in one recording of a thousand
 
     @classmethod
     def of(cls, sensor: Channels) -> SensorAtRest | None:
@@ -340,8 +336,4 @@ class SensorAtRest(NamedTuple):
         cross, own = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
         chance = float(stats.chi2.sf(statistic, len(columns)))
         correlation = Coefficient(cross / own, count**-0.5, chance, cross**2 / own)
-        frequency, spectrum = sensor.spectrum(sensor.residual, 1)
-        white, freedom = sensor.noise * math.sqrt(float(np.mean(4 / sensor.counts))), 2 * len(columns)
-        limit = white * math.sqrt(float(stats.chi2.isf(1e-3 / frequency.size, freedom)) / freedom)
-        size_explained = larger._replace(explained=abs(float(power.sum()) - count))
-        return cls(sensor, size_explained, correlation, tone, frequency, white * np.sqrt(spectrum), white, limit)
+        return cls(sensor, larger._replace(explained=abs(float(power.sum()) - count)), correlation, tone)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,15 +12,23 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import binned_statistic
 
 from vjm.diagnosis.records import Cause, Diagnosis
 from vjm.diagnosis.symptoms.joints import missing_torque
 from vjm.effects.effect import Effect
 from vjm.records import REFERENCE, Array, RecordingComparison, SimulatedRecording
-from vjm.report.figures.panels import Curve, Role, Spectrum, motion_figure, recording_label, rms_figure, spectrum_panel
-from vjm.report.figures.selection import Signal, liveliest_window, moving_recordings
-from vjm.report.figures.style import AXIS, BAND, IDENTIFIED, MEASURED, NOMINAL, Page, Picture, styled
+from vjm.report.figures.panels import (
+    LOOKS,
+    Color,
+    Page,
+    Picture,
+    Spectrum,
+    binned_means,
+    recording_label,
+    rms_figure,
+    spectrum_panel,
+)
+from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, moving_recordings
 from vjm.report.figures.symptoms import symptom_pictures
 from vjm.report.text import capital, clause, millimetres, named, place, short
 from vjm.simulation.model import Model
@@ -33,7 +41,7 @@ NAMES = (
     "gain",
     *(f"held_out_{k + 1}" for k in range(_MOST_HELD_OUT)),
 )
-_LABELS: dict[Role, str] = {
+_LABELS: dict[str, str] = {
     "reference": "without the causes",
     "alternative": "next best explanation",
     "simulated": "with the causes",
@@ -42,7 +50,7 @@ Points = tuple[Array, Array]  # abscissa and residual (P,)
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> list[Picture]:
-    """Draw all figures of a diagnosis: what is wrong, the evidence, what is gained."""
+    """Return all pictures of a diagnosis: what is wrong, the evidence, what is gained."""
     wrong = [] if diagnosis.symptoms is None else symptom_pictures(diagnosis.symptoms)
     return [*wrong, *_cause_pictures(diagnosis), *_gain_pictures(diagnosis)]
 
@@ -62,7 +70,7 @@ def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
             "residual against the quantity on which this cause depends. Right: the residual without the cause against "
             "what the cause adds to the simulation; on the dashed line the two are equal."
         )
-        yield Picture(f"cause_{k + 1}", caption, _evidence(cause, diagnosis.model, shown))
+        yield Picture(f"cause_{k + 1}", caption, partial(_evidence, cause, diagnosis.model, shown))
 
 
 def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -70,7 +78,7 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     shown.sort(key=lambda each: each.recording.role != "holdout")  # these are what counts
     if shown:
         gain, title = diagnosis.gain, "Residual of the model without any effect"
-        labels: dict[Role, str] = _LABELS if diagnosis.causes else {"reference": "model"}
+        labels: dict[str, str] = _LABELS if diagnosis.causes else {"reference": "model"}
         if gain is not None and diagnosis.causes:
             best = "" if gain.next_best is None else f", {millimetres(gain.next_best)} with the next best explanation"
             title = (
@@ -78,11 +86,11 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
             )
             title = f"{title} them{best}; noise {millimetres(gain.noise)}"
         caption = "Open-loop simulation of each whole recording; a complete model lies on the noise mark."
-        yield Picture("gain", caption, rms_figure(title, shown[:40], labels, in_noise=False))
+        yield Picture("gain", caption, partial(rms_figure, title, shown[:40], labels, in_noise=False))
     for k, (comparison, signal) in enumerate(_held_out(diagnosis) if diagnosis.causes else ()):
         sensor = "Tip marker" if signal.is_marker else "Joint angle"
         caption = f"{sensor} in {short(comparison.recording.file)}: measured, and simulated before and after."
-        yield Picture(f"held_out_{k + 1}", caption, _before_and_after(comparison, signal, diagnosis))
+        yield Picture(f"held_out_{k + 1}", caption, partial(_before_and_after, comparison, signal))
 
 
 def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
@@ -94,19 +102,17 @@ def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
     return (changed or held_out)[:_MOST_HELD_OUT] or ordered[:1]
 
 
-def _before_and_after(comparison: RecordingComparison, signal: Signal, diagnosis: Diagnosis) -> Figure:
+def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure:
     """Draw the tip of one recording, measured and by the models without and with the causes."""
-    drawn = Curve.of(comparison, _LABELS, {"reference": diagnosis.reference, "simulated": diagnosis.model})
-    before = signal.residual(drawn["reference"].simulated)
-    sizes = [signal.rms_text(drawn[role].simulated) for role in ("reference", "simulated")]
-    title = f"{recording_label(comparison.recording)}, {signal.name}: residual {sizes[0]} RMS without the causes, "
-    window = liveliest_window(signal.time, np.nan_to_num(before))
-    whole = window[1] - window[0] > 0.99 * (signal.time[-1] - signal.time[0])
-    heading = "" if whole else "Where the model without the causes is off most"
-    motion = [drawn[role] for role in ("reference", "simulated")]
-    return motion_figure(
-        f"{title}{sizes[1]} with them", comparison.noise, signal, motion, [*drawn.values()], [(window, heading)]
-    )
+    before, after = comparison.reference, comparison.simulated
+    assert before is not None
+    assert after is not None
+    sizes = f"{signal.rms_text(before)} RMS without the causes, {signal.rms_text(after)} with them"
+    title = f"{recording_label(comparison.recording)}, {signal.name}: residual {sizes}"
+    window = liveliest_window(signal.time, np.nan_to_num(signal.residual(before)))
+    heading = "" if signal.is_whole(window) else "Where the model without the causes is off most"
+    motion = {role: label for role, label in _LABELS.items() if role != "alternative"}
+    return motion_figure(title, signal, comparison, motion, _LABELS, [(window, heading)])
 
 
 @dataclass(frozen=True)
@@ -121,7 +127,6 @@ class _Evidence:
     title: str = "Residual"
 
 
-@styled
 def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingComparison]) -> Figure:
     """Draw residuals of the first recording without and with a cause, and against what the cause adds."""
     clause_text = capital(clause(cause.effect, model, cause.parameters))
@@ -132,21 +137,20 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
         spectra = [Spectrum.of(each) for each in (before, after)] if cause.effect.abscissa == "frequency" else [None]
         known = [spectrum for spectrum in spectra if spectrum is not None]
         if len(known) == 2:
-            spectrum_panel(left, [(known[0], "", NOMINAL), (known[1], "", IDENTIFIED)])
+            spectrum_panel(left, [(known[0], "", Color.NOMINAL), (known[1], "", Color.IDENTIFIED)])
             left.set_title("Spectrum of the residual; dashed: limit of noise")
         else:
             torque = _torque_evidence(cause.effect, model, comparisons)
             _draw_evidence(left, torque or _marker_evidence(cause.effect, before, after))
         _draw_added(right, before, after)
-    page.legend(
+    return page.finish(
         [
-            Line2D([], [], color=NOMINAL, marker="s", markerfacecolor="white", label="without the cause"),
-            Line2D([], [], color=IDENTIFIED, marker="o", label="with it"),
-            Patch(color=BAND, label="noise"),
-            Line2D([], [], color=MEASURED, linestyle="--", label="residual equals what the cause adds"),
+            Line2D([], [], label="without the cause", **LOOKS["reference"][1]),
+            Line2D([], [], label="with it", **LOOKS["simulated"][1]),
+            Patch(color=Color.BAND, label="noise"),
+            Line2D([], [], color=Color.MEASURED, linestyle="--", label="residual equals what the cause adds"),
         ]
     )
-    return page.figure
 
 
 def _marker_evidence(effect: Effect, before: SimulatedRecording, after: SimulatedRecording) -> _Evidence:
@@ -167,7 +171,9 @@ def _marker_evidence(effect: Effect, before: SimulatedRecording, after: Simulate
     elif kind == "marker":
         x, label = np.arange(1.0, shown.shape[1] + 1)[None, :, None], "marker, from the base outwards [1]"
     elif kind == "amplitude":
-        x, label = _local_rms(shown), "RMS of the motion around each instant [m]"
+        width = max(3, round(0.08 * len(shown)))  # frames on which each mean is taken: 8 % of the recording
+        power = uniform_filter1d((shown - shown.mean(axis=0)) ** 2, width, axis=0, mode="nearest")
+        x, label = np.sqrt(power), "RMS of the motion around each instant [m]"
     else:
         x, label = (time - time[0])[:, None, None], "time since the start [s]"
     x = np.broadcast_to(x, residuals[0].shape)
@@ -175,13 +181,6 @@ def _marker_evidence(effect: Effect, before: SimulatedRecording, after: Simulate
     points = [(x[known], 1e3 * each[known]) for each in residuals]
     labels = label, "residual, RMS [mm]" if rms else "residual [mm]"
     return _Evidence(points[0], points[1], labels, 1e3 * before.noise[0], rms)
-
-
-def _local_rms(shown: Array) -> Array:
-    """Return the RMS of simulated motion (F, k, 2) about its mean, over 8 % of the recording around each frame."""
-    width = max(3, round(0.08 * len(shown)))
-    rms: Array = np.sqrt(uniform_filter1d((shown - shown.mean(axis=0)) ** 2, width, axis=0, mode="nearest"))
-    return rms
 
 
 def _torque_evidence(effect: Effect, model: Model, comparisons: Sequence[RecordingComparison]) -> _Evidence | None:
@@ -200,31 +199,23 @@ def _torque_evidence(effect: Effect, model: Model, comparisons: Sequence[Recordi
 
 
 def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
-    noise, numbers = evidence.noise, np.unique(evidence.before[0])
-    axes.axhspan(0.0 if evidence.rms else -2 * noise, noise if evidence.rms else 2 * noise, color=BAND, linewidth=0)
-    axes.axhline(0.0, color=AXIS, linewidth=0.6)
-    whole = bool(np.all(numbers == np.round(numbers)))  # a bin for each marker, else bins of about as many points
-    edges = np.append(numbers - 0.5, numbers[-1] + 0.5)
-    largest = 3 * noise
-    for (x, values), color, marker in ((evidence.before, NOMINAL, "s"), (evidence.after, IDENTIFIED, "o")):
-        if not whole:
-            edges = np.unique(np.quantile(x, np.linspace(0, 1, 25 if x.size > 1000 else 11)))
+    noise, largest = evidence.noise, 3 * evidence.noise
+    band = (0.0, noise) if evidence.rms else (-2 * noise, 2 * noise)
+    axes.axhspan(*band, color=Color.BAND, linewidth=0)
+    axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
+    for (x, values), role in ((evidence.before, "reference"), (evidence.after, "simulated")):
+        look = LOOKS[role][1]
         if not evidence.rms:
             some = _some(x.size)
-            axes.plot(x[some], values[some], ".", color=color, alpha=0.3, markersize=2, zorder=1)
-        centres, means = binned_statistic(x, [x, values**2 if evidence.rms else values], bins=edges).statistic
+            axes.plot(x[some], values[some], ".", color=look["color"], alpha=0.3, markersize=2, zorder=1)
+        centres, means, _ = binned_means(x, values**2 if evidence.rms else values)
         means = np.sqrt(means) if evidence.rms else means
-        look: dict[str, Any] = {
-            "marker": marker,
-            "markerfacecolor": "white" if marker == "s" else color,
-            "markersize": 4.5,
-        }
-        axes.plot(centres, means, color=color, linewidth=1.1, **look)
-        largest = max(largest, 1.5 * float(np.nanmax(np.abs(means), initial=0.0)))
+        axes.plot(centres, means, linestyle="-", linewidth=1.1, **look)
+        largest = max(largest, 1.5 * float(np.max(np.abs(means), initial=0.0)))
     axes.set_ylim(0.0 if evidence.rms else -largest, None if evidence.rms else largest)
     axes.set(xlabel=evidence.labels[0], ylabel=evidence.labels[1], title=evidence.title)
-    if whole:
-        axes.set_xticks(numbers)
+    if np.all(centres == np.round(centres)):  # numbers of markers
+        axes.set_xticks(centres)
 
 
 def _some(count: int) -> Array:
@@ -239,10 +230,10 @@ def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecordin
     x, y, noise = 1e3 * added[known], 1e3 * residual[known], 1e3 * before.noise[0]
     most = max(float(np.percentile(np.abs(x), 99.5)), 3 * noise) * 1.15
     ends = np.array([-most, most])
-    axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=BAND, linewidth=0)
-    axes.plot(ends, ends, color=MEASURED, linestyle="--", linewidth=1.2, zorder=2)
+    axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=Color.BAND, linewidth=0)
+    axes.plot(ends, ends, color=Color.MEASURED, linestyle="--", linewidth=1.2, zorder=2)
     some = _some(x.size)
-    axes.plot(x[some], y[some], ".", color=IDENTIFIED, markersize=2.2, zorder=3)
+    axes.plot(x[some], y[some], ".", color=Color.IDENTIFIED, markersize=2.2, zorder=3)
     axes.set(xlim=ends, ylim=1.15 * ends)
     axes.set(xlabel="added by the cause to the simulated markers [mm]", ylabel="residual without the cause [mm]")
     share = 1 - float(np.sum((y - x) ** 2)) / max(float(np.sum(y**2)), 1e-300)

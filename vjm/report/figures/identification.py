@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib import colormaps
@@ -16,16 +17,16 @@ from vjm.records import Array, Estimate, RecordingComparison, Rig
 from vjm.report.figures.measurements import data_pictures
 from vjm.report.figures.panels import (
     FALSE_ALARM,
-    Curve,
-    Role,
+    Color,
+    Page,
+    Picture,
     Spectrum,
-    motion_figure,
+    heat_map,
     recording_label,
     rms_figure,
     spectrum_panel,
 )
-from vjm.report.figures.selection import Signal, Window, few_periods, marker_name, moving_recordings, one_of_each_repeat
-from vjm.report.figures.style import IDENTIFIED, TORQUE, Page, Picture, heat_map, styled
+from vjm.report.figures.signals import Signal, motion_figure, moving_recordings, one_of_each_repeat
 from vjm.report.text import number, short
 from vjm.simulation.model import Model
 
@@ -38,45 +39,44 @@ NAMES = ("fit", *(f"tip_{k + 1}" for k in range(_MOST_TIPS)), "residual_map", "r
 
 
 def identification_pictures(fit: Identification) -> list[Picture]:
-    """Draw all figures of an identification."""
+    """Return all pictures of an identification."""
     return [
-        *replay_pictures(fit.recordings, fit.model, fit.nominal, "identified"),
+        *replay_pictures(fit.recordings, fit.model, "identified"),
         *(_residual_pictures(fit) if fit.trajectory is not None else ()),
         *_correlation_pictures(fit.parameters, fit.covariance),
         *data_pictures(fit),
     ]
 
 
-def replay_pictures(
-    comparisons: Sequence[RecordingComparison], model: Model, nominal: Model, name: str = "given"
-) -> list[Picture]:
-    """Draw the figures of a comparison of a model with recordings.
+def replay_pictures(comparisons: Sequence[RecordingComparison], model: Model, name: str = "given") -> list[Picture]:
+    """Return the pictures of a comparison of a model with recordings.
 
     Args:
         comparisons: the recordings.
         model: by which they are simulated.
-        nominal: the model of reference.
         name: what to call the model.
     """
-    labels: dict[Role, str] = {"reference": "nominal model", "alternative": "torque method"}
+    labels: dict[str, str] = {"reference": "nominal model", "alternative": "torque method"}
     labels["simulated"] = f"{name} model"
-    more = f" The first {_MOST_ROWS} recordings of {len(comparisons)}." if len(comparisons) > _MOST_ROWS else ""
     caption = (
         "Open-loop simulation of each whole recording: only its initial state is estimated from it. "
-        f"A complete model lies on the noise mark.{more}"
+        f"A complete model lies on the noise mark.{_first_of(comparisons, _MOST_ROWS)}"
     )
     title = _rms_title(comparisons, labels)
-    pictures = [Picture("fit", caption, rms_figure(title, comparisons[:_MOST_ROWS], labels, in_noise=True))]
+    pictures = [Picture("fit", caption, partial(rms_figure, title, comparisons[:_MOST_ROWS], labels, in_noise=True))]
     shown = _shown_tips(model.rig, comparisons)
     for k, (comparison, signal) in enumerate(shown):
         more = "" if k or len(shown) == len(comparisons) else f" For {len(shown)} of {len(comparisons)} recordings."
         caption = f"{signal.name} in {short(comparison.recording.file)}, measured and simulated; residual below.{more}"
-        curves = Curve.of(comparison, labels, {"simulated": model, "reference": nominal})
-        pictures.append(Picture(f"tip_{k + 1}", caption, _tip_figure(comparison, signal, curves)))
+        pictures.append(Picture(f"tip_{k + 1}", caption, partial(_tip_figure, comparison, signal, labels)))
     return pictures
 
 
-def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[Role, str]) -> str:
+def _first_of(comparisons: Sequence[RecordingComparison], most: int) -> str:
+    return f" The first {most} recordings of {len(comparisons)}." if len(comparisons) > most else ""
+
+
+def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[str, str]) -> str:
     """Return the RMS residual over the noise by every model, in the held-out recordings or, without any, in all."""
     simulated = [each for each in comparisons if each.simulated is not None]
     held_out = [each for each in simulated if each.recording.role == "holdout"]
@@ -104,47 +104,30 @@ def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tu
     return sorted(chosen, key=lambda pair: pair[0].recording.role != "holdout")
 
 
-def _tip_figure(comparison: RecordingComparison, signal: Signal, curves: dict[Role, Curve]) -> Figure:
+def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[str, str]) -> Figure:
     """Draw the outermost channel of one recording."""
-    rms = {role: float(np.sqrt(np.nanmean(signal.residual(curve.simulated) ** 2))) for role, curve in curves.items()}
+    simulations = {role: getattr(comparison, role) for role in labels if getattr(comparison, role) is not None}
+    rms = {role: signal.rms(simulated) for role, simulated in simulations.items()}
     # A second residual is drawn where it is neither hidden by the first one nor hides it.
-    least: tuple[tuple[Role, float], ...] = (("alternative", 1.05), ("reference", 0.0))
-    second = [curves[role] for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4]
-    sizes = [f"{curve.label} {signal.rms_text(curve.simulated)}" for curve in reversed(curves.values())]
+    least: tuple[tuple[str, float], ...] = (("alternative", 1.05), ("reference", 0.0))
+    second = [role for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4]
+    sizes = [f"{labels[role]} {signal.rms_text(simulations[role])}" for role in reversed(simulations)]
     title = f"{recording_label(comparison.recording)}, {signal.name}: residual of {', '.join(sizes)} RMS"
-    residuals = [*second[:1], curves["simulated"]]
-    motion = [curve for role, curve in curves.items() if role != "alternative"]
-    return motion_figure(title, comparison.noise, signal, motion, residuals, _windows(signal))
-
-
-def _windows(signal: Signal) -> list[tuple[Window, str]]:
-    """Return the whole motion where its oscillations stay apart on paper; else its first and its last few periods."""
-    time, value = signal.time, signal.value
-    start, end, stop = float(time[0]), float(time[-1]), float(time[-1])
-    deflection = np.abs(value - np.median(value))
-    moving = np.flatnonzero(deflection > 0.03 * deflection.max())  # what comes after has died out
-    if moving.size and moving[-1] >= 20:
-        stop = float(time[moving[-1]])
-    length, legible = few_periods(time, value)
-    if stop - start <= legible:
-        whole = stop - start > 0.99 * (end - start)
-        return [((start, stop), "" if whole else f"First {stop - start:.2g} s of {end - start:.3g} s")]
-    first = f"First {length:.2g} s of {end - start:.3g} s"
-    last = f"Last {length:.2g} s{'' if stop == end else ' before it dies out'}"
-    return [((start, start + length), first), ((stop - length, stop), last)]
+    motion = {role: label for role, label in labels.items() if role != "alternative"}
+    residuals = {role: label for role, label in labels.items() if role in (*second[:1], "simulated")}
+    return motion_figure(title, signal, comparison, motion, residuals, signal.windows())
 
 
 def _residual_pictures(fit: Identification) -> Iterator[Picture]:
     replayed = [each for each in fit.recordings if each.simulated is not None and each.recording.frames.size]
     if not replayed:
         return
-    more = f" The first {_MOST_MAP_ROWS} recordings of {len(replayed)}." if len(replayed) > _MOST_MAP_ROWS else ""
     caption = (
         "Residual of each marker coordinate, RMS over the whole recording in units of the camera's noise. Pale "
         "throughout: nothing is missing; a dark column: a marker that is not where the file says, or a mode that only "
-        f"it shows; a dark row: something that happens in that recording only.{more}"
+        f"it shows; a dark row: something that happens in that recording only.{_first_of(replayed, _MOST_MAP_ROWS)}"
     )
-    yield Picture("residual_map", caption, _residual_map(fit.model.rig, replayed[:_MOST_MAP_ROWS]))
+    yield Picture("residual_map", caption, partial(_residual_map, fit.model.rig, replayed[:_MOST_MAP_ROWS]))
     shown = [(each, Spectrum.of(each.simulated)) for each, _ in _shown_tips(fit.model.rig, replayed) if each.simulated]
     spectra = [(each, spectrum) for each, spectrum in shown if spectrum is not None]
     if spectra:
@@ -152,10 +135,9 @@ def _residual_pictures(fit: Identification) -> Iterator[Picture]:
             "Amplitude of the residual, root mean square over all marker coordinates. A peak above the dashed line at "
             "a natural frequency: its frequency or damping is off; elsewhere: something that is not in the model."
         )
-        yield Picture("residual_spectra", caption, _residual_spectra(fit.model, spectra))
+        yield Picture("residual_spectra", caption, partial(_residual_spectra, fit.model, spectra))
 
 
-@styled
 def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figure:
     """Draw the RMS residual of every marker coordinate in every recording, in units of the noise."""
     names, table, count = _residual_table(rig, comparisons)
@@ -180,10 +162,9 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     axes.set(xlabel="marker coordinate", ylabel="recording")
     words = [f"{level:g} times the noise" for level in levels]
     words = [f"{words[0]} or less", *words[1:-1], f"{words[-1]} or more"]
-    page.legend(
+    return page.finish(
         [Patch(facecolor=colors(norm(v)), edgecolor="#bbbbbb", label=w) for v, w in zip(levels, words, strict=True)]
     )
-    return page.figure
 
 
 def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tuple[list[str], Array, Array]:
@@ -195,37 +176,34 @@ def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tup
     squares = np.stack([np.nansum(residual**2, axis=0) for residual in residuals])  # (R, k, 2)
     counts = np.stack([np.isfinite(residual).sum(axis=0) for residual in residuals])
     measured = np.argwhere(counts.any(axis=0))
-    names = [f"{marker_name(rig, marker)}.{'xy'[axis]}" for marker, axis in measured.tolist()]
+    columns = [column for link in rig.links for column in link.marker_columns]
+    names = [columns[2 * marker + axis] for marker, axis in measured.tolist()]
     table, count = squares[:, *measured.T], counts[:, *measured.T]
     if len(names) > _MOST_MAP_COLUMNS:
         markers = np.unique(measured[:, 0])
-        names = [marker_name(rig, marker) for marker in markers.tolist()]
+        names = [columns[2 * marker].removesuffix(".x") for marker in markers.tolist()]
         table, count = squares.sum(axis=2)[:, markers], counts.sum(axis=2)[:, markers]
     return names, np.sqrt(table / np.where(count > 0, count, np.nan)), count
 
 
-@styled
 def _residual_spectra(model: Model, spectra: Sequence[tuple[RecordingComparison, Spectrum]]) -> Figure:
     """Draw amplitude spectra of the residuals, beside white noise and the model's natural frequencies."""
-    columns = min(2, len(spectra))
-    rows = -(-len(spectra) // columns)
     comparison, spectrum = max(spectra, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].limit)))
     title = "Spectrum of the residual: no frequency at which it is larger than noise"
     if (where := _peak(model, comparison, spectrum)) is not None:
         times = f"{float(f'{spectrum.amplitude.max() / spectrum.white:.2g}'):g} times white noise"
         title = f"Spectrum of the residual: largest {where}, in {short(comparison.recording.file)}: {times}"
-    page = Page.of(title, [(2.3 if rows > 1 else 2.8, columns)] * rows)
-    for axes, (comparison, spectrum) in zip(page.panels(len(spectra)), spectra, strict=True):
+    page = Page.grid(title, len(spectra), (2.8, 2.3))
+    for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
         other = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
-        drawn = [(other, "torque method", TORQUE)] if other is not None else []
+        drawn = [(other, "torque method", Color.TORQUE)] if other is not None else []
         modes = model.modes(comparison.recording.payload).frequencies
-        spectrum_panel(axes, [*drawn, (spectrum, "identified model", IDENTIFIED)], modes)
+        spectrum_panel(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
         where = _peak(model, comparison, spectrum)
         axes.set_title(
             f"{recording_label(comparison.recording, 20)}: {'noise only' if where is None else f'largest {where}'}"
         )
-    page.legend()
-    return page.figure
+    return page.finish()
 
 
 def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum) -> str | None:
@@ -256,10 +234,9 @@ def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> I
             "Correlation of the estimates' errors. Near +1 or −1 the recordings determine only one combination of the "
             "two parameters, however small the noise."
         )
-        yield Picture("correlations", caption, _correlation_map([names[k] for k in kept], correlation))
+        yield Picture("correlations", caption, partial(_correlation_map, [names[k] for k in kept], correlation))
 
 
-@styled
 def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
     """Draw a correlation matrix; the title tells its strongest pair."""
     count = min(len(names), 48)
@@ -276,8 +253,7 @@ def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
     heat_map(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else 6.0)
     axes.set(xlabel="parameter", ylabel="parameter")
     words = ((1.0, "+1: rise together"), (0.0, "0: independent"), (-1.0, "−1: one for the other"))
-    page.legend([Patch(facecolor=colors(norm(value)), edgecolor="#bbbbbb", label=word) for value, word in words])
-    return page.figure
+    return page.finish([Patch(facecolor=colors(norm(value)), edgecolor="#bbbbbb", label=word) for value, word in words])
 
 
 def _correlation_title(names: Sequence[str], matrix: Array) -> str:

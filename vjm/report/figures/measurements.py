@@ -4,59 +4,47 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
+from scipy.interpolate import CubicSpline
 
 from vjm.chain.curve import link_poses, rotate
 from vjm.chain.virtual_links import Chain
 from vjm.identification.records import Identification
 from vjm.identification.training_data import PreparedRecording
-from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording, Rig
-from vjm.report.figures.selection import Signal, Window, liveliest_window, moving_axis, one_of_each_repeat
-from vjm.report.figures.style import (
-    AXIS,
-    BAND,
-    IDENTIFIED,
-    MEASURED,
-    NOMINAL,
-    Page,
-    Picture,
-    line_styles,
-    log_scale,
-    printable,
-    styled,
-)
+from vjm.report.figures.panels import LOOKS, NOISE_MARK, Color, Page, Picture, log_scale, marks_panel
+from vjm.report.figures.signals import Signal, Window, liveliest_window, moving_axis, one_of_each_repeat
 from vjm.report.text import counted, listed, millimetres, number, short
 
 _MOST_LINKS = 3  # beside each other
 
 
 def data_pictures(fit: Identification) -> Iterator[Picture]:
-    """Draw what an identification was made from."""
+    """Return pictures of the measurements that an identification was made from."""
     rig, chain, recordings = fit.model.rig, fit.model.chain, fit.experiment.recordings
     moving = sorted(fit.torque_data, key=lambda data: (data.recording.kind == "quiet", -_motion(rig, data.recording)))
     moving = one_of_each_repeat(moving, lambda data: data.recording)[:2]
     if moving:
         names = listed([short(data.recording.file) for data in moving])
         caption = f"Shape function, virtual links and joints at several instants of {names}; lateral scale magnified."
-        yield Picture("shapes", caption, _link_shapes(rig, chain, moving))
+        yield Picture("shapes", caption, partial(_link_shapes, rig, chain, moving))
         caption = f"Angles from the markers of {short(moving[0].recording.file)}, with rates and accelerations."
-        yield Picture("angles", caption, _joint_angles(chain, moving[0]))
+        yield Picture("angles", caption, partial(_joint_angles, chain, moving[0]))
         caption = (
             "Residual of the equation of motion, joint by joint (eq. 14). Of a complete model, it is what the noise of "
             "the accelerations explains."
         )
-        yield Picture("torque_errors", caption, _torque_errors(fit))
+        yield Picture("torque_errors", caption, partial(_torque_errors, fit))
     shown = _spread_over(recordings, 8 // min(len(rig.links), _MOST_LINKS))
     if shown:
         part = "" if len(shown) == len(recordings) else f" ({len(shown)} of {len(recordings)})"
         caption = f"Measured marker coordinates of the recordings{part}, where they move most."
-        yield Picture("markers", caption, _raw_markers(rig, shown))
+        yield Picture("markers", caption, partial(_raw_markers, rig, shown))
 
 
 def _motion(rig: Rig, recording: Recording) -> float:
@@ -75,22 +63,19 @@ def _spread_over(recordings: Sequence[Recording], most: int) -> list[Recording]:
     return [recordings[k] for k in np.sort(np.argsort(ranks, kind="stable")[:most])]
 
 
-def _evenly(count: int, most: int) -> list[tuple[int, dict[str, Any]]]:
-    """Return all of a few indices, else some from first to last, with looks that differ in darkness and in dashes."""
-    chosen = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
-    return list(zip(chosen, line_styles(len(chosen)), strict=True))
+def _evenly(count: int, most: int) -> list[int]:
+    """Return all of a few indices, else some from first to last."""
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
-@styled
 def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
     """Draw marker coordinates against time as measured; a row of panels for each recording of several links."""
     links = range(min(len(rig.links), _MOST_LINKS))
     panels = [(recording, link) for recording in recordings for link in links]
-    columns = len(links) if len(links) > 1 else min(2, len(panels))
     markers = sum(len(link.markers) for link in rig.links)
     title = f"Markers as measured: {counted(len(recordings), 'recording')}, {counted(markers, 'marker')}"
-    page = Page.of(title, [(1.9 if len(panels) > columns else 2.8, columns)] * -(-len(panels) // columns))
-    for axes, (recording, link) in zip(page.panels(len(panels)), panels, strict=True):
+    page = Page.grid(title, len(panels), (2.8, 1.9), max(len(links), 2))
+    for axes, (recording, link) in zip(page.axes[0], panels, strict=True):
         signal = Signal.of(rig, recording)
         window = whole = float(recording.time[0]), float(recording.time[-1])
         if signal is not None and recording.kind not in ("quiet", "static"):
@@ -102,9 +87,8 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
         heading = f"{short(recording.file, 22)} ({recording.kind}, {role}{part})"
         if len(links) > 1:
             heading = f"{short(rig.links[link].name, 12)} ({rig.links[link].markers_frame} frame), {heading}"
-        axes.set_title(printable(heading))
-    page.legend()
-    return page.figure
+        axes.set_title(heading)
+    return page.finish()
 
 
 def _draw_markers(axes: Axes, recording: Recording, markers: slice, window: Window) -> None:
@@ -113,12 +97,11 @@ def _draw_markers(axes: Axes, recording: Recording, markers: slice, window: Wind
     own = 1e3 * recording.markers[rows][:, markers]
     axis = moving_axis(own)
     dots: Any = {"marker": "." if rows.size <= 40 else "none", "markersize": 4}  # single frames where there are few
-    for k, look in _evenly(own.shape[1], 6):  # a marker lost for a moment leaves a gap in its line
-        axes.plot(recording.time[rows], own[:, k, axis], linewidth=1.1, label=f"marker {k + 1}", **dots, **look)
+    for k in _evenly(own.shape[1], 6):  # a marker lost for a moment leaves a gap in its line
+        axes.plot(recording.time[rows], own[:, k, axis], linewidth=1.1, label=f"marker {k + 1}", **dots)
     axes.set(xlabel="time [s]", ylabel=f"{'xy'[axis]} [mm]")
 
 
-@styled
 def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]) -> Figure:
     """Draw each link in its own frame at five instants, lateral deflection magnified; a column for each recording."""
     residuals = np.concatenate([fit.residuals.ravel() for data in recordings for fit in data.angles.shapes])
@@ -130,9 +113,8 @@ def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]
     for i, row in enumerate(page.axes):
         for axes, data in zip(row, recordings, strict=True):
             _draw_shapes(axes, rig, chain, data, i)
-            axes.set_title(printable(short(data.recording.file)))
-    page.legend()
-    return page.figure
+            axes.set_title(short(data.recording.file))
+    return page.finish()
 
 
 def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: PreparedRecording, i: int) -> None:
@@ -140,21 +122,22 @@ def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: PreparedRecording, i:
     arcs = np.linspace(0.0, fit.length, 80)
     lateral, slopes = fit.evaluate(arcs), fit.evaluate(arcs, 1)
     frames, markers = _instants(data, lateral[:, -1]), _link_frame_markers(rig, chain, data, i)
+    curve: Any = {"linestyle": "-", "linewidth": 2.2, "alpha": 0.6, "label": "shape function"}
     joints: Any = {"marker": "s", "markersize": 4, "markerfacecolor": "white", "markevery": slice(1, -1)}
     joints |= {"linestyle": (0, (4, 2)), "linewidth": 0.9, "label": "virtual links and joints"}
     circles: Any = {"marker": "o", "markersize": 4.5, "markeredgecolor": "black", "linestyle": ""}
-    for k, look in _evenly(len(frames), len(frames)):
-        frame, color = frames[k], look["color"]
+    for k, frame in enumerate(frames):
+        color = f"C{k}"
         cosine = np.sqrt(np.clip(1 - slopes[frame] ** 2, 0.0, 1.0))
         x = np.r_[0.0, np.cumsum((cosine[1:] + cosine[:-1]) / 2 * np.diff(arcs))]
-        axes.plot(x, 1e3 * lateral[frame], color=color, linewidth=2.2, alpha=0.6, label="shape function")
+        axes.plot(x, 1e3 * lateral[frame], color=color, **curve)
         headings = np.r_[0.0, np.cumsum(data.angles.q[frame, chain.passive_slices[i]])]
         steps = chain.links[i].lengths[:, None] * np.stack([np.cos(headings), 1e3 * np.sin(headings)], axis=-1)
         axes.plot(*np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]).T, color=color, **joints)
         axes.plot(*(markers[frame] * [1.0, 1e3]).T, color=color, label="measured markers", **circles)
         tip, label = (x[-1], 1e3 * lateral[frame, -1]), f"{data.angles.time[frame]:.2f} s"
         axes.annotate(label, tip, xytext=(5, 0), textcoords="offset points", va="center", fontsize=7.5)
-    name = printable(short(rig.links[i].name, 24))
+    name = short(rig.links[i].name, 24)
     axes.set(xlabel=f"along {name} [m]", ylabel="lateral [mm]", xlim=(-0.02 * length, 1.14 * length))
 
 
@@ -180,26 +163,21 @@ def _link_frame_markers(rig: Rig, chain: Chain, data: PreparedRecording, i: int)
     return np.stack([along, markers[..., 1]], axis=-1)
 
 
-@styled
 def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
     """Draw angles, rates and accelerations of the virtual joints where a recording moves most, with 2-sigma bands."""
     links, parts = range(min(len(chain.links), _MOST_LINKS)), chain.passive_slices
     derivatives, inside = data.derivatives, data.derivatives.interior  # the noise is known there
     noise = derivatives.noise(np.sqrt(np.diag(data.angles.covariance)))
-    signals = np.stack([derivatives.value, derivatives.rate, derivatives.acceleration])[:, inside][..., chain.passive]
-    std = np.std(signals, axis=1)
+    signals = np.stack([derivatives.value, derivatives.rate, derivatives.acceleration])
+    known = signals[:, inside][..., chain.passive]
+    std = np.std(known, axis=1)
     ratios = np.max(std / np.maximum(noise[:, chain.passive], 1e-300), axis=1)
     times = listed([f"{ratio:.0f}" if ratio >= 2 else f"{ratio:.1f}" for ratio in ratios])
-    window = liveliest_window(derivatives.time[inside], signals[0][:, int(np.argmax(std[0]))])
+    window = liveliest_window(derivatives.time[inside], known[0][:, int(np.argmax(std[0]))])
     title = f"Virtual joint angles of {short(data.recording.file)}: angle, rate and acceleration are {times} times "
     page = Page.of(f"{title}their noise", [(1.75, len(links))] * 3)
-    # A camera may take no more than four frames a period: lines between frames are splines.
-    time, knots = np.linspace(*window, 800), derivatives.time
-    lines = (
-        CubicHermiteSpline(knots, derivatives.value, derivatives.rate)(time),
-        CubicHermiteSpline(knots, derivatives.rate, derivatives.acceleration)(time),
-        CubicSpline(knots, derivatives.acceleration)(time),
-    )
+    time = np.linspace(*window, 800)  # a camera may take no more than four frames a period
+    lines = CubicSpline(derivatives.time, signals, axis=1)(time)
     frames = (data.angles.time >= window[0]) & (data.angles.time <= window[1])
     alike = len({parts[i].stop - parts[i].start for i in links}) == 1  # else a label would stand for several looks
     for i in links:
@@ -208,81 +186,62 @@ def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
             axes = page.axes[kind][i]
             axes.set(ylabel=unit, xlim=window)
             axes.tick_params(labelbottom=kind == 2)
-            for joint, look in joints:
-                line, sigma = lines[kind][:, parts[i].start + joint], noise[kind, parts[i].start + joint]
-                axes.fill_between(time, line - 2 * sigma, line + 2 * sigma, color=BAND, linewidth=0, label="±2σ noise")
-                axes.plot(time, line, linewidth=1.2, label=f"joint {joint + 1}" if alike else None, **look)
-            for joint, look in reversed(joints) if kind == 0 else ():
-                angles, dots = data.angles.q[frames, parts[i].start + joint], {"color": look["color"], "markersize": 4}
-                axes.plot(data.angles.time[frames], angles, ".", label="single frame", **dots)
+            for joint in joints:
+                line, sigma = lines[kind, :, parts[i].start + joint], noise[kind, parts[i].start + joint]
+                axes.fill_between(
+                    time, line - 2 * sigma, line + 2 * sigma, color=Color.BAND, linewidth=0, label="±2σ noise"
+                )
+                axes.plot(time, line, linewidth=1.2, label=f"joint {joint + 1}" if alike else None)
+            for k, joint in reversed([*enumerate(joints)]) if kind == 0 else ():
+                angles = data.angles.q[frames, parts[i].start + joint]
+                axes.plot(data.angles.time[frames], angles, ".", markersize=4, color=f"C{k}", label="single frame")
         axes.set_xlabel("time [s]")
-        numbers = listed([str(joint + 1) for joint, _ in joints])
+        numbers = listed([str(joint + 1) for joint in joints])
         heading = f"{short(chain.links[i].name, 16)}: joint{'s'[: len(joints) - 1]} {numbers}, from the base outwards"
-        page.axes[0][i].set_title(printable(heading))
-    page.legend()
-    return page.figure
+        page.axes[0][i].set_title(heading)
+    return page.finish()
 
 
-@styled
 def _torque_errors(fit: Identification) -> Figure:
     """Draw torque errors (eq. 14) by both models: over time where they are largest, and each joint's RMS."""
     chain, recordings = fit.model.chain, fit.torque_data
-    inside = [data.derivatives.interior for data in recordings]
-    nominal = [data.errors(fit.nominal.chain, rows) for data, rows in zip(recordings, inside, strict=True)]
-    identified = [data.errors(chain, rows) for data, rows in zip(recordings, inside, strict=True)]
-    largest = [np.nan_to_num(_rms([errors])) for errors in nominal]
-    worst = int(np.argmax([values.max() for values in largest]))
+    nominal, identified = (
+        [data.errors(model.chain, data.derivatives.interior) for data in recordings]
+        for model in (fit.nominal, fit.model)
+    )
+    largest = [np.nan_to_num(_rms(errors)) for errors in nominal]
+    worst = int(np.argmax([rms.max() for rms in largest]))
     data, joint = recordings[worst], int(np.argmax(largest[worst]))
-    before, after = _rms(nominal), _rms(identified)
-    noise = _torque_noise(chain, recordings)
-    total = [f"{number(float(np.sqrt(np.nansum((1e3 * each) ** 2))), 2)} mN m" for each in (before, after, noise)]
+    before, after = _rms(np.concatenate(nominal)), _rms(np.concatenate(identified))
+    samples = [data.derivatives.time.size for data in recordings]
+    variances = [np.diag(data.noise_covariance(chain)) for data in recordings]
+    noise = np.sqrt(np.average(variances, axis=0, weights=samples))
+    total = [f"{number(1e3 * float(np.sqrt(np.nansum(rms**2))), 2)} mN m" for rms in (before, after, noise)]
     title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, noise alone "
-    page = Page.of(f"{title}would give {total[2]} (RMS, all joints)", [(2.35, 1)] * (2 if chain.size > 1 else 1))
+    rows = [(2.35, 1), (0.7 + 0.28 * chain.size, 1)] if chain.size > 1 else [(2.35, 1)]
+    page = Page.of(f"{title}would give {total[2]} (RMS, all joints)", rows)
     trace, time = page.axes[0][0], data.derivatives.time
     start, stop = liveliest_window(time, np.nan_to_num(data.derivatives.value[:, joint]))
-    time = time[inside[worst]]
-    rows = (time >= start) & (time <= stop)
-    trace.axhline(0.0, color=AXIS, linewidth=0.6)
-    trace.plot(time[rows], 1e3 * identified[worst][rows, joint], color=IDENTIFIED, label="identified")
-    trace.plot(time[rows], 1e3 * nominal[worst][rows, joint], color=NOMINAL, ls=(0, (4, 2)), label="nominal")
-    name, file = printable(chain.joint_names[joint]), printable(short(data.recording.file))
-    trace.set(xlabel="time [s]", ylabel="error [mN m]", title=f"{name}, where the nominal model errs most, in {file}")
+    time = time[data.derivatives.interior]
+    shown = (time >= start) & (time <= stop)
+    trace.axhline(0.0, color=Color.AXIS, linewidth=0.6)
+    trace.plot(time[shown], 1e3 * identified[worst][shown, joint], label="identified", **LOOKS["simulated"][0])
+    trace.plot(time[shown], 1e3 * nominal[worst][shown, joint], label="nominal", **LOOKS["reference"][0])
+    heading = f"{chain.joint_names[joint]}, where the nominal model errs most, in {short(data.recording.file)}"
+    trace.set(xlabel="time [s]", ylabel="error [mN m]", title=heading)
     if chain.size > 1:
-        _draw_joint_errors(page.axes[1][0], chain, before, after, noise)
-    page.legend()
-    return page.figure
+        lower, values = page.axes[1][0], 1e3 * np.stack([noise, before, after])
+        looks = (NOISE_MARK, LOOKS["reference"][1], LOOKS["simulated"][1])
+        labels = ("expected from noise", "nominal, RMS", "identified, RMS")
+        marks_panel(lower, chain.joint_names, [*zip(labels, values, [None] * 3, looks, strict=True)])
+        known = values[np.isfinite(values) & (values > 0)]
+        log_scale(lower.xaxis, known.min() / 1.4, known.max() * 1.4)
+        lower.set(xlabel="RMS error, over all training recordings [mN m]", ylabel="joint")
+    return page.finish()
 
 
-def _draw_joint_errors(axes: Axes, chain: Chain, before: Array, after: Array, noise: Array) -> None:
-    places = np.arange(chain.size)
-    axes.plot(places, 1e3 * after, "o", color=IDENTIFIED, label="identified, RMS")
-    axes.plot(places, 1e3 * before, "s", color=NOMINAL, markerfacecolor="none", label="nominal, RMS")
-    axes.plot(places, 1e3 * noise, "_", color=MEASURED, markersize=26, markeredgewidth=2, label="expected from noise")
-    every = 1e3 * np.concatenate([before, after, noise])
-    every = every[np.isfinite(every) & (every > 0)]
-    log_scale(axes.yaxis, every.min() / 1.4, every.max() * 1.4)
-    names = [printable(short(name, 22).replace("_virtual_", "\nvirtual ")) for name in chain.joint_names]
-    narrow = chain.size > 10  # names do not fit beside each other
-    axes.set_xticks(places, [str(k + 1) for k in places] if narrow else names)
-    axes.grid(False, axis="x")
-    axes.set(xlim=(-0.6, chain.size - 0.4), xlabel="joint, from the base outwards", ylabel="RMS error [mN m]")
-    axes.set_title("Every joint, over all training recordings")
-
-
-def _rms(errors: Sequence[Array]) -> Array:
+def _rms(errors: Array) -> Array:
     """Return (nv,) root mean squares over all samples; NaN where none was measured."""
-    squares = np.concatenate(errors) ** 2
-    known = np.isfinite(squares)
-    rms: Array = np.sqrt(np.sum(squares, axis=0, where=known) / np.where(known.any(axis=0), known.sum(axis=0), np.nan))
-    return rms
-
-
-def _torque_noise(chain: Chain, recordings: Sequence[PreparedRecording]) -> Array:
-    """Return (nv,) RMS torque errors that the noise of angles, rates and accelerations makes, the arm near rest."""
-    variance, samples = np.zeros(chain.size), 0
-    for data in recordings:
-        M, D, K, _ = linearise(chain, data.recording.payload, data.recording.gravity)
-        terms, gains, count = np.stack([K, D, M]), data.derivatives.gains, data.derivatives.time.size
-        variance += count * np.einsum("ij,iab,bc,jac->a", gains, terms, data.angles.covariance, terms)
-        samples += count
-    return np.sqrt(np.maximum(variance, 0.0) / max(samples, 1))
+    known = np.isfinite(errors)
+    squares: Array = np.sum(errors**2, axis=0, where=known) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.sqrt(squares)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.colors import FuncNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -16,146 +18,133 @@ from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms
 from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
 from vjm.diagnosis.symptoms.joints import JointProfile
 from vjm.diagnosis.symptoms.modes import FreeMotion, ModeDifference
-from vjm.records import Array
-from vjm.report.figures.panels import Curve, motion_panel, residual_panel
-from vjm.report.figures.selection import Signal, liveliest_window
-from vjm.report.figures.style import (
-    AXIS,
-    BAND,
-    IDENTIFIED,
-    MEASURED,
-    NOMINAL,
-    TORQUE,
+from vjm.records import Array, RecordingComparison
+from vjm.report.figures.panels import (
+    Color,
     Page,
     Picture,
-    line_styles,
+    Spectrum,
+    binned_means,
+    heat_map,
     log_scale,
-    printable,
-    readable_on,
-    styled,
-)  # fmt: skip
+    marks_panel,
+    spectrum_panel,
+)
+from vjm.report.figures.signals import Signal, liveliest_window, motion_panel, one_of_each_repeat, residual_panel
 from vjm.report.text import number, short
 
-# Every file name that these pictures may have.
-NAMES = tuple(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet"))
+_ORDER = ("overview", "bands", "amplitude", "profiles", "lag", "quiet")
+NAMES = tuple(f"symptom_{name}" for name in _ORDER)  # every file name that these pictures may have
 _MOST_ROWS = 24  # recordings on a page: more could not be read
 _DOTS, _POOLED = "#cfcfcf", "#c9d6e6"
 _UNITS = {"m": (1e3, "mm"), "rad": (float(np.degrees(1.0)), "deg"), "N m": (1e3, "mN m")}
 
 
 def symptom_pictures(found: Symptoms) -> list[Picture]:
-    """Draw all pictures that the recordings have something for."""
-    drawn: list[tuple[str, str, Callable[[Symptoms], Figure], object]] = [
-        ("overview", "The recordings that the model follows worst, and their residuals: one that grows is a wrong "
-         "frequency, one that keeps the motion's shape a wrong size or time.", _overview, _worst(found)),
-        ("bands", "Each mode, measured against the model: a column of one colour is off in every recording, a row of "
-         "one colour is that recording's own.", _modes, [one for one in found.recordings if one.modes.modes]),
-        ("amplitude", "Frequency and damping while nothing drives the arm, one curve a condition: marks beside their "
-         "line are off; marks with another slope depend on amplitude as the model does not.", _with_amplitude,
-         _free_motion(found)),
-        ("profiles", "Residuals against position, velocity and direction, each without what the other two explain: a "
-         "slope goes with the motion, a step changes with its direction.", _profiles, _profiles_shown(found)),
-        ("lag", "Delay of each sensor against the model: dark marks off the zero line are two clocks that disagree.",
-         _lags, _with_lag(found)),
-        ("quiet", "The sensors at rest: a line above the dashed one is no noise, a slope is noise that is not white.",
+    """Return all pictures that the recordings have something for; each has a title of its own."""
+    headlines, told = found.headlines(len(found.found)), set[str]()
+    pictures = {}
+    moving = [one for one in found.recordings if one.modes.remaining]
+    table: list[tuple[str, Sequence[str], str, str, str, Callable[..., Figure], Any]] = [
+        ("quiet", ("quiet_tone", "noise_size", "noise_correlation"), "Noise of the sensors at rest",
+         "At rest, the sensors show white noise of the size that was supposed",
+         "The sensors at rest: a line above the dashed one is no noise, a slope is noise that is not white.",
          _quiet, _at_rest(found)),
+        ("lag", ("camera_lag",), "Delay of each sensor against the model",
+         f"Camera and encoders tell the same time, to within {_milliseconds(found.lag)} ms",
+         "Delay of each sensor against the model: dark marks off the zero line are two clocks that disagree.",
+         _lags, _with_lag(found)),
+        ("profiles", ("against_angle", "against_velocity", "against_sign"), "Residuals against the motion",
+         "What the model misses depends neither on where the arm is nor on how fast or which way it moves",
+         "Residuals against position, velocity and direction, each without what the other two explain: a slope goes "
+         "with the motion, a step changes with its direction.", _profiles, _profiles_shown(found)),
+        ("bands", ("frequency", "damping", "amplitude", "phase", "slow_amplitude", "slow_delay"),
+         "Each mode, measured against the model",
+         "Frequency, damping, amplitude and phase of all modes are as simulated",
+         "Each mode, measured against the model: a column of one colour is off in every recording, a row of one colour "
+         "is that recording's own.", _modes, [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]),
+        ("amplitude", ("frequency", "damping", "frequency_with_amplitude", "damping_with_amplitude"),
+         "Frequency and damping against amplitude, while nothing drives the arm",
+         "Frequency and damping are as in the model, and change with amplitude as they do there",
+         "Frequency and damping while nothing drives the arm, one curve a condition: marks beside their line are off; "
+         "marks with another slope depend on amplitude as the model does not.", _with_amplitude, _free_motion(found)),
+        ("overview", (), "The recordings that the model follows worst",
+         "The model follows every recording to within what noise explains",
+         "The recordings that the model follows worst, and their residuals: one that grows is a wrong frequency, one "
+         "that keeps the motion's shape a wrong size or time.", _overview, moving),
     ]  # fmt: skip
-    pictures = []
-    for name, caption, draw, something in drawn:
-        if something:
-            pictures.append(Picture(f"symptom_{name}", caption, draw(found)))
-    return pictures
-
-
-def _page(found: Symptoms, kinds: Sequence[str], otherwise: str, rows: Sequence[tuple[float, int]]) -> Page:
-    """Make a page titled by the largest symptom of some kinds (none: of any), or by other words without any."""
-    symptoms = found.headlines(len(found.found))
-    first = next((one.sentence for one in symptoms if one.kind in kinds or not kinds), otherwise)
-    return Page.of(first.removesuffix("."), rows)
+    for name, kinds, subject, usual, caption, draw, shown in table:
+        if not shown:
+            continue
+        own = [one.sentence.removesuffix(".") for one in headlines if one.kind in kinds or not kinds]
+        title = next((sentence for sentence in own if sentence not in told), subject if own else usual)
+        told.add(title)
+        pictures[name] = Picture(f"symptom_{name}", caption, partial(draw, title, found, shown))
+    return [pictures[name] for name in _ORDER if name in pictures]
 
 
 def _file(one: RecordingSymptoms, most: int) -> str:
-    return printable(short(one.simulated.recording.file, most))
+    return short(one.simulated.recording.file, most)
 
 
-def _worst(found: Symptoms) -> list[RecordingSymptoms]:
-    """Return the recording of the first symptom, then those with the largest residuals; one of each repeat."""
-    moving = [one for one in found.recordings if one.modes.remaining]
-    moving.sort(key=lambda one: -one.misfit / max(sum(int(s.known.sum()) for s in one.sensors), 1))
-    first = next((one.recording for one in found.headlines(len(found.found)) if one.recording is not None), None)
-    moving.sort(key=lambda one: one.simulated.recording.file != first)
-    kept: dict[str, RecordingSymptoms] = {}
-    for one in moving:
-        recording = one.simulated.recording
-        kept.setdefault(recording.repeat or f"file {recording.file}", one)
-    return list(kept.values())[:3]
+def _milliseconds(delay: Coefficient) -> str:
+    """Write by how much a delay may differ from zero [ms]."""
+    return number(1e3 * (abs(delay.value) + 2 * delay.std), 2)
 
 
-@styled
-def _overview(found: Symptoms) -> Figure:
-    """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below."""
-    shown = _worst(found)
-    rows = [(2.4, len(shown)), (1.8, len(shown))]
-    page = _page(found, (), "The model follows every recording to within what noise explains", rows)
+def _overview(title: str, found: Symptoms, moving: Sequence[RecordingSymptoms]) -> Figure:
+    """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below.
+
+    The recording that the title names comes first, then those with the largest residuals; one of each repeat.
+    """
+    named = {one.recording for one in found.headlines(len(found.found)) if one.sentence.startswith(title)}
+    worst = sorted(moving, key=lambda one: -one.misfit / max(sum(int(s.known.sum()) for s in one.sensors), 1))
+    worst.sort(key=lambda one: one.simulated.recording.file not in named)
+    shown = one_of_each_repeat(worst, lambda one: one.simulated.recording)[:3]
+    page = Page.of(title, [(2.4, len(shown)), (1.8, len(shown))])
     for upper, lower, one in zip(*page.axes, shown, strict=True):
         signal = Signal.of(found.rig, one.simulated.recording)
-        if signal is None:  # a recording that moves was measured
-            continue
-        residual = signal.residual(one.simulated)
-        window = liveliest_window(signal.time, np.nan_to_num(residual))
-        curve = Curve(one.simulated, "model", {"color": IDENTIFIED, "linestyle": "-"})
-        motion_panel(upper, signal, [curve], window, most_circles=0)
-        whole = window[1] - window[0] > 0.99 * (signal.time[-1] - signal.time[0])
-        upper.set_title(f"{_file(one, 18)}{'' if whole else ', worst stretch'}")
-        curve = Curve(one.simulated, "measured minus model", {"color": NOMINAL})
-        residual_panel(lower, signal, [curve], one.simulated.noise, [window])
-        noise = one.simulated.noise[0 if signal.is_marker else 1]
-        lower.set_title(f"{number(float(np.sqrt(np.nanmean(residual**2))) / noise, 2)} times the noise")
-    page.legend()
-    return page.figure
+        assert signal is not None  # a recording that moves was measured
+        comparison = RecordingComparison(one.simulated.recording, one.simulated.noise, one.simulated)
+        window = liveliest_window(signal.time, np.nan_to_num(signal.residual(one.simulated)))
+        motion_panel(upper, signal, comparison, {"simulated": "model"}, window, most_circles=0)
+        upper.set_title(f"{_file(one, 18)}{'' if signal.is_whole(window) else ', worst stretch'}")
+        residual_panel(lower, signal, comparison, {"simulated": "model"}, [window])
+        size = signal.rms(one.simulated) / one.simulated.noise[0 if signal.is_marker else 1]
+        lower.set_title(f"{number(size, 2)} times the noise")
+    return page.finish()
 
 
-@styled
-def _modes(found: Symptoms) -> Figure:
+def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
     """Draw frequency, damping, amplitude and phase of every mode and recording, measured against simulated."""
-    rows = [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
-    nothing = "Frequency, damping, amplitude and phase of all modes are as simulated"
-    kinds = ("frequency", "damping", "amplitude", "phase", "slow_amplitude", "slow_delay")
-    page = _page(found, kinds, nothing, [(0.8 + 0.28 * max(len(rows), 2), 1)])
-    axes, start, ticks, colors = page.axes[0][0], 0.0, {}, colormaps["PuOr_r"]
+    page, colors = Page.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), colormaps["PuOr_r"]
     values: Sequence[tuple[str, Callable[[ModeDifference], float]]] = (
         ("frequency [%]", lambda mode: 100 * _sure(mode.frequency)),
         ("damping ratio [10⁻³]", lambda mode: 1e3 * _sure(mode.damping)),
         ("amplitude [%]", lambda mode: 100 * np.expm1(_sure(mode.gain))),
         ("phase [deg]", lambda mode: np.degrees(_sure(mode.phase))),
     )
-    for title, value in values:
-        table = np.full((len(rows), max(len(modes), 2) + (title[:3] == "amp")), np.nan)
+    for k, (axes, (heading, value)) in enumerate(zip(page.axes[0], values, strict=True)):
+        rest = ["rest"] if heading.startswith("amplitude") else []  # the motion outside the modes
+        table = np.full((len(rows), len(modes) + len(rest)), np.nan)
         for r, one in enumerate(rows):
             for mode in one.modes.modes:
                 if mode.mode in modes:
                     table[r, modes.index(mode.mode)] = value(mode)
-            if title[:3] == "amp" and one.modes.slow_gain.known:
+            if rest and one.modes.slow_gain.known:
                 table[r, -1] = 100 * _sure(one.modes.slow_gain)
-        names = [_frequency(found, mode, 2) for mode in modes] + ["rest"] * (title[:3] == "amp")
-        _draw_table(axes, start, table[:, -len(names) :] if len(modes) > 1 else table[:, [0, -1][: len(names)]])
-        axes.text(start, -0.12, title, va="bottom", fontsize=8.5, color="#333333")
-        ticks.update({start + 0.5 + k: name for k, name in enumerate(names)})
-        start += table.shape[1] + 0.4
-    axes.set_xlim(0, start - 0.4)
-    axes.set_ylim(len(rows), 0)
-    axes.set_xticks(list(ticks), list(ticks.values()))
-    axes.set_yticks(np.arange(len(rows)) + 0.5, [_file(one, 22) for one in rows])
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
-    axes.grid(False)
-    axes.set_xlabel("mode, and the motion outside the modes [Hz]")
-    axes.set_ylabel("recording")
+        largest = float(np.nanmax(np.abs(table), initial=1e-12))
+        # Small differences show as well.
+        norm = FuncNorm((lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)), -largest, largest)
+        names = [_frequency(found, mode, 2) for mode in modes] + rest
+        heat_map(axes, table, (colors, norm), ([_file(one, 22) for one in rows], names), _signed, 8.0)
+        axes.tick_params(labelleft=k == 0)
+        axes.set(title=heading, xlabel="mode, or outside the modes [Hz]" if rest else "mode [Hz]")
+    page.axes[0][0].set_ylabel("recording")
     words = ((colors(0.95), "more than the model"), ("white", "0: as the model, within three standard errors"),
-             (colors(0.05), "less"), (BAND, "does not move"))  # fmt: skip
-    page.legend([Patch(facecolor=color, edgecolor="#bbbbbb", label=word) for color, word in words])
-    return page.figure
+             (colors(0.05), "less"), (Color.BAND, "does not move"))  # fmt: skip
+    return page.finish([Patch(facecolor=color, edgecolor="#bbbbbb", label=word) for color, word in words])
 
 
 def _frequency(found: Symptoms, mode: int, digits: int) -> str:
@@ -169,20 +158,6 @@ def _sure(value: Coefficient) -> float:
     return value.value if abs(value.value) > 3 * value.std else 0.0
 
 
-def _draw_table(axes: Axes, start: float, table: Array) -> None:
-    """Draw coloured numbers, on a colour scale of their own."""
-    largest = float(np.nanmax(np.abs(table), initial=1e-12))
-    shade = np.sign(table) * np.sqrt(np.abs(table) / largest)  # small ones show as well
-    columns, rows = np.arange(table.shape[1] + 1) + start, np.arange(len(table) + 1)
-    colors = colormaps["PuOr_r"].with_extremes(bad=BAND)
-    axes.pcolormesh(columns, rows, shade, cmap=colors, vmin=-1, vmax=1, edgecolors="#bbbbbb", linewidth=0.6)
-    for (row, column), value in np.ndenumerate(table):
-        if np.isfinite(value):
-            letters = readable_on(colors(0.5 + 0.5 * float(shade[row, column])))
-            place = {"x": start + column + 0.5, "y": row + 0.5, "s": _signed(value)}
-            axes.text(**place, ha="center", va="center", fontsize=8, color=letters)
-
-
 def _signed(value: float) -> str:
     if abs(value) < 5e-3:
         return "0"
@@ -190,9 +165,12 @@ def _signed(value: float) -> str:
     return f"{value:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
 
 
-def _free_motion(found: Symptoms) -> dict[int, dict[str, list[FreeMotion]]]:
+_FreeMotions = dict[int, dict[str, list[FreeMotion]]]
+
+
+def _free_motion(found: Symptoms) -> _FreeMotions:
     """Return free motion in one unit, by mode and condition; of the modes with most points, at most three."""
-    modes: dict[int, dict[str, list[FreeMotion]]] = {}
+    modes: _FreeMotions = {}
     for one in found.recordings:
         for free in one.modes.free:
             groups = modes.setdefault(free.mode, {})
@@ -203,53 +181,41 @@ def _free_motion(found: Symptoms) -> dict[int, dict[str, list[FreeMotion]]]:
     return {mode: modes[mode] for mode in kept}
 
 
-@styled
-def _with_amplitude(found: Symptoms) -> Figure:
+def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
     """Draw frequency and damping ratio of every mode against amplitude, while nothing drives the arm."""
-    modes = _free_motion(found)
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
-    looks = dict(zip(conditions, line_styles(len(conditions)), strict=True))
-    markers = dict(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False))
-    nothing = "Frequency and damping are as in the model, and change with amplitude as they do there"
-    kinds = ("frequency", "damping", "frequency_with_amplitude", "damping_with_amplitude")
-    page = _page(found, kinds, nothing, [(2.1, len(modes)), (2.35, len(modes))])
-    for column, (mode, groups) in enumerate(modes.items()):
-        upper, lower = page.axes[0][column], page.axes[1][column]
-        every = [free for own in groups.values() for free in own]
-        scale, unit = _UNITS[every[0].unit]
+    markers = zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)
+    looks: dict[str, Any] = {name: {"color": f"C{k}", "marker": marker} for k, (name, marker) in enumerate(markers)}
+    page = Page.of(title, [(2.1, len(modes)), (2.35, len(modes))])
+    for upper, lower, (mode, groups) in zip(*page.axes, modes.items(), strict=True):
+        scale, unit = _UNITS[next(iter(groups.values()))[0].unit]
+        amplitudes = {
+            condition: scale * np.concatenate([f.amplitude for f in own]) for condition, own in groups.items()
+        }
         for condition, own in groups.items():
-            amplitude = scale * np.concatenate([free.amplitude for free in own])
-            std = np.concatenate([free.std for free in own])
-            for axes, j in ((upper, 0), (lower, 1)):
-                pairs = np.concatenate([free.rates[..., j] for free in own])
-                scaled = std[:, j]
-                if not j:  # in per cent of the model's at the smallest amplitude, conditions lie on one axis
-                    first = pairs[np.argmin(amplitude), 1]
-                    pairs, scaled = 100 * (pairs / first - 1), 100 * scaled / first
-                _draw_trend(axes, amplitude, pairs, scaled, 2 - j, looks[condition] | {"marker": markers[condition]})
-        for axes in (upper, lower):
+            amplitude, look = amplitudes[condition], looks[condition]
+            rates, std = np.concatenate([f.rates for f in own]), np.concatenate([f.std for f in own])
+            first = rates[np.argmin(amplitude), 1, 0]  # relative to the model's there, conditions lie on one axis
+            _draw_trend(upper, amplitude, 100 * (rates[..., 0] / first - 1), 100 * std[:, 0] / first, 2, look)
+            _draw_trend(lower, amplitude, rates[..., 1], std[:, 1], 1, look)
+        every = scale * np.concatenate([f.amplitude for own in groups.values() for f in own])
+        for axes, least in ((upper, 0.05), (lower, 2e-5)):  # per cent, and a ratio: or nothing but noise is magnified
             low, high = axes.get_ylim()
-            least = 0.05 if axes is upper else 2e-5  # per cent, and a ratio: or nothing but noise is magnified
-            if high - low < least:
-                axes.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
-            largest = scale * np.concatenate([free.amplitude for free in every])
-            log_scale(axes.xaxis, float(largest.min()) / 1.15, float(largest.max()) * 1.15)
+            margin = max(least - (high - low), 0.0) / 2
+            axes.set_ylim(low - margin, high + margin)
+            log_scale(axes.xaxis, float(every.min()) / 1.15, float(every.max()) * 1.15)
             axes.ticklabel_format(axis="y", useOffset=False)
-        upper.set_ylabel("frequency, off the model's [%]")
-        lower.set_ylabel("damping ratio [1]")
+        upper.set(ylabel="frequency, off the model's [%]", title=f"mode at {_frequency(found, mode, 3)} Hz")
         upper.tick_params(labelbottom=False)
-        lower.set_xlabel(f"amplitude [{unit}]")
-        upper.set_title(printable(f"mode at {_frequency(found, mode, 3)} Hz"))
+        lower.set(ylabel="damping ratio [1]", xlabel=f"amplitude [{unit}]")
+    hollow: Any = {"markerfacecolor": "white"}
     handles = [
-        Line2D([], [], color=MEASURED, linestyle="", marker="o", markerfacecolor="white", label="measured, with error"),
-        Line2D([], [], color=MEASURED, label="model"),
+        Line2D([], [], color=Color.MEASURED, linestyle="", marker="o", label="measured, with error", **hollow),
+        Line2D([], [], color=Color.MEASURED, label="model"),
     ]
     for condition in conditions if len(conditions) > 1 else ():
-        name = printable(short(condition or "other recordings", 24))
-        look: Any = looks[condition] | {"marker": markers[condition], "markerfacecolor": "white"}
-        handles.append(Line2D([], [], label=name, **look))
-    page.legend(handles)
-    return page.figure
+        handles.append(Line2D([], [], label=short(condition or "other recordings", 24), **looks[condition], **hollow))
+    return page.finish(handles)
 
 
 def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: int, look: dict[str, Any]) -> None:
@@ -270,7 +236,7 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
         errors[k] = max(float(np.sum(weights) ** -0.5), float(np.sqrt(scatter)))
     clear = errors <= 4 * np.median(errors)  # of the others nothing could be seen
     order = np.argsort(amplitude)
-    axes.plot(amplitude[order], model[order], **(look | {"marker": ""}))
+    axes.plot(amplitude[order], model[order], color=look["color"], linestyle="-")
     bars: Any = look | {"linestyle": "", "markersize": 5, "markerfacecolor": "white"}
     axes.errorbar(place[clear], shown[clear], yerr=errors[clear], elinewidth=1.1, **bars)
 
@@ -283,75 +249,62 @@ def _profiles_shown(found: Symptoms) -> list[JointProfile]:
 
     every = [profile for one in found.recordings for profile in one.profiles]
     torques = found.profiles or [profile for profile in every if profile.quantity != "residual"]
-    return surest(list(torques)) + surest([profile for profile in every if profile.quantity == "residual"])
+    return surest(torques) + surest([profile for profile in every if profile.quantity == "residual"])
 
 
-@styled
-def _profiles(found: Symptoms) -> Figure:
+def _profiles(title: str, found: Symptoms, shown: Sequence[JointProfile]) -> Figure:
     """Draw residuals against position, velocity and direction, each without what the two others explain."""
-    shown = _profiles_shown(found)
-    nothing = "What the model misses depends neither on where the arm is nor on how fast or which way it moves"
-    kinds = ("against_angle", "against_velocity", "against_sign")
-    page = _page(found, kinds, nothing, [(2.35, 3)] * len(shown))
-    for axes, profile in zip(page.axes, shown, strict=True):
-        _draw_profile(axes, found, profile)
+    page = Page.of(title, [(2.35, 3)] * len(shown))
+    for row, profile in zip(page.axes, shown, strict=True):
+        _draw_profile(row, profile)
+        several = np.unique(profile.recording).size > 1
+        where = "all recordings" if several else _file(found.recordings[int(profile.recording[0])], 16)
+        row[0].set_title(f"{short(profile.sensor, 18)}, {where}")
     dots = Line2D([], [], linestyle="", marker=".", color=_DOTS, label="single values")
-    means = Line2D([], [], linestyle="", marker="o", color=IDENTIFIED, label="means, two standard errors")
-    page.legend([dots, means, Line2D([], [], color=NOMINAL, label="trend, or jump")])
-    return page.figure
+    means = Line2D([], [], linestyle="", marker="o", color=Color.IDENTIFIED, label="means, two standard errors")
+    return page.finish([dots, means, Line2D([], [], color=Color.NOMINAL, label="trend, or jump")])
 
 
-def _draw_profile(row: Sequence[Axes], found: Symptoms, profile: JointProfile) -> None:
+def _draw_profile(row: Sequence[Axes], profile: JointProfile) -> None:
     scale, unit = _UNITS.get(profile.unit, (1.0, profile.unit))
     if unit == "deg" and float(np.percentile(np.abs(profile.values), 80)) * scale < 0.1:
         scale, unit = 1e3, "mrad"
-    place, motion = _UNITS[profile.motion_unit]
-    fit = profile.fit
-    remaining, (slope, rate, jump) = scale * fit.remaining, scale * fit.slopes
-    parts = scale * (fit.parts - fit.parts.mean(axis=0))
-    middle, position, velocity = profile.position.mean(), profile.position, profile.velocity
-    ends = np.array([position.min(), position.max()])
-    _draw_means(row[0], place * position, remaining + parts[:, 0])
-    row[0].plot(place * ends, slope * (ends - middle), color=NOMINAL, zorder=2)
-    _draw_means(row[1], place * velocity, remaining + parts[:, 1])
-    ends = np.array([velocity.min(), velocity.max()])
-    row[1].plot(place * ends, rate * (ends - velocity.mean()), color=NOMINAL, zorder=2)
-    clear = np.abs(profile.direction) > 0.5
-    side = np.sign(profile.direction[clear])
-    _draw_means(
-        row[2], side + 0.1 * np.random.default_rng(0).uniform(-1, 1, side.size), (remaining + parts[:, 2])[clear]
-    )
-    row[2].plot([-1.4, 0, 0, 1.4], 0.5 * jump * np.array([-1, -1, 1, 1]), color=NOMINAL, zorder=2)
-    row[2].set_xlim(-1.6, 1.6)
-    row[2].set_xticks([-1.0, 1.0], ["backwards", "forwards"])
-    what = "missing torque" if profile.quantity == "torque" else profile.quantity
-    for axes in row:
-        axes.set_ylabel(f"{what} [{unit}]")
-    row[0].set_xlabel(f"{printable(short(profile.motion, 16))} [{motion}]")
-    row[1].set_xlabel(f"its velocity [{motion}/s]")
-    row[2].set_xlabel("its direction [1]")
-    several = np.unique(profile.recording).size > 1
-    where = "all recordings" if several else _file(found.recordings[int(profile.recording[0])], 16)
-    row[0].set_title(printable(f"{short(profile.sensor, 18)}, {where}"))
+    factor, motion_unit = _UNITS[profile.motion_unit]
+    parts = scale * (profile.fit.parts - profile.fit.parts.mean(axis=0))
+    values = scale * profile.fit.remaining[:, None] + parts
+    trend: Any = {"color": Color.NOMINAL, "linestyle": "-", "zorder": 2}
+    quantity = "missing torque" if profile.quantity == "torque" else profile.quantity
+    for k, (x, label) in enumerate((
+        (factor * profile.position, f"{short(profile.motion, 16)} [{motion_unit}]"),
+        (factor * profile.velocity, f"its velocity [{motion_unit}/s]"),
+        (profile.direction, "its direction [1]"),
+    )):  # fmt: skip
+        ends = [np.argmin(x), np.argmax(x)]
+        if k < 2:
+            _draw_means(row[k], x, values[:, k])
+            row[k].plot(x[ends], parts[ends, k], **trend)
+        else:
+            clear = np.abs(x) > 0.5
+            _draw_means(row[k], np.sign(x[clear]), values[clear, k], spread=0.1)
+            row[k].plot([-1.4, 0, 0, 1.4], np.repeat(parts[ends, k], 2), **trend)
+            row[k].set_xlim(-1.6, 1.6)
+            row[k].set_xticks([-1.0, 1.0], ["backwards", "forwards"])
+        row[k].set(xlabel=label, ylabel=f"{quantity} [{unit}]")
 
 
-def _draw_means(axes: Axes, place: Array, values: Array) -> None:
-    """Draw single values, and means over about as many each; on the third panel, over the two directions."""
-    thin = slice(None, None, max(1, place.size // 600))
-    axes.plot(place[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1)
-    axes.axhline(0.0, color=AXIS, linewidth=0.6, zorder=1)
-    two = set(np.round(place)) <= {-1.0, 1.0} and bool(np.all(np.abs(np.abs(place) - 1) <= 0.1))
-    order = np.argsort(place)
-    parts = [np.flatnonzero(place * s > 0) for s in (-1, 1)] if two else np.array_split(order, min(10, place.size // 6))
-    parts = [part for part in parts if part.size > 2]
-    means = np.array([values[part].mean() for part in parts])
-    errors = np.array([2 * values[part].std() / np.sqrt(part.size - 1) for part in parts])
-    centres = [place[part].mean() for part in parts]
-    axes.errorbar(centres, means, yerr=errors, linestyle="", marker="o", markersize=4, color=IDENTIFIED, elinewidth=1.1)
+def _draw_means(axes: Axes, x: Array, values: Array, spread: float = 0.0) -> None:
+    """Draw single values, scattered sideways by so much, and their means with two standard errors."""
+    thin = slice(None, None, max(1, x.size // 600))
+    scattered = x + spread * np.random.default_rng(0).uniform(-1, 1, x.size)
+    axes.plot(scattered[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1)
+    axes.axhline(0.0, color=Color.AXIS, linewidth=0.6, zorder=1)
+    centres, means, errors = binned_means(x, values)
+    bars: Any = {"linestyle": "", "marker": "o", "markersize": 4, "color": Color.IDENTIFIED, "elinewidth": 1.1}
+    axes.errorbar(centres, means, yerr=2 * errors, **bars)
     # The means are shown well; of the single values, those at the far ends may be cut off.
-    means_reach = float((np.abs(means) + errors).max(initial=0.0))
-    reach = max(1.25 * means_reach, 1.3 * float(np.percentile(np.abs(values), 80)), 1e-12)
-    axes.set_ylim(-reach, reach)
+    farthest = float((np.abs(means) + 2 * errors).max(initial=0.0))
+    largest = max(1.25 * farthest, 1.3 * float(np.percentile(np.abs(values), 80)), 1e-12)
+    axes.set_ylim(-largest, largest)
 
 
 def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
@@ -360,76 +313,43 @@ def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
     return sorted(known, key=lambda one: one.modes.camera_lag.std)[:_MOST_ROWS]
 
 
-@styled
-def _lags(found: Symptoms) -> Figure:
+def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
     """Draw the delay of camera and encoders against the model, and of the one against the other."""
-    shown, lag = _with_lag(found), found.lag
-    within = number(1e3 * (abs(lag.value) + 2 * lag.std), 2)
-    nothing = f"Camera and encoders tell the same time, to within {within} ms"
-    page = _page(found, ("camera_lag",), nothing, [(0.6 + 0.34 * max(len(shown), 2), 1)])
-    axes, places = page.axes[0][0], np.arange(len(shown))[::-1]
-    axes.axvspan(1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std), color=_POOLED, linewidth=0)
-    axes.axvline(0.0, color=AXIS, linewidth=0.8)
-    handles: list[Line2D | Patch] = []
-    against_encoder = [one.modes.camera_lag for one in shown]
-    for label, delays, offset, color, marker, face in (
-        ("camera against model", [one.sensors[0].delay for one in shown], 0.22, MEASURED, "o", "white"),
-        ("encoder against model", [one.sensors[1].delay for one in shown], -0.22, TORQUE, "s", "white"),
-        ("camera against encoder", against_encoder, 0.0, IDENTIFIED, "D", IDENTIFIED),
+    page, lag = Page.of(title, [(0.6 + 0.34 * max(len(shown), 2), 1)]), found.lag
+    axes = page.axes[0][0]
+    interval = 1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std)
+    axes.axvspan(*interval, color=_POOLED, linewidth=0, label="all recordings together")
+    axes.axvline(0.0, color=Color.AXIS, linewidth=0.8)
+    marks = []
+    for label, delays, look in (
+        ("camera against model", [one.sensors[0].delay for one in shown], {"color": Color.MEASURED, "marker": "o"}),
+        ("camera against encoder", [one.modes.camera_lag for one in shown], {"color": Color.IDENTIFIED, "marker": "D"}),
+        ("encoder against model", [one.sensors[1].delay for one in shown], {"color": Color.TORQUE, "marker": "s"}),
     ):
-        look: Any = {"linestyle": "", "marker": marker, "color": color, "markerfacecolor": face}
-        errors = [2e3 * delay.std for delay in delays]
-        axes.errorbar([1e3 * d.value for d in delays], places + offset, xerr=errors, markersize=4.5, **look)
-        handles.append(Line2D([], [], label=label, **look))
-    axes.set_ylim(-0.6, len(shown) - 0.4)
-    axes.set_yticks(places, [_file(one, 22) for one in shown])
-    axes.grid(False, axis="y")
-    axes.set_xlabel("delay, two standard errors [ms]")
-    axes.set_ylabel("recording")
-    page.legend([*handles, Patch(color=_POOLED, label="all recordings together")])
-    return page.figure
+        values, errors = (np.array([1e3 * getattr(delay, name) for delay in delays]) for name in ("value", "std"))
+        marks.append((label, values, 2 * errors, look | {"markersize": 4.5}))
+    marks_panel(axes, [_file(one, 22) for one in shown], marks, apart=0.22)
+    axes.set(xlabel="delay, two standard errors [ms]", ylabel="recording")
+    return page.finish()
 
 
-def _at_rest(found: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest]]:
-    """Return the sensors at rest, at most four."""
-    return [(one, rest) for one in found.recordings for rest in one.at_rest][:4]
+def _at_rest(found: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]:
+    """Return the sensors at rest with the spectra of their residuals, at most four."""
+    sensors = [(one, rest) for one in found.recordings for rest in one.at_rest][:4]
+    spectra = [Spectrum.of(one.simulated, rest.channels.sensor == "encoder") for one, rest in sensors]
+    return [(*pair, spectrum) for pair, spectrum in zip(sensors, spectra, strict=True) if spectrum is not None]
 
 
-@styled
-def _quiet(found: Symptoms) -> Figure:
+def _quiet(title: str, _: Symptoms, shown: Sequence[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]) -> Figure:
     """Draw amplitude spectra of the sensors at rest, beside the noise that was supposed."""
-    panels = _at_rest(found)
-    columns = min(2, len(panels))
-    rows = [(2.5, columns)] * -(-len(panels) // columns)
-    nothing = "At rest, the sensors show white noise of the size that was supposed"
-    page = _page(found, ("quiet_tone", "noise_size", "noise_correlation"), nothing, rows)
-    for axes, (one, rest) in zip(page.panels(len(panels)), panels, strict=True):
-        _draw_spectrum(axes, rest)
+    page = Page.grid(title, len(shown), (2.5, 2.5))
+    for axes, (one, rest, spectrum) in zip(page.axes[0], shown, strict=True):
+        unit = "µm" if rest.channels.unit == "m" else "µrad"
+        spectrum_panel(axes, [(spectrum, "residual at rest", Color.IDENTIFIED)], unit=unit)
+        if rest.tone is not None:
+            peak = 1.25e6 * float(np.interp(rest.tone.frequency, spectrum.frequency, spectrum.amplitude))
+            axes.plot(rest.tone.frequency, peak, "v", color=Color.NOMINAL, label="a tone")
         size = f"{number(1 + rest.size.value, 3)} times the noise"
         tone = "" if rest.tone is None else f", tone at {number(rest.tone.frequency, 3)} Hz"
-        axes.set_title(printable(f"{_file(one, 18)}, {rest.channels.sensor}: {size}{tone}"))
-    page.legend(
-        [
-            Line2D([], [], color=IDENTIFIED, label="residual at rest"),
-            Line2D([], [], color=MEASURED, linewidth=1.6, label="white noise as supposed"),
-            Line2D([], [], color=MEASURED, linestyle=(0, (4, 2)), label="its limit (99.9 %)"),
-            Line2D([], [], linestyle="", marker="v", color=NOMINAL, label="a tone"),
-        ]
-    )
-    return page.figure
-
-
-def _draw_spectrum(axes: Axes, rest: SensorAtRest) -> None:
-    scale, unit = (1e6, "µm") if rest.channels.unit == "m" else (1e6, "µrad")
-    amplitude = scale * rest.amplitude
-    axes.plot(rest.frequency, amplitude, color=IDENTIFIED, linewidth=0.8)
-    axes.axhline(scale * rest.white, color=MEASURED, linewidth=1.6)
-    axes.axhline(scale * rest.limit, color=MEASURED, linestyle=(0, (4, 2)), linewidth=1.1)
-    if rest.tone is not None:
-        at = int(np.argmin(np.abs(rest.frequency - rest.tone.frequency)))
-        axes.plot([rest.tone.frequency], [1.25 * float(amplitude[at])], marker="v", color=NOMINAL)
-    low, high = 0.8 * float(np.quantile(amplitude, 0.02)), 1.6 * max(scale * rest.limit, float(amplitude.max()))
-    log_scale(axes.yaxis, low, high)
-    axes.set_xlim(0.0, float(rest.frequency[-1]))
-    axes.set_xlabel("frequency [Hz]")
-    axes.set_ylabel(f"amplitude [{unit}]")
+        axes.set_title(f"{_file(one, 18)}, {rest.channels.sensor}: {size}{tone}")
+    return page.finish()

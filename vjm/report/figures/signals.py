@@ -1,0 +1,285 @@
+"""Time histories: which channel and which stretch of a recording a figure shows, measured beside simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from matplotlib import pyplot
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.signal import detrend
+
+from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.records import Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording, Simulation
+from vjm.report.figures.panels import LOOKS, Color, Page, recording_label
+from vjm.report.text import millimetres, number, short
+
+Window = tuple[float, float]  # first and last instant [s]
+_Item = TypeVar("_Item")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One measured coordinate of a marker, or one measured joint angle.
+
+    Attributes:
+        name: `LINK.mK.x`, `LINK.mK.y` or `LINK.theta`.
+        index: of the marker and its axis (0: x, 1: y), or of the active joint.
+        rows: (F,) rows of the recording at which it was measured.
+        time, value: (F,) [s], [m] or [rad].
+    """
+
+    name: str
+    index: tuple[int, ...]
+    rows: Indices
+    time: Array
+    value: Array
+
+    @classmethod
+    def of(cls, rig: Rig, recording: Recording) -> Signal | None:
+        """Return the outermost measured marker's coordinate that moves most, else the outermost joint's angle.
+
+        None where nothing was measured.
+        """
+        columns = [column for link in rig.links for column in link.marker_columns]
+        channels: list[tuple[str, tuple[int, ...]]] = []
+        for link in reversed(range(len(rig.links))):
+            for marker in (np.argsort(rig.links[link].markers)[::-1] + rig.marker_slices[link].start).tolist():
+                axis = moving_axis(recording.markers[:, [marker]])
+                channels.append((columns[2 * marker + axis], (marker, axis)))
+        joints = [(f"{rig.links[link].name}.theta", (joint,)) for joint, link in enumerate(rig.active_links)]
+        for name, index in [*channels, *reversed(joints)]:
+            values = _channel(recording, index)
+            rows = np.flatnonzero(np.isfinite(values))
+            if rows.size >= 2:
+                return cls(name, index, rows, recording.time[rows], values[rows])
+        return None
+
+    @property
+    def is_marker(self) -> bool:
+        """True if it is a coordinate of a marker, in metres."""
+        return len(self.index) == 2
+
+    @property
+    def unit(self) -> tuple[float, str]:
+        """Factor from SI to the unit in which it is drawn, and that unit."""
+        return (1e3, "mm") if self.is_marker else (float(np.degrees(1.0)), "°")
+
+    def residual(self, simulated: SimulatedRecording) -> Array:
+        """Return (F,) measured minus simulated values [m] or [rad]; NaN where the simulation's recording has none."""
+        residual = simulated.marker_residual if self.is_marker else simulated.theta_residual
+        values: Array = residual[self.rows, *self.index]
+        return values
+
+    def rms(self, simulated: SimulatedRecording) -> float:
+        """Return the RMS residual [m] or [rad]."""
+        return float(np.sqrt(np.nanmean(self.residual(simulated) ** 2)))
+
+    def rms_text(self, simulated: SimulatedRecording) -> str:
+        """Return the RMS residual, with its unit."""
+        rms = self.rms(simulated)
+        return millimetres(rms) if self.is_marker else f"{number(self.unit[0] * rms, 2)}°"
+
+    def is_whole(self, window: Window) -> bool:
+        """Return True if a window shows all of it."""
+        return window[1] - window[0] > 0.99 * float(self.time[-1] - self.time[0])
+
+    def windows(self) -> list[tuple[Window, str]]:
+        """Return windows with headings: all of it if its oscillations stay apart on paper, else its first and last."""
+        start, end, stop = float(self.time[0]), float(self.time[-1]), float(self.time[-1])
+        deflection = np.abs(self.value - np.median(self.value))
+        moving = np.flatnonzero(deflection > 0.03 * deflection.max())  # what comes after has died out
+        if moving.size and moving[-1] >= 20:
+            stop = float(self.time[moving[-1]])
+        length, legible = _few_periods(self.time, self.value)
+        if stop - start <= legible:
+            whole = self.is_whole((start, stop))
+            return [((start, stop), "" if whole else f"First {stop - start:.2g} s of {end - start:.3g} s")]
+        first = f"First {length:.2g} s of {end - start:.3g} s"
+        last = f"Last {length:.2g} s{'' if stop == end else ' before it dies out'}"
+        return [((start, start + length), first), ((stop - length, stop), last)]
+
+
+def _channel(source: Recording | Simulation, index: tuple[int, ...]) -> Array:
+    """Return (T,) one coordinate of a marker [m], or one joint angle [rad]."""
+    return source.markers[:, index[0], index[1]] if len(index) == 2 else source.theta[:, index[0]]
+
+
+def moving_axis(markers: Array) -> int:
+    """Return 0 where markers (F, k, 2) move 1.5 times as far along x as along y, or only x was measured; else 1."""
+    columns = [[own[np.isfinite(own)] for own in markers[..., axis].T] for axis in (0, 1)]
+    along_x, along_y = (max((np.ptp(own) for own in axis if own.size), default=-1.0) for axis in columns)
+    return 0 if along_x > 1.5 * max(along_y, 0.0) else 1
+
+
+def _few_periods(time: Array, value: Array) -> tuple[float, float]:
+    """Return how long six periods of a signal (F,) are, and how many of them stay apart across a panel [s].
+
+    Of its strongest oscillation; at least 20 frames, and twice as many. Infinite where nothing oscillates.
+    """
+    if time.size < 40 or np.ptp(value) == 0:
+        return np.inf, np.inf
+    grid = np.linspace(time[0], time[-1], time.size)
+    power = np.abs(np.fft.rfft(detrend(np.interp(grid, time, value)) * np.hanning(grid.size))) ** 2
+    period = float(grid[-1] - grid[0]) / (int(np.argmax(power[2:])) + 2)
+    length = max(6 * period, 20 * float(np.median(np.diff(time))))
+    return length, max(14 * period, 2 * length)
+
+
+def liveliest_window(time: Array, value: Array) -> Window:
+    """Return the few periods of a signal (F,) that move most; the whole of it where it is short."""
+    length, _ = _few_periods(time, value)
+    whole = np.flatnonzero(time + length <= time[-1])
+    if not whole.size:
+        return float(time[0]), float(time[-1])
+    squares = np.cumsum(np.r_[0.0, (value - np.mean(value)) ** 2])
+    stops = np.searchsorted(time, time[whole] + length, side="right")
+    best = float(time[whole[np.argmax(squares[stops] - squares[whole])]])
+    return best, best + length
+
+
+def moving_recordings(
+    rig: Rig, comparisons: Sequence[RecordingComparison], role: str
+) -> list[tuple[RecordingComparison, Signal]]:
+    """Return recordings in motion that one of the models can simulate, with their signals, by falling RMS residual."""
+    pairs = [(each, Signal.of(rig, each.recording)) for each in comparisons if each.recording.kind != "quiet"]
+    usable = [(each, signal) for each, signal in pairs if signal is not None and getattr(each, role) is not None]
+    return sorted(usable, key=lambda pair: -getattr(pair[0], role).marker_rms / pair[0].noise[0])
+
+
+def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Recording]) -> list[_Item]:
+    """Return the items in order, of those whose recordings repeat one experiment the first one only."""
+    kept: dict[object, _Item] = {}
+    for item in items:
+        kept.setdefault(recording(item).repeat or id(item), item)
+    return list(kept.values())
+
+
+def motion_panel(
+    axes: Axes, signal: Signal, comparison: RecordingComparison, labels: Mapping[str, str],
+    window: Window | None = None, most_circles: int = 170,
+) -> None:  # fmt: skip
+    """Draw a measured signal and simulations of it against time.
+
+    Args:
+        axes: to draw into.
+        signal: as measured.
+        comparison: its recording, with the simulations.
+        labels: of the simulations that are drawn.
+        window: first and last instant [s]; None: all.
+        most_circles: so many frames at most are drawn as circles; more of them as a broad grey line.
+    """
+    start, stop = window or (float(signal.time[0]), float(signal.time[-1]))
+    inside = (signal.time >= start) & (signal.time <= stop)
+    scale, unit = signal.unit
+    look: dict[str, Any] = {"color": "#bdbdbd", "linewidth": 4.0, "solid_capstyle": "round"}
+    if np.count_nonzero(inside) <= most_circles:
+        look = {"linestyle": "", "marker": "o", "markersize": 4.5, "markerfacecolor": "white", "color": Color.MEASURED}
+    axes.plot(signal.time[inside], scale * signal.value[inside], label="measured", **look)
+    for role, simulated in reversed(_simulations(comparison, labels)):
+        instants = simulated.simulation.time
+        path = CubicSpline(instants, _channel(simulated.simulation, signal.index))
+        # A camera may take no more than four frames a period: closely spaced instants between those of the recording.
+        time = np.union1d(np.linspace(start, stop, 800), instants[(instants >= start) & (instants <= stop)])
+        axes.plot(time, scale * path(time), label=labels[role], **LOOKS[role][0])
+    axes.set(xlabel="time [s]", ylabel=f"{short(signal.name, 20)} [{unit}]")
+
+
+def _simulations(comparison: RecordingComparison, labels: Mapping[str, str]) -> list[tuple[str, SimulatedRecording]]:
+    """Return the labelled simulations of a recording in the order in which they are drawn."""
+    pairs = [(role, getattr(comparison, role)) for role in LOOKS if role in labels]
+    return [(role, simulated) for role, simulated in pairs if simulated is not None]
+
+
+def residual_panel(
+    axes: Axes, signal: Signal, comparison: RecordingComparison, labels: Mapping[str, str],
+    windows: Sequence[Window] = (),
+) -> None:  # fmt: skip
+    """Draw measured minus simulated values of a signal over the whole recording, beside the noise.
+
+    Args:
+        axes, signal, comparison, labels: as of `motion_panel`.
+        windows: of the motion panels, shaded where they are not the whole recording.
+    """
+    scale, unit = signal.unit
+    sigma = scale * comparison.noise[0 if signal.is_marker else 1]
+    for window in windows:
+        if not signal.is_whole(window):
+            axes.axvspan(*window, color="#fbeeda", linewidth=0, label="shown above")
+    axes.axhspan(-2 * sigma, 2 * sigma, color=Color.BAND, linewidth=0, label="±2σ noise")
+    axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
+    largest = 4 * sigma
+    for role, simulated in _simulations(comparison, labels):
+        values = scale * signal.residual(simulated)
+        look = {"color": LOOKS[role][0]["color"], "linestyle": "-", "linewidth": 0.9}
+        axes.plot(signal.time, values, label=labels[role], **look)
+        largest = max(largest, 1.08 * float(np.nanmax(np.abs(values), initial=0.0)))
+    axes.set_ylim(-largest, largest)
+    axes.set(xlabel="time [s]", ylabel=f"residual [{unit}]", title="Measured minus simulated, whole recording")
+
+
+def motion_figure(
+    title: str, signal: Signal, comparison: RecordingComparison, motion: Mapping[str, str],
+    residuals: Mapping[str, str], windows: Sequence[tuple[Window, str]],
+) -> Figure:  # fmt: skip
+    """Draw a measured signal and simulations of it in one or two windows [s] with headings; below, the residuals.
+
+    `motion` and `residuals` are the labels of the simulations whose motion and whose residuals are drawn.
+    """
+    page = Page.of(title, [(2.6, len(windows)), (1.75, 1)])
+    panels, (lowest,) = page.axes
+    for axes, (window, heading) in zip(panels, windows, strict=True):
+        motion_panel(axes, signal, comparison, motion, window, 170 // len(windows))
+        axes.set_title(heading)
+    limits = np.array([axes.get_ylim() for axes in panels])
+    for axes in panels:
+        axes.set_ylim(limits.min(), limits.max())
+    residual_panel(lowest, signal, comparison, residuals, [window for window, _ in windows])
+    return page.finish()
+
+
+def plot_recordings(
+    rig: Rig, comparisons: Sequence[RecordingComparison], panel: Callable[..., None],
+    recording: Recording | str | None, ax: Axes | None,
+) -> NDArray[Any]:  # fmt: skip
+    """Plot the outermost measured signal of each recording, as `motion_panel` or `residual_panel` draws it.
+
+    Args:
+        rig: names the markers.
+        comparisons: recordings beside their simulations.
+        panel: draws one of them.
+        recording: the only one to plot, or the name of its file; None: all (into `ax`, the first one).
+        ax: axes to draw into; None: a new figure.
+
+    Returns:
+        (k,) axes, one for each recording.
+
+    Raises:
+        ChoiceError: a recording that is not among them.
+        InsufficientDataError: no recording could be simulated.
+    """
+    name = recording.file if isinstance(recording, Recording) else recording
+    files = [item.recording.file for item in comparisons]
+    if name is not None and name not in files:
+        raise ChoiceError("recording", name, files)
+    asked = [item for item in comparisons if name in (None, item.recording.file)]
+    pairs = [(item, Signal.of(rig, item.recording)) for item in asked if item.simulated is not None]
+    chosen = [(item, signal) for item, signal in pairs if signal is not None]
+    if not chosen:
+        reason = (asked[0].problem if asked else "") or "nothing was measured"
+        raise InsufficientDataError("plot", f"no recording could be simulated: {reason}", "choose another recording")
+    plotted = np.array([ax])
+    if ax is None:
+        size = (8, 2.5 * len(chosen))
+        _, grid = pyplot.subplots(len(chosen), figsize=size, squeeze=False, layout="constrained")
+        plotted = grid[:, 0]
+    for axes, (item, signal) in zip(plotted, chosen, strict=False):
+        panel(axes, signal, item, {"simulated": "simulated"})
+        axes.set_title(recording_label(item.recording))
+        axes.legend(loc="upper right")
+    return plotted
