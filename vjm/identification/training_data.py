@@ -68,7 +68,7 @@ class PreparedRecording(Record):
         terms = [np.diag(chain.stiffness), np.diag(chain.damping), inertia]
         pairs = [(i, j) for i in range(3) for j in range(3)]
         covariance = np.asarray(sum(d.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
-        return (covariance + covariance.T) / 2
+        return np.asarray((covariance + covariance.T) / 2)
 
     def noise_factor(self, chain: Chain) -> Array:
         """Return the Cholesky factor (r, r) of the noise covariance of a chain's torque errors [N m]."""
