@@ -54,33 +54,19 @@ _SENTENCES = {
 
 @dataclass(frozen=True)
 class Symptom:
-    """One way in which the model and a recording differ; not a cause.
+    """One way in which the model and a recording differ; not a cause."""
 
-    Attributes:
-        kind: what differs.
-        recording: its file; None where it was seen in several together.
-        sensor: a coordinate such as `beam.m5.y`, an encoder such as `beam.theta`, or `camera`; None: the whole arm.
-        mode: index of the mode; None: none.
-        value: measured minus simulated.
-        std: its standard error.
-        unit: of both.
-        p_value: probability that a residual without it shows as much.
-        share: of all recordings' mean square residual, in units of the noise, that it describes.
-        local: the same of its own recording, or of those in which it was seen.
-        sentence: in words.
-    """
-
-    kind: str
-    recording: str | None
-    sensor: str | None
-    mode: int | None
-    value: float
-    std: float
-    unit: str
-    p_value: float
-    share: float
-    local: float
-    sentence: str
+    kind: str  # what differs
+    recording: str | None  # its file; None where it was seen in several together
+    sensor: str | None  # a coordinate such as `beam.m5.y`, an encoder such as `beam.theta`, or `camera`; None: the arm
+    mode: int | None  # index of the mode; None: none
+    value: float  # measured minus simulated
+    std: float  # its standard error
+    unit: str  # of both
+    p_value: float  # probability that a residual without it shows as much
+    share: float  # of all recordings' mean square residual, in units of the noise, that it describes
+    local: float  # the same of its own recording, or of those in which it was seen
+    sentence: str  # in words
 
 
 @dataclass(frozen=True)
@@ -295,12 +281,11 @@ def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: floa
 
 def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
     """Yield the growth of the residual from the first to the last fifth of a recording."""
-    start, stop = (end(sensor.time[k] for sensor in one.sensors) for end, k in ((min, 0), (max, -1)))
-    total, count = np.zeros(5), np.zeros(5)
-    for sensor in one.sensors:
-        fifth = np.clip((5 * (sensor.time - start) / max(stop - start, 1e-300)).astype(np.intp), 0, 4)
-        total += np.bincount(fifth, np.sum(sensor.residual**2, axis=1), 5)
-        count += np.bincount(fifth, sensor.known.sum(axis=1), 5)
+    time = np.concatenate([sensor.time for sensor in one.sensors])
+    squares = np.concatenate([np.sum(sensor.residual**2, axis=1) for sensor in one.sensors])
+    known = np.concatenate([np.sum(sensor.known, axis=1) for sensor in one.sensors])
+    fifths = np.linspace(time.min(), time.max(), 6)
+    total, count = (np.histogram(time, fifths, weights=values)[0] for values in (squares, known))
     if count.min() < 2 or total.min() <= 0:
         return
     power = total / count
