@@ -212,29 +212,26 @@ def _acceleration(
     # At most 64 stretches, for the noise of their accelerations grows fast, but one from turn to turn of the motion.
     turns, duration = int(np.count_nonzero(np.diff(np.sign(velocity)))), float(time[-1] - time[0])
     step = float(np.median(np.diff(time)))
-    size = max(round(duration / max(64, turns + 1) / step), 5) // 2 * 2 + 1
+    size = max(round(duration / max(64, turns + 1) / step), 5)
     if size * step * (turns + 1) > 1.5 * duration or not motion.shows(position, sensor):
         return None
-    grid = np.arange(time[0], time[-1] + 0.5 * step, step)
-    filled, _ = np.histogram(time, np.append(grid, grid[-1] + step) - 0.5 * step)
-    centres = np.arange(size // 2, grid.size - size // 2, size)
-    centres = centres[np.convolve(filled, np.ones(size), "same")[centres] > size / 1.5]  # of the others, most is a gap
-    if centres.size < _LEAST_POINTS:
+    starts = np.arange(0, time.size - size + 1, size)
+    steps = (time[starts + size - 1] - time[starts]) / (size - 1)
+    starts, steps = starts[steps < 1.5 * step], steps[steps < 1.5 * step]  # of the others, a third is a gap
+    if starts.size < _LEAST_POINTS:
         return None
     weights = (1 - (np.arange(1 - size, size, 2) / size) ** 2) ** 2
-    weights /= weights.sum()
-    second_derivative = np.asarray(savgol_coeffs(size, 2, deriv=2, delta=step))
+    weights, second_derivative = weights / weights.sum(), np.asarray(savgol_coeffs(size, 2, deriv=2))
 
     def weighted(weights: Array, values: Array) -> Array:
-        return np.convolve(np.interp(grid, time, values), weights, "same")[centres]
+        return np.asarray(values[starts[:, None] + np.arange(size)] @ weights)
 
-    scale = sensor.noise * inertia
-    values = scale * weighted(second_derivative, sensor.residual[rows, c])
-    std = scale * float(np.linalg.norm(second_derivative))
-    beside = np.reshape([weighted(weights, other[rows]) for other in others], (-1, values.size)).T
+    scale = sensor.noise * inertia / steps**2
     position, velocity, direction = (weighted(weights, own) for own in (position, velocity, _direction(velocity)))
+    explaining = [weighted(weights, other[rows]) for other in others]
     return JointProfile(
-        sensor.names[c], motion.name, *words, motion.unit, values, np.full(values.size, std),
-        position, velocity, direction, sensor.groups[rows][np.searchsorted(time, grid[centres])],
-        beside, np.zeros(values.size, int),
+        sensor.names[c], motion.name, *words, motion.unit,
+        scale * weighted(second_derivative, sensor.residual[rows, c]),
+        scale * float(np.linalg.norm(second_derivative)), position, velocity, direction,
+        sensor.groups[rows][starts], np.reshape(explaining, (-1, starts.size)).T, np.zeros(starts.size, int),
     )  # fmt: skip
