@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from vjm.errors import InputError
 
@@ -41,15 +43,22 @@ def json_text(value: object) -> str:
 def _indented(value: object, newline: str) -> str:
     inner = newline + "  "
     if isinstance(value, dict) and value:
-        rows = [f"{_plain(key)}: {_indented(item, inner)}" for key, item in value.items()]
+        rows = [f"{json.dumps(key, ensure_ascii=False)}: {_indented(item, inner)}" for key, item in value.items()]
         return "{" + inner + f",{inner}".join(rows) + newline + "}"
     if isinstance(value, list | tuple) and any(isinstance(item, dict | list | tuple) for item in value):
         return "[" + inner + f",{inner}".join(_indented(item, inner) for item in value) + newline + "]"
-    return _plain(value)
-
-
-def _plain(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """Return a value in JSON's own types; arrays become lists, and numbers that are not finite None."""
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):  # an array, or a scalar of NumPy's
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _encoded(content: str | bytes) -> bytes:

@@ -14,7 +14,7 @@ from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification, ModeComparison, Whiteness
 from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import Grade, Page, Section, Table
-from vjm.report.result_json import bending_stiffness
+from vjm.report.result_json import model_object
 from vjm.report.text import (
     UNKNOWN,
     counted,
@@ -161,12 +161,13 @@ def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
 
 def _stiffness_points(fit: Identification) -> list[str]:
     points = []
-    for link, nominal in zip(fit.model.chain.links, fit.nominal.chain.links, strict=True):
-        value, std = bending_stiffness(link, fit.parameters, fit.covariance)
-        change = 100 * (value / nominal.bending_stiffness - 1)
+    links = model_object(fit.model.chain, fit.parameters, fit.covariance)["links"]
+    for link, identified, nominal in zip(fit.model.chain.links, links, fit.nominal.chain.links, strict=True):
+        bending = identified["bending_stiffness"]
+        change = 100 * (bending["value"] / nominal.bending_stiffness - 1)
         beside = f"{abs(change):.1f} % {'above' if change > 0 else 'below'} nominal"
-        joints = counted(link.virtual_joints, "virtual joint")
-        points.append(f"{link.name}: bending stiffness {with_error(value, std)} N m², {beside}; {joints}.")
+        text = f"{link.name}: bending stiffness {with_error(**bending)} N m², {beside}"
+        points.append(f"{text}; {counted(link.virtual_joints, 'virtual joint')}.")
     return points
 
 

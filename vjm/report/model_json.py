@@ -3,35 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from vjm.chain.virtual_links import Chain, Distal, LinkChain
 from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
-from vjm.errors import ExperimentError, ModelFileError, ShapeError
+from vjm.errors import ExperimentError, ModelFileError, ShapeError, shown
 from vjm.experiment.spectrum import sensor_noise
-from vjm.files import json_text
+from vjm.files import json_text, plain
 from vjm.records import Array, Estimate, Experiment, Recording, Rig
+from vjm.report.text import place
 from vjm.simulation.model import Model
-
-_MOST_SHOWN = 60  # characters of a wrong value in a message
 
 _NotNegative = Annotated[float, Field(ge=0)]
 _Positive = Annotated[float, Field(gt=0)]
-_Numbers = Annotated[list[float], BeforeValidator(lambda value: getattr(value, "tolist", lambda: value)())]
 
 
 class _Entry(BaseModel):
     """A JSON object: no key but those listed, no type coercion, finite numbers."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True, from_attributes=True)
+    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
 
 
 class _LinkEntry(_Entry):
@@ -39,13 +38,13 @@ class _LinkEntry(_Entry):
 
     name: str
     joint: Literal["revolute", "clamped"]
-    lengths: _Numbers
-    masses: _Numbers
-    mass_centers: _Numbers
-    inertias: _Numbers
-    stiffness: _Numbers
-    damping: _Numbers
-    cells: _Numbers
+    lengths: list[float]
+    masses: list[float]
+    mass_centers: list[float]
+    inertias: list[float]
+    stiffness: list[float]
+    damping: list[float]
+    cells: list[float]
     hub_inertia: _NotNegative
     payload: _NotNegative
     distal: Distal
@@ -86,7 +85,7 @@ class _ModelEntry(_Entry):
     chain: _ChainEntry
     effects: tuple[_EffectEntry, ...]
     estimates: tuple[Estimate, ...]
-    covariance: list[_Numbers]
+    covariance: list[list[float]]
 
 
 def model_text(model: Model, covariance: Array | None = None) -> str:
@@ -99,38 +98,35 @@ def model_text(model: Model, covariance: Array | None = None) -> str:
     Raises:
         ShapeError: a number that is not finite, or a value out of range.
     """
-    estimates = tuple(_storable(estimate) for estimate in model.estimates if math.isfinite(estimate.value))
     known = covariance is not None and np.isfinite(covariance).all()
+    effects = [
+        {
+            "effect": effect.id,
+            "link": place(effect, model) or None,
+            "parameters": effect.values,
+            "in_reference": k < model.reference_effects,
+        }
+        for k, effect in enumerate(model.effects)
+    ]
+    content = {
+        "schema": 1,
+        "kind": "vjm-model",
+        "vjm": version("vjm"),
+        "rig": asdict(model.rig),
+        "marker_noise": model.marker_noise,
+        "encoder_noise": model.encoder_noise,
+        "chain": asdict(model.chain),
+        "effects": effects,
+        "estimates": [asdict(estimate) for estimate in model.estimates if math.isfinite(estimate.value)],
+        "covariance": covariance if known else [],
+    }
     try:
-        entry = _ModelEntry(
-            schema=1,
-            kind="vjm-model",
-            vjm=version("vjm"),
-            rig=model.rig,
-            marker_noise=model.marker_noise,
-            encoder_noise=model.encoder_noise,
-            chain=_ChainEntry.model_validate(model.chain),
-            effects=tuple(_effect_entry(model, k) for k in range(len(model.effects))),
-            estimates=estimates,
-            covariance=covariance.tolist() if covariance is not None and known else [],
-        )
+        entry = _ModelEntry.model_validate_json(json_text(plain(content)))
         _check(entry)
     except ValidationError as error:
-        place, problem, expected = _fault(error)
-        raise ShapeError(place, problem.removeprefix("got "), expected) from None
+        key, problem, expected = _fault(error)
+        raise ShapeError(key, problem.removeprefix("got "), expected) from None
     return json_text(entry.model_dump(by_alias=True))
-
-
-def _effect_entry(model: Model, k: int) -> _EffectEntry:
-    effect = model.effects[k]
-    link = None if effect.link is None else model.chain.links[effect.link].name
-    values = {name: value if math.isfinite(value) else None for name, value in effect.values.items()}
-    return _EffectEntry(effect=effect.id, link=link, parameters=values, in_reference=k < model.reference_effects)
-
-
-def _storable(estimate: Estimate) -> Estimate:
-    known = estimate.std is not None and math.isfinite(estimate.std)
-    return replace(estimate, value=float(estimate.value), std=estimate.std if known else None)
 
 
 def load_model(path: Path | str) -> Model:
@@ -162,29 +158,36 @@ def read_model(
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
         ShapeError: a model of another arm than the experiment's.
     """
-    try:
+    with _faults_of(path):
         entry = _ModelEntry.model_validate_json(Path(path).read_bytes())
         _check(entry)
         chain = _chain(entry.chain)
+    rig = experiment.rig if experiment else entry.rig
+    recordings = experiment.cleaned_recordings if experiment else ()
+    noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
+    model = Model(chain, rig, *noise, entry.estimates, (), sum(item.in_reference for item in entry.effects))
+    ordered = sorted(enumerate(entry.effects), key=lambda item: not item[1].in_reference)
+    catalogue = {effect.id: effect for effect in effects}
+    with _faults_of(path):
+        placed = tuple(_effect(f"effects[{k}]", item, catalogue, rig, recordings) for k, item in ordered)
+    covariance = np.array(entry.covariance, dtype=float).reshape(len(entry.covariance), len(entry.covariance))
+    return replace(model, effects=placed), covariance
+
+
+@contextmanager
+def _faults_of(path: Path | str) -> Iterator[None]:
+    """Turn errors into those of a model file."""
+    try:
+        yield
     except OSError as error:
         raise ModelFileError(path, error.strerror or str(error), "a readable model.json") from error
     except ValidationError as error:
-        place, problem, expected = _fault(error)
-        raise ModelFileError(path, f"key '{place}': {problem}" if place else problem, expected) from None
+        key, problem, expected = _fault(error)
+        raise ModelFileError(path, f"key '{key}': {problem}" if key else problem, expected) from None
     except ShapeError as error:
         raise ModelFileError(path, f"key '{error.name}': {error.given}", error.expected) from error
     except ExperimentError as error:
         raise ModelFileError(path, f"rig, {error.table}, key '{error.key}': {error.problem}", error.expected) from error
-    rig = experiment.rig if experiment else entry.rig
-    recordings = experiment.cleaned_recordings if experiment else ()
-    noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
-    ordered = sorted(enumerate(entry.effects), key=lambda item: not item[1].in_reference)
-    catalogue = {effect.id: effect for effect in effects}
-    known = [(f"effects[{k}]", _valued(path, f"effects[{k}]", item, chain, catalogue)) for k, item in ordered]
-    model = Model(chain, rig, *noise, entry.estimates, (), sum(item.in_reference for item in entry.effects))
-    placed = tuple(_placed(path, key, effect, rig, recordings) for key, effect in known)
-    covariance = np.array(entry.covariance, dtype=float).reshape(len(entry.covariance), len(entry.covariance))
-    return replace(model, effects=placed), covariance
 
 
 def _check(entry: _ModelEntry) -> None:
@@ -218,61 +221,54 @@ def _fault(error: ValidationError) -> tuple[str, str, str]:
         return place, "missing", "this key"
     if detail["type"] == "json_invalid":
         return place, f"no usable JSON ({detail['ctx']['error']})", "a model.json written by vjm"
-    text = repr(detail["input"])
-    shown = text if len(text) <= _MOST_SHOWN else f"{text[: _MOST_SHOWN - 3]}..."
-    return place, f"got {shown}", detail["msg"].removeprefix("Input should be ")
+    return place, f"got {shown(detail['input'])}", detail["msg"].removeprefix("Input should be ")
 
 
-def _valued(path: Path | str, key: str, entry: _EffectEntry, chain: Chain, catalogue: Mapping[str, Effect]) -> Effect:
-    """Return an effect with its link and with the values of its parameters, all given and within their bounds."""
-    names = [link.name for link in chain.links]
+def _effect(
+    key: str, entry: _EffectEntry, catalogue: Mapping[str, Effect], rig: Rig, recordings: Sequence[Recording]
+) -> Effect:
+    """Return an effect with its values and with all that it must know of its place, which its variants there know."""
+    names = [link.name for link in rig.links]
     if entry.effect not in catalogue:
-        expected = f"one of {', '.join(catalogue)}"
-        raise ModelFileError(path, f"key '{key}.effect': got {entry.effect!r}", expected)
+        raise ShapeError(f"{key}.effect", f"got {entry.effect!r}", f"one of {', '.join(catalogue)}")
     if entry.link is not None and entry.link not in names:
-        raise ModelFileError(path, f"key '{key}.link': got {entry.link!r}", f"null or one of {names}")
+        raise ShapeError(f"{key}.link", f"got {entry.link!r}", f"null or one of {names}")
     effect = catalogue[entry.effect]
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     values: dict[str, Any] = {}
-    for name, value in {**dict.fromkeys(parameters), **entry.parameters}.items():
-        fault = f"key '{key}.parameters.{name}'"
+    for name in dict.fromkeys([*parameters, *entry.parameters]):
+        inner = f"{key}.parameters.{name}"
         if name not in parameters:
-            raise ModelFileError(path, f"{fault}: unknown key", f"only {', '.join(parameters) or 'no parameter'}")
+            raise ShapeError(inner, "unknown key", f"only {', '.join(parameters) or 'no parameter'}")
         if name not in entry.parameters:
-            raise ModelFileError(path, f"{fault}: missing", "this key")
-        expected = _expected(parameters[name], value)
-        if expected:
-            raise ModelFileError(path, f"{fault}: got {'null' if value is None else f'{value:g}'}", expected)
-        number = math.inf if value is None else value
-        values[name] = int(number) if parameters[name].integer else number
-    return replace(effect, link=None if entry.link is None else names.index(entry.link), **values)
-
-
-def _expected(parameter: Parameter, value: float | None) -> str:
-    """Return in words which values a parameter may have; empty if this is one of them, but for rounding."""
-    if value is None:
-        return "" if math.isinf(parameter.null) else f"a number {parameter.unit}".rstrip()
-    bounds = parameter.lower, parameter.upper
-    if not bounds[0] <= value <= bounds[1] and not any(math.isclose(value, bound, rel_tol=1e-9) for bound in bounds):
-        return f"{bounds[0]:g} to {bounds[1]:g} {parameter.unit}".rstrip()
-    return "a whole number" if parameter.integer and value != int(value) else ""
-
-
-def _placed(path: Path | str, key: str, effect: Effect, rig: Rig, recordings: Sequence[Recording]) -> Effect:
-    """Return an effect with all that it must know of the rig, which its `variants` there know."""
+            raise ShapeError(inner, "missing", "this key")
+        values[name] = _value(inner, parameters[name], entry.parameters[name])
     places = effect.places(rig)
-    if effect.link is None and None not in places:
-        return effect
-    name = "null" if effect.link is None else repr(rig.links[effect.link].name)
-    if effect.link not in places:
-        names = [rig.links[place].name for place in places if place is not None]
-        raise ModelFileError(path, f"key '{key}.link': got {name}", f"one of {names}" if names else "null")
-    whole = [parameter.name for parameter in effect.parameters if parameter.integer]
-    there = [variant for variant in effect.variants(rig, recordings) if variant.link == effect.link]
-    for variant in there:
-        if all(getattr(variant, name) == getattr(effect, name) for name in whole):
-            values: dict[str, Any] = {**effect.values}
-            return replace(variant, **values)
-    choices = sorted({getattr(variant, whole[0]) for variant in there}) if whole else []
-    problem = f"key '{key}.parameters.{whole[0]}': got {getattr(effect, whole[0])}" if whole else f"key '{key}'"
-    raise ModelFileError(path, problem, f"one of {choices}, on link {name}")
+    link = None if entry.link is None else names.index(entry.link)
+    if link is None and None not in places:  # on no link in particular, which is the first one
+        return replace(effect, link=None, **values)
+    if link not in places:
+        known = [names[i] for i in places if i is not None]
+        raise ShapeError(f"{key}.link", f"got {entry.link!r}", f"one of {known}" if known else "null")
+    variants = [variant for variant in effect.variants(rig, recordings) if variant.link == link]
+    for whole in (parameter.name for parameter in parameters.values() if parameter.integer):
+        choices = sorted({getattr(variant, whole) for variant in variants})
+        variants = [variant for variant in variants if getattr(variant, whole) == values[whole]]
+        if not variants:
+            raise ShapeError(f"{key}.parameters.{whole}", f"got {values[whole]}", f"one of {choices}, on {entry.link}")
+    return replace(variants[0], **values)
+
+
+def _value(key: str, parameter: Parameter, value: float | None) -> float:
+    """Return a parameter's value, which is within its bounds but for rounding; null stands for an infinite one."""
+    low, high = parameter.lower, parameter.upper
+    number, expected = math.inf if value is None else value, ""
+    if value is None and not math.isinf(parameter.null):
+        expected = f"a number {parameter.unit}".rstrip()
+    elif value is not None and not low <= value <= high and not np.isclose(value, (low, high), rtol=1e-9, atol=0).any():
+        expected = f"{low:g} to {high:g} {parameter.unit}".rstrip()
+    elif parameter.integer and number != int(number):
+        expected = "a whole number"
+    if expected:
+        raise ShapeError(key, f"got {'null' if value is None else f'{value:g}'}", expected)
+    return int(number) if parameter.integer else number

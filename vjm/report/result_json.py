@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import uncertainties
@@ -13,10 +13,12 @@ import uncertainties
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.effects.effect import Effect
+from vjm.files import plain
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
 from vjm.records import Array, Estimate, RecordingComparison, SimulatedRecording
+from vjm.report.text import place
 from vjm.simulation.model import Model
 
 Result = dict[str, Any]
@@ -25,27 +27,20 @@ _IDENTIFIABLE = ("identifiable", "reason", "remedy")  # fields of an Estimate
 _ESTIMATED = ("value", "std", "unit")
 
 
-def _model(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
-    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'."""
-    known = _uncertain(estimates, covariance)
-    return {"links": [_link(link, known) for link in chain.links]}
+def model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
+    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'.
 
-
-def bending_stiffness(
-    link: LinkChain, estimates: Sequence[Estimate], covariance: Array | None = None
-) -> tuple[float, float | None]:
-    """Return a link's bending stiffness EI and its standard error [N m^2]; None where it was not estimated.
-
-    It is the estimate `LINK.bending_stiffness` where there is one; else the mean over the virtual joints of stiffness
-    times cell, the cells being taken as known.
+    A link's bending stiffness EI is the estimate `LINK.bending_stiffness` where there is one; else the mean over the
+    virtual joints of stiffness times cell, the cells being taken as known. A standard error is None where a value rests
+    on nothing that was estimated.
 
     Args:
-        link: the identified link.
+        chain: the identified one.
         estimates: those with a standard error count.
         covariance: (p, p) of those; None: uncorrelated.
     """
-    bending = _bending_stiffness(link, _uncertain(estimates, covariance))
-    return float(uncertainties.nominal_value(bending)), _std(bending)
+    known = _uncertain(estimates, covariance)
+    return {"links": [_link(link, known) for link in chain.links]}
 
 
 def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, Uncertain]:
@@ -59,19 +54,15 @@ def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[
     return dict(zip([estimate.name for estimate in estimated], correlated, strict=True))
 
 
-def _bending_stiffness(link: LinkChain, known: Mapping[str, Uncertain]) -> Uncertain:
-    joints = [known.get(f"{link.name}.stiffness_{j + 1}", float(K)) for j, K in enumerate(link.stiffness)]
-    mean = sum(K * float(cell) for K, cell in zip(joints, link.cells, strict=True)) / link.virtual_joints
-    return known.get(f"{link.name}.bending_stiffness", mean)
-
-
 def _std(value: Uncertain) -> float | None:
-    """Return the standard error; None where the value rests on nothing that was estimated."""
     return float(value.std_dev) if isinstance(value, uncertainties.UFloat) else None
 
 
 def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
-    bending = _bending_stiffness(link, known)
+    names = [f"{link.name}.stiffness_{j + 1}" for j in range(link.virtual_joints)]
+    joints = [known.get(name, float(K)) for name, K in zip(names, link.stiffness, strict=True)]
+    mean = sum(K * float(cell) for K, cell in zip(joints, link.cells, strict=True)) / link.virtual_joints
+    bending = known.get(f"{link.name}.bending_stiffness", mean)
     fields = {"length": link.lengths, "mass_center": link.mass_centers, "mass": link.masses, "inertia": link.inertias}
     return {
         "name": link.name,
@@ -97,14 +88,15 @@ def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
 def result_object(result: Check | Identification | Comparison | Diagnosis) -> Result:
     """Return the result object of a command, as result.json holds it: every number finite or None."""
     if isinstance(result, Identification):
-        content = _identification(result)
+        command, content = "identify", _identification(result)
     elif isinstance(result, Comparison):
-        content = _comparison(result)
+        command, content = "simulate", _comparison(result)
+    elif isinstance(result, Check):
+        command, content = "check", _check(result)
     else:
-        content = _check(result) if isinstance(result, Check) else _diagnosis(result)
-    command = {Identification: "identify", Comparison: "simulate", Check: "check", Diagnosis: "diagnose"}[type(result)]
-    plain: Result = _plain({**_common(command, result.experiment.rig.name, result.warnings), **content})
-    return plain
+        command, content = "diagnose", _diagnosis(result)
+    common = _common(command, result.experiment.rig.name, result.warnings)
+    return cast(Result, plain({**common, **content}))
 
 
 def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
@@ -118,35 +110,27 @@ def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
     return {"schema": 1, **names, "warnings": list(warnings)}
 
 
-def _plain(value: Any) -> Any:
-    """Return a value in JSON's own types, with None for numbers that are not finite."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _identification(fit: Identification) -> Result:
-    summary = fit.trajectory
-    misfit = {"torque": fit.objective, "trajectory_chi2_per_sample": summary.chi2_per_sample if summary else None}
     # None for a recording that whole trajectories were not fitted to
     whiteness = {
         test.file: {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation, "coloured": test.coloured}
         for test in reversed(fit.whiteness)
     }
-    frequencies = [(mode.frequency_model, mode.frequency_measured, mode.frequency_std) for mode in fit.modes]
     return {
         "notes": fit.notes,
         "method": fit.method,
         "parameters": fit.parametrisation,
-        "model": _model(fit.model.chain, fit.parameters, fit.covariance),
-        "frequencies_hz": [dict(zip(("model", "measured", "measured_std"), row, strict=True)) for row in frequencies],
+        "model": model_object(fit.model.chain, fit.parameters, fit.covariance),
+        "frequencies_hz": [
+            {"model": mode.frequency_model, "measured": mode.frequency_measured, "measured_std": mode.frequency_std}
+            for mode in fit.modes
+        ],
         "damping_ratios": [{"model": mode.damping_model, "measured": mode.damping_measured} for mode in fit.modes],
         "mode_shape_mac": [mode.mac for mode in fit.modes],
-        "objective": misfit,
+        "objective": {
+            "torque": fit.objective,
+            "trajectory_chi2_per_sample": fit.trajectory.chi2_per_sample if fit.trajectory else None,
+        },
         "recordings": [
             {**_recording(item), "whiteness": whiteness.get(item.recording.file)} for item in fit.recordings
         ],
@@ -160,7 +144,7 @@ def _identification(fit: Identification) -> Result:
 def _comparison(comparison: Comparison) -> Result:
     model = comparison.model
     return {
-        "model": _model(model.chain, model.estimates, comparison.covariance),
+        "model": model_object(model.chain, model.estimates, comparison.covariance),
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in model.modes().frequencies],
         "effects": [{**_place(effect, model), "parameters": effect.values} for effect in model.effects],
         "recordings": [_recording(item) for item in comparison.recordings],
@@ -192,15 +176,14 @@ def _estimates(estimates: Sequence[Estimate], *names: str) -> list[Result]:
 def _check(check: Check) -> Result:
     rig = check.experiment.rig
     joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
-    recordings = [
-        {"file": item.file, "kind": item.kind, "role": item.role, "duration_s": float(item.time[-1] - item.time[0])}
-        for item in check.experiment.recordings
-    ]
     return {
         "problem": check.problem,
         "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in check.modes],
-        "recordings": recordings,
+        "recordings": [
+            {"file": item.file, "kind": item.kind, "role": item.role, "duration_s": item.time[-1] - item.time[0]}
+            for item in check.experiment.recordings
+        ],
         "identifiable": {kind: _estimates(estimates, *_IDENTIFIABLE) for kind, estimates in check.identifiable.items()},
     }
 
@@ -236,26 +219,27 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
         "next_experiment": diagnosis.next_experiment,
         "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
         "noise": diagnosis.noise,
-        "model": _model(model.chain, diagnosis.parameters),
+        "model": model_object(model.chain, diagnosis.parameters),
         "estimates": _estimates(diagnosis.parameters, *_ESTIMATED),
     }
 
 
 def _place(effect: Effect, model: Model) -> Result:
-    return {"effect": effect.id, "link": None if effect.link is None else model.chain.links[effect.link].name}
+    return {"effect": effect.id, "link": place(effect, model) or None}
 
 
 def _cause(cause: Cause, model: Model) -> Result:
-    sizes = cause.parameters.items()
-    others = [(item.effect, item.worse) for item in cause.alternatives]
     return {
         **_place(cause.effect, model),
-        "parameters": {name: {"value": size.value, "std": size.std, "unit": size.unit} for name, size in sizes},
+        "parameters": {
+            name: {field: getattr(size, field) for field in _ESTIMATED} for name, size in cause.parameters.items()
+        },
         "p_value": cause.p_value,
         "chi2_gain": cause.gain,
-        "indistinguishable_from": list(dict.fromkeys(effect.id for effect, _ in others)),
+        "indistinguishable_from": list(dict.fromkeys(item.effect.id for item in cause.alternatives)),
         "alternatives": [
-            {**_place(effect, model), "parameters": effect.values, "chi2_increase": worse} for effect, worse in others
+            {**_place(item.effect, model), "parameters": item.effect.values, "chi2_increase": item.worse}
+            for item in cause.alternatives
         ],
         "evidence": cause.evidence,
     }
