@@ -255,7 +255,8 @@ def _effect(
         choices = sorted({getattr(variant, whole) for variant in variants})
         variants = [variant for variant in variants if getattr(variant, whole) == values[whole]]
         if not variants:
-            raise ShapeError(f"{key}.parameters.{whole}", f"got {values[whole]}", f"one of {choices}, on {entry.link}")
+            expected = f"one of {choices}, on link {entry.link!r}"
+            raise ShapeError(f"{key}.parameters.{whole}", f"got {values[whole]}", expected)
     return replace(variants[0], **values)
 
 
