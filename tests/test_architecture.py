@@ -42,7 +42,6 @@ PRESENTED = {("records", "Result"), ("records", "SimulatedResult")}
 # What the report may use of the stages that simulate and fit: records, and functions that only read them.
 REPORT_READS = {
     "vjm.simulation.model.Model",
-    "vjm.simulation.model.extended_urdf",
     "vjm.simulation.measurement.MarkerArcs",
     "vjm.identification.check.Check",
     "vjm.identification.comparison.Comparison",

@@ -30,7 +30,6 @@ from vjm.report.output import REPORT, result_page, save
 from vjm.report.result_json import result_object, urdf_result
 from vjm.report.text import counted
 from vjm.simulation.arm import Arm
-from vjm.simulation.model import extended_urdf
 
 Saved = Identification | Comparison | Diagnosis
 
@@ -130,8 +129,8 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _urdf(arguments: argparse.Namespace) -> None:
-    source, effects = _chain(arguments.source)
-    chain, text, file = Arm.of(source, effects).chain, extended_urdf(source, effects), arguments.out
+    arm = Arm.of(*_chain(arguments.source))
+    chain, text, file = arm.chain, arm.urdf(), arguments.out
     if file is not None:
         write_text(file, text)
     if arguments.json:

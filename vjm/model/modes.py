@@ -49,21 +49,18 @@ def linearise(
         InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
     """
     mechanism = dynamics.build(chain, payload, gravity)
-    q = _rest_position(chain, payload, gravity, theta)
+    q = np.zeros(chain.size)
+    q[chain.active] = theta
+    if any(chain.gravity if gravity is None else gravity):
+        q = _rest_position(chain, mechanism, q)
     M = dynamics.mass_matrix(mechanism, q[None])[0]
     K = np.diag(chain.stiffness) + dynamics.gravity_stiffness(mechanism, q)
     return M, np.diag(chain.damping), (K + K.T) / 2, q
 
 
-def _rest_position(
-    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
-) -> Array:
-    """Joint angles (nv,) [rad] at which the passive joints rest under gravity, active angles being `theta`."""
-    q = np.zeros(chain.size)
-    q[chain.active] = theta
-    if not any(chain.gravity if gravity is None else gravity):
-        return q
-    mechanism, p, K = dynamics.build(chain, payload, gravity), chain.passive, np.diag(chain.stiffness)
+def _rest_position(chain: Chain, mechanism: dynamics.Mechanism, start: Array) -> Array:
+    """Joint angles (nv,) [rad] at which the passive joints rest under gravity, the active ones standing as they do."""
+    q, p, K = start.copy(), chain.passive, np.diag(chain.stiffness)
 
     def residual(phi: Array) -> Array:
         q[p] = phi
@@ -87,16 +84,8 @@ def _rest_position(
 def modes(
     chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
 ) -> Modes:
-    """Return the vibration modes of the chain with its active joints free to turn.
-
-    Args:
-        chain: the arm.
-        payload: extra point mass on the tip [kg].
-        gravity: in the plane [m/s^2]; the chain's when None.
-        theta: active joint angles about which to linearise [rad].
-    """
-    M, D, K, q = linearise(chain, payload, gravity, theta)
-    return modes_of(M, D, K, q)
+    """Return the vibration modes of the chain with its active joints free to turn; arguments as of `linearise`."""
+    return modes_of(*linearise(chain, payload, gravity, theta))
 
 
 def modes_of(M: Array, D: Array, K: Array, equilibrium: Array) -> Modes:

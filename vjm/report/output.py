@@ -21,7 +21,6 @@ from vjm.report.identification import check_page, comparison_page, identificatio
 from vjm.report.model_json import model_text
 from vjm.report.page import Page
 from vjm.report.result_json import result_object
-from vjm.simulation.model import extended_urdf
 
 REPORT = "report.html"
 _PICTURES = (*identification_figures.NAMES, *symptom_figures.NAMES, *diagnosis_figures.NAMES)
@@ -61,7 +60,7 @@ def save(result: Identification | Comparison | Diagnosis, directory: Path | str)
     covariance = None if isinstance(result, Diagnosis) else result.covariance
     texts = {
         REPORT: result_page(result, pictures).html(),
-        "model.urdf": extended_urdf(result.model.chain, result.model.effects),
+        "model.urdf": result.model.arm.urdf(),
         "model.json": model_text(result.model, covariance),
         "result.json": json_text(result_object(result)),  # last: it describes the others
     }

@@ -15,6 +15,7 @@ from vjm.effects.effect import Effect, Motion, RateIndependentUpdate, is_nonsmoo
 from vjm.errors import InsufficientDataError
 from vjm.markers.smoothing import Smoother
 from vjm.model import dynamics
+from vjm.model.urdf import chain_to_urdf
 from vjm.records import Array, Recording
 
 T = TypeVar("T")
@@ -87,35 +88,32 @@ class Arm:
 
         return total
 
-    @cached_property
-    def rates(self) -> Motion | None:
-        """Rates of change of all internal states; None where there are none."""
-        functions = self._hooks(lambda effect: effect.state_rates(self.chain))
-        if not functions:
-            return None
+    def state_rates(self, time: Array, q: Array, v: Array, z: Array) -> Array:
+        """Return rates of change of all internal states (..., nz) in a motion, whose time is since the start."""
+        rates = np.zeros(z.shape)
+        for function, part in self._state_rates:
+            rates[..., part] = function(time, q, v, z[..., part])
+        return rates
 
-        def all_rates(time: Array, q: Array, v: Array, z: Array) -> Array:
-            rates = np.zeros(z.shape)
-            for function, part in functions:
-                rates[..., part] = function(time, q, v, z[..., part])
-            return rates
+    def update_states(self, q: Array, z: Array, to: Array) -> Array:
+        """Return internal states (..., nz) after a change of angles (..., nv); only rate-independent ones change."""
+        updated = z.copy()
+        for function, part in self._state_updates:
+            updated[..., part] = function(q, z[..., part], to)
+        return updated
 
-        return all_rates
+    def urdf(self) -> str:
+        """Return the URDF of the chain, with dry friction at its active joints.
 
-    @cached_property
-    def rate_independent_update(self) -> RateIndependentUpdate | None:
-        """Update of the internal states that depend on the joints' path only; None where none does."""
-        functions = self._hooks(lambda effect: effect.rate_independent_update(self.chain))
-        if not functions:
-            return None
-
-        def update(q: Array, z: Array, to: Array) -> Array:
-            updated = z.copy()
-            for function, part in functions:
-                updated[..., part] = function(q, z[..., part], to)
-            return updated
-
-        return update
+        Raises:
+            ShapeError: as of `chain_to_urdf`.
+        """
+        friction: dict[str, float] = {}
+        for effect in self.effects:
+            if effect.joint_friction:
+                name = self.chain.links[effect.link or 0].name
+                friction[name] = friction.get(name, 0.0) + effect.joint_friction
+        return chain_to_urdf(self.chain, friction)
 
     @property
     def longest_step(self) -> float:
@@ -150,6 +148,14 @@ class Arm:
         smooth = Arm(self.chain, effects, self.feedback)
         slices = zip(self._state_slices, smooth.states, strict=True)
         return smooth, np.concatenate([np.arange(part.start, part.start + count) for part, count in slices])
+
+    @cached_property
+    def _state_rates(self) -> list[tuple[Motion, slice]]:
+        return self._hooks(lambda effect: effect.state_rates(self.chain))
+
+    @cached_property
+    def _state_updates(self) -> list[tuple[RateIndependentUpdate, slice]]:
+        return self._hooks(lambda effect: effect.rate_independent_update(self.chain))
 
     @cached_property
     def _state_slices(self) -> list[slice]:

@@ -176,7 +176,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         return system.acceleration(x, springs + torque + force), rates
 
     def update(x: Array, z: Array, to: Array) -> Array:
-        return system.update_states(x[:, :n], z, to[:, :n]) if system.effects else z
+        return system.update_states(x[:, :n], z, to[:, :n]) if z.size else z
 
     x = np.concatenate([q, v], axis=1)
     for k in range(count):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,6 @@ from vjm.records import Array, Indices, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm, EncoderFeedback
 from vjm.simulation.least_squares import LINEAR, Loss
 from vjm.simulation.system import Trajectory
-
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -112,26 +111,21 @@ class Observations:
     feedback: EncoderFeedback | None = None
 
     @classmethod
-    def of(cls, rig: Rig, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Observations:
-        """Return everything measured in a recording, with the sensors' 1-sigma noise [m, rad]."""
-        return cls._of(MarkerArcs.of(rig), recording, noise, loss)
-
-    @classmethod
-    def _of(cls, arcs: MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss) -> Observations:
+    def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
+        """Return everything measured in a recording of a rig (or its markers), with the sensors' 1-sigma noise [m, rad]."""
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
         values = np.concatenate([seen[markers], theta[angles]])
+        arcs = rig if isinstance(rig, MarkerArcs) else MarkerArcs.of(rig)
         return cls(recording, arcs, frames, markers, angles, values, noise, loss)
 
-    def of_recording(self, recording: Recording, noise: tuple[float, float] | None = None) -> Observations:
-        """Return the values of another recording, or of this one with some removed; their noise is not whitened.
+    def of_recording(self, recording: Recording, noise: tuple[float, float] | None = None) -> Self:
+        """Return the values of another recording of the rig, or of this one with some removed, not whitened.
 
-        Args:
-            recording: of the same rig.
-            noise: 1-sigma of a marker coordinate [m] and of an angle [rad]; as it is when None.
+        Their 1-sigma noise [m, rad] is as it is when None.
         """
-        return self._of(self.arcs, recording, noise or self.noise, self.loss)
+        return self.of(self.arcs, recording, noise or self.noise, self.loss)
 
     @cached_property
     def weights(self) -> Array:
@@ -162,7 +156,7 @@ class Observations:
         """Return weighted values (N_m + N_t, ...) transformed so that their noise is white."""
         return weighted if self.whitening is None else np.asarray(self.whitening @ weighted)
 
-    @property
+    @cached_property
     def instants(self) -> Indices:
         """(N_m + N_t,) row of the recording at which each value was measured."""
         joints = max(self.recording.theta.shape[1], 1)
@@ -176,31 +170,27 @@ class Observations:
         angles.ravel()[self.angles] = values[self.markers.size :]
         return markers, angles
 
-    def truncated(self, end: float) -> Observations:
+    def truncated(self, end: float) -> Self:
         """Return the values measured up to an instant [s]."""
-        recording = self.recording
-        rows = int(np.searchsorted(recording.time, end, side="right"))
-        if rows >= recording.time.size:
+        rows = int(np.searchsorted(self.recording.time, end, side="right"))
+        if rows >= self.recording.time.size:
             return self
-        columns = {name: getattr(recording, name)[:rows] for name in ("time", "theta", "tau", "markers")}
-        frames = self.frames[self.frames < rows]
-        markers = self.markers < frames.size * self._width
-        angles = self.angles < rows * recording.theta.shape[1]
-        return replace(self._only(markers, angles), recording=replace(recording, **columns), frames=frames)
+        columns = {name: getattr(self.recording, name)[:rows] for name in ("time", "theta", "tau", "markers")}
+        part = self._only(self.instants < rows)
+        return replace(part, recording=replace(self.recording, **columns), frames=self.frames[self.frames < rows])
 
-    def with_feedback(self, feedback: EncoderFeedback | None) -> Observations:
+    def with_feedback(self, feedback: EncoderFeedback | None) -> Self:
         """Return the values for simulations with feedback, without the angles that it uses: they are no evidence then.
 
         Counted, the encoder's noise would be in the simulation as in the measurement, and bias the parameters.
         """
         if feedback is None:
             return self
-        part = self._only(np.ones(self.markers.size, dtype=bool), np.zeros(self.angles.size, dtype=bool))
-        return replace(part, feedback=feedback)
+        return replace(self._only(np.arange(self.count) < self.markers.size), feedback=feedback)
 
-    def _only(self, markers: BoolArray, angles: BoolArray) -> Observations:
-        """Return part of the values."""
-        kept, offset = np.concatenate([markers, angles]), self.discretization_offset
+    def _only(self, kept: NDArray[np.bool_]) -> Self:
+        """Part of the values, by a mask (N_m + N_t,)."""
+        offset, (markers, angles) = self.discretization_offset, np.split(kept, [self.markers.size])
         return replace(
             self,
             markers=self.markers[markers],
@@ -212,16 +202,11 @@ class Observations:
 
     def rows_between(self, first: int, last: int) -> tuple[slice, slice, slice]:
         """Return the slices of frames, and of values by markers and by encoders, of rows from `first` up to `last`."""
-        begin, end = np.searchsorted(self.frames, (first, last)).tolist()
-        markers = np.searchsorted(self.markers, (begin * self._width, end * self._width))
-        joints = self.recording.theta.shape[1]
-        angles = np.searchsorted(self.angles, (first * joints, last * joints))
+        camera = slice(*np.searchsorted(self.frames, (first, last)).tolist())
+        markers, angles = np.split(self.instants, [self.markers.size])
+        begin, end = np.searchsorted(angles, (first, last)).tolist()
         offset = self.markers.size
-        return (
-            slice(begin, end),
-            slice(int(markers[0]), int(markers[1])),
-            slice(offset + int(angles[0]), offset + int(angles[1])),
-        )
+        return camera, slice(*np.searchsorted(markers, (first, last)).tolist()), slice(offset + begin, offset + end)
 
     @property
     def _width(self) -> int:

@@ -14,7 +14,6 @@ from vjm.errors import ShapeError
 from vjm.files import write_text
 from vjm.model import dynamics
 from vjm.model.modes import Modes, modes
-from vjm.model.urdf import chain_to_urdf
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states, simulated_recording
@@ -105,7 +104,7 @@ class Model(Record):
             states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
             step_multiple: multiple of the integrator's default step.
         """
-        arms = [self.arm_in(each) for each in recordings]
+        arms = [self.arm_in(recording) for recording in recordings]
         noise = self.marker_noise, self.encoder_noise
         observed = [Observations.of(self.rig, recording, noise) for recording in recordings]
         return [simulated_recording(*fit) for fit in fit_initial_states(arms, observed, states, step_multiple)]
@@ -122,24 +121,5 @@ class Model(Record):
     def to_urdf(self, path: Path | str) -> Path:
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path."""
         file = Path(path)
-        write_text(file, extended_urdf(self.chain, self.effects))
+        write_text(file, self.arm.urdf())
         return file
-
-
-def extended_urdf(chain: Chain, effects: Sequence[Effect]) -> str:
-    """Return the URDF of a chain with effects: their changes of the chain, and dry friction at its active joints.
-
-    Args:
-        chain: without the effects.
-        effects: of which `in_urdf` says whether the URDF carries them.
-
-    Raises:
-        ShapeError: as of `chain_to_urdf`.
-    """
-    arm = Arm.of(chain, effects)
-    friction: dict[str, float] = {}
-    for effect in arm.effects:
-        if effect.joint_friction:
-            name = chain.links[effect.link or 0].name
-            friction[name] = friction.get(name, 0.0) + effect.joint_friction
-    return chain_to_urdf(arm.chain, friction)

@@ -87,9 +87,7 @@ class _EquationsOfMotion:
 
     def state_rates(self, motion: Trajectory) -> Array:
         """Return rates of change of the internal states (I, nz)."""
-        if self.arm.rates is None:
-            return np.zeros(motion.z.shape)
-        return self.arm.rates(motion.time, motion.q, motion.v, motion.z)
+        return self.arm.state_rates(motion.time, motion.q, motion.v, motion.z)
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
@@ -181,12 +179,9 @@ def follow_internal_states(arm: Arm, time: Array, q: Array, v: Array) -> Array:
     z = np.empty((len(q), sum(arm.states)))
     z[:] = arm.initial_states(q[0])
     for k, step in enumerate(np.diff(time) if z.size else ()):
-        z[k + 1] = z[k]
-        if arm.rates is not None:
-            slope = arm.rates(time[k], q[k], v[k], z[k])
-            z[k + 1] += step / 2 * (slope + arm.rates(time[k + 1], q[k + 1], v[k + 1], z[k] + step * slope))
-        if arm.rate_independent_update is not None:
-            z[k + 1] = arm.rate_independent_update(q[k], z[k + 1], q[k + 1])
+        slope = arm.state_rates(time[k], q[k], v[k], z[k])
+        later = arm.state_rates(time[k + 1], q[k + 1], v[k + 1], z[k] + step * slope)
+        z[k + 1] = arm.update_states(q[k], z[k] + step / 2 * (slope + later), q[k + 1])
     return z
 
 

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.effects.effect import Motion, RateIndependentUpdate
+from vjm.effects.effect import Motion
 from vjm.errors import InsufficientDataError
 from vjm.model import dynamics
-from vjm.records import Array, Recording
+from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm, EncoderFeedback
 
 
@@ -106,13 +106,12 @@ def _fit_quadratics(recording: Recording, step: float, count: int) -> tuple[Arra
     return c0 - c1 + c2, c0 - c2 / 2, c0 + c1 + c2, torque(edges)
 
 
-class _ActingEffects(NamedTuple):
-    """Effects on some of the copies; None for forces, rates or updates that they do not have."""
+class _Acting(NamedTuple):
+    """Copies with the same effects, one arm for them all, and the effects' force if they exert any."""
 
-    copies: NDArray[np.intp]
+    copies: Indices | slice
+    arm: Arm
     force: Motion | None
-    rates: Motion | None
-    rate_independent_update: RateIndependentUpdate | None
 
 
 @dataclass(frozen=True)
@@ -124,7 +123,7 @@ class System:
         stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
         active: coordinates that torques drive.
         arms: one a copy.
-        effects: those that exert forces or have internal states, copies with the same ones together.
+        acting: effects that exert forces or have internal states, copies with the same ones together.
         feedback: of encoders on the active joints; None: none.
     """
 
@@ -133,18 +132,12 @@ class System:
     damping: Array
     active: NDArray[np.intp]
     arms: tuple[Arm, ...]
-    effects: tuple[_ActingEffects, ...]
+    acting: tuple[_Acting, ...]
     feedback: EncoderFeedback | None
 
     @classmethod
     def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
-        """Return the system of several arms with the same coordinates, each with its own payload on the tip.
-
-        Args:
-            arms: one a copy.
-            payloads: one a copy [kg].
-            gravity: in the plane, for all [m/s^2].
-        """
+        """Return the system of several arms with as many coordinates each, and payloads [kg] on their tips."""
         chains = [arm.chain for arm in arms]
         return cls(
             dynamics.build(chains, payloads, gravity),
@@ -159,18 +152,18 @@ class System:
     @property
     def has_further_forces(self) -> bool:
         """True if anything acts beyond springs, dampers and torques."""
-        return bool(self.effects) or self.feedback is not None
+        return bool(self.acting) or self.feedback is not None
 
     def further_forces(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
         """Return forces of effects and feedback (C, nv) [N m] and rates of internal states (C, nz) at a time [s]."""
         force, rates = np.zeros(q.shape), np.zeros(z.shape)
-        for effects in self.effects:
-            copies = slice(None) if len(effects.copies) == len(q) else effects.copies
-            instants = np.full(len(effects.copies), time)
-            if effects.force is not None:
-                force[copies] = effects.force(instants, q[copies], v[copies], z[copies])
-            if effects.rates is not None:
-                rates[copies] = effects.rates(instants, q[copies], v[copies], z[copies])
+        for copies, arm, exerted in self.acting:
+            motion = q[copies], v[copies], z[copies]
+            instants = np.full(len(motion[0]), time)
+            if exerted is not None:
+                force[copies] = exerted(instants, *motion)
+            if z.size:
+                rates[copies] = arm.state_rates(instants, *motion)
         if self.feedback is not None:
             angles, speeds = q[:, self.active], v[:, self.active]
             if any(arm.sensors for arm in self.arms):
@@ -181,12 +174,9 @@ class System:
 
     def update_states(self, q: Array, z: Array, to: Array) -> Array:
         """Return internal states (C, nz) after a change of angles (C, nv); only rate-independent ones change."""
-        updated = z
-        for effects in self.effects:
-            if effects.rate_independent_update is not None:
-                updated = z.copy() if updated is z else updated
-                copies = effects.copies
-                updated[copies] = effects.rate_independent_update(q[copies], z[copies], to[copies])
+        updated = z.copy()
+        for copies, arm, _ in self.acting:
+            updated[copies] = arm.update_states(q[copies], z[copies], to[copies])
         return updated
 
     def acceleration(self, x: Array, torque: Array) -> Array:
@@ -196,21 +186,18 @@ class System:
         return flat.reshape(torque.shape)
 
 
-def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_ActingEffects, ...]:
+def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Acting, ...]:
     """Effects that act on the copies, those of copies with the same effects and payload together."""
     groups: dict[tuple[int, int, float], list[int]] = {}
     for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
         groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)
-    acting = [
-        _ActingEffects(
-            np.array(copies),
-            arms[copies[0]].forces(payload),
-            arms[copies[0]].rates,
-            arms[copies[0]].rate_independent_update,
-        )
-        for (*_, payload), copies in groups.items()
-    ]
-    return tuple(effects for effects in acting if effects.force is not None or effects.rates is not None)
+    acting = []
+    for (*_, payload), copies in groups.items():
+        arm = arms[copies[0]]
+        force = arm.forces(payload)
+        if force is not None or any(arm.states):
+            acting.append(_Acting(slice(None) if len(groups) == 1 else np.array(copies), arm, force))
+    return tuple(acting)
 
 
 @dataclass(frozen=True)
