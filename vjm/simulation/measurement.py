@@ -112,7 +112,7 @@ class Observations:
 
     @classmethod
     def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
-        """Return everything measured in a recording of a rig (or its markers), with the sensors' 1-sigma noise [m, rad]."""
+        """Return everything measured in a recording of a rig, with the sensors' 1-sigma noise [m, rad]."""
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
