@@ -31,7 +31,7 @@ from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs, transfer_state
+from vjm.simulation.run import Run, simulate_runs, transfer_state
 from vjm.simulation.system import measured_torque
 
 _LEAST_JOINTS = 8  # of a link: the third mode's frequency is then right to about one per cent (error of order 1/n^2)
@@ -250,9 +250,8 @@ def _predictions(finer: Coordinates, point: Point) -> list[Array]:
     """Predictions of the finer chain for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
-    starts = [InitialStatePrior.of(arm, one.recording) for arm, one in zip(arms, observed, strict=True)]
     states = [_transferred_with_momentum(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
-    return [_predicted(run) for run in simulate_runs(arms, observed, starts, states, point.problem.step_multiple)]
+    return [_predicted(run) for run in simulate_runs(arms, observed, None, states, point.problem.step_multiple)]
 
 
 def _transferred_with_momentum(run: Run, arm: Arm) -> Array:

@@ -14,6 +14,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from scipy.optimize import approx_fprime
+from scipy.special import expit, logit, softmax
 
 from vjm.chain.layout import layout_of_lengths
 from vjm.chain.virtual_links import Chain, LinkChain
@@ -102,7 +103,7 @@ class Parametrisation:
     @property
     def start(self) -> Array:
         """(p,) coordinates of the template."""
-        return np.array([_template_value(self, coordinate) for coordinate in self.coordinates])
+        return np.array([self._template_value(coordinate) for coordinate in self.coordinates])
 
     @property
     def bounds(self) -> tuple[Array, Array]:
@@ -143,17 +144,8 @@ class Parametrisation:
 
     def physical(self, x: Array) -> Array:
         """Return the parameters (p,) at coordinates x (p,), in their units."""
-        chain = self.chain(x)
-        result = []
-        for value, coordinate in zip(x, self.coordinates, strict=True):
-            link = chain.links[coordinate.link]
-            if coordinate.group == "damping" and coordinate.index < 0:
-                result.append(float(link.damping[0] / link.stiffness[0]))
-            elif coordinate.group in _LINEAR:
-                result.append(value * self.scale(coordinate))
-            else:
-                result.append(float(getattr(link, _FIELDS[coordinate.group])[coordinate.index]))
-        return np.array(result)
+        links = self.chain(x).links
+        return np.array([_value(links[coordinate.link], coordinate) for coordinate in self.coordinates])
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivative (p, p) of the physical parameters by the coordinates."""
@@ -165,6 +157,19 @@ class Parametrisation:
         slope = self.jacobian(x)
         result: Array = slope @ covariance @ slope.T
         return result
+
+    def _template_value(self, coordinate: _Coordinate) -> float:
+        """The template's coordinate."""
+        link, group, j = self.template.links[coordinate.link], coordinate.group, coordinate.index
+        value = _value(link, coordinate)
+        if group in _LINEAR:
+            shared_time = group == "damping" and j < 0
+            return value * (link.bending_stiffness if shared_time else 1.0) / self.scale(coordinate)
+        if group in ("length", "mass"):
+            return float(np.log(value / getattr(link, _FIELDS[group])[-1]))
+        length, center = float(link.lengths[j]), float(link.mass_centers[j])
+        largest = length if group == "center" else float(link.masses[j]) * center * (length - center)
+        return _logit(value / largest)
 
     def _values(self, i: int, group: str, x: Array) -> tuple[list[int], Array]:
         """Indices within link i, and coordinates, of one group."""
@@ -179,8 +184,7 @@ class Parametrisation:
 
     def _link(self, i: int, link: LinkChain, x: Array) -> LinkChain:
         if self.kind in ("lengths", "full"):
-            ratios = np.exp(np.r_[self._values(i, "length", x)[1], 0.0])
-            cuts = layout_of_lengths(link.length * ratios / ratios.sum(), link.distal)
+            cuts = layout_of_lengths(link.length * softmax(np.r_[self._values(i, "length", x)[1], 0.0]), link.distal)
             masses = link.masses.sum() * cuts.lengths / link.length
             link = replace(
                 link,
@@ -202,14 +206,13 @@ class Parametrisation:
     def _with_inertial(self, i: int, link: LinkChain, x: Array) -> LinkChain:
         """The link with masses, centres and inertias of its own; what does not move keeps its uniform share."""
         masses, first = link.masses.copy(), _first_moving(i)
-        ratios = np.exp(np.r_[self._values(i, "mass", x)[1], 0.0])
-        masses[first:] = masses[first:].sum() * ratios / ratios.sum()
+        masses[first:] = masses[first:].sum() * softmax(np.r_[self._values(i, "mass", x)[1], 0.0])
         centers = link.lengths / 2
         indices, values = self._values(i, "center", x)
-        centers[indices] = link.lengths[indices] * _logistic(values)
+        centers[indices] = link.lengths[indices] * expit(values)
         fraction = np.full(link.lengths.size, 1 / 3)  # of the largest inertia that the centre allows: a uniform rod's
         indices, values = self._values(i, "inertia", x)
-        fraction[indices] = _logistic(values)
+        fraction[indices] = expit(values)
         inertias = fraction * masses * centers * (link.lengths - centers)
         return replace(link, masses=masses, mass_centers=centers, inertias=inertias)
 
@@ -219,27 +222,14 @@ def _first_moving(i: int) -> int:
     return 1 if i == 0 else 0
 
 
-def _template_value(parametrisation: Parametrisation, coordinate: _Coordinate) -> float:
-    link, j = parametrisation.template.links[coordinate.link], coordinate.index
+def _value(link: LinkChain, coordinate: _Coordinate) -> float:
+    """Physical parameter of a link that a coordinate stands for, in its unit."""
     if coordinate.group == "hub":
-        return link.hub_inertia / parametrisation.scale(coordinate)
-    if coordinate.group in _LINEAR:
-        values = link.stiffness if coordinate.group == "stiffness" else link.damping
-        return float(np.mean(values * link.cells) if j < 0 else values[j]) / parametrisation.scale(coordinate)
-    if coordinate.group in ("length", "mass"):
-        values = link.lengths if coordinate.group == "length" else link.masses
-        return float(np.log(values[j] / values[-1]))
-    length, center = float(link.lengths[j]), float(link.mass_centers[j])
-    if coordinate.group == "center":
-        return _logit(center / length)
-    return _logit(float(link.inertias[j]) / (float(link.masses[j]) * center * (length - center)))
+        return link.hub_inertia
+    if coordinate.index < 0:
+        return link.bending_stiffness if coordinate.group == "stiffness" else link.damping[0] / link.stiffness[0]
+    return float(getattr(link, _FIELDS.get(coordinate.group, coordinate.group))[coordinate.index])
 
 
 def _logit(fraction: float) -> float:
-    kept = min(max(fraction, 1e-5), 1 - 1e-5)
-    return float(np.log(kept / (1 - kept)))
-
-
-def _logistic(values: Array) -> Array:
-    result: Array = 1 / (1 + np.exp(-values))
-    return result
+    return float(logit(np.clip(fraction, 1e-5, 1 - 1e-5)))

@@ -102,6 +102,20 @@ class TrajectoryProblem(Record):
         """Return the arm that moves in each recording, at coordinates x (p,)."""
         return self.varied.arms(x, [each.recording for each in self.observed])
 
+    def point(self, x: Array, states: Sequence[Array] | None = None) -> Point:
+        """Simulate every recording at coordinates x (p,), from given or the most likely initial states (2 nv,).
+
+        Raises:
+            SimulationDivergedError: one of them diverged.
+        """
+        arms = self.arms(x)
+        if states is None:
+            likely = fit_initial_states(arms, self.observed, step_multiple=self.step_multiple)
+            return Point(self, x, tuple(run for run, _ in likely))
+        priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, self.observed, strict=True)]
+        runs = simulate_or_rest(arms, self.observed, priors, states, states, self.step_multiple)
+        return Point(self, x, tuple(runs)).with_scaled_prior()
+
     def moved(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
         """Return, for each recording, its arm with each coordinate moved a little, for forward differences."""
         by_coordinate = []
@@ -261,8 +275,8 @@ def fit_trajectory(
                 within = 1 - 0.7**iteration  # how many more there will be is not known
                 progress("fitting trajectories", int(100 * (k + within) / len(horizons)), 100)
 
-        point = _first_point(problem if last else problem.until(horizon), x, states)
-        search = TrajectorySearch(point, last and not rough, stop if last else None, report)
+        part = problem if last else problem.until(horizon)
+        search = TrajectorySearch(part.point(x, states), last and not rough, stop if last else None, report)
         minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], most=60)
         iterations += len(search.decreases) + 1
         x, states = search.point.x, search.point.states
@@ -283,14 +297,6 @@ def _horizons(problem: TrajectoryProblem, x: Array, known_duration: float) -> li
             horizons.append(horizon)
         horizon *= _HORIZON_GROWTH
     return [*horizons, np.inf]
-
-
-def _first_point(problem: TrajectoryProblem, x: Array, states: Sequence[Array] | None) -> Point:
-    """The point at coordinates x with the initial states given, or with the most likely ones."""
-    if states is not None:
-        return _point(problem, x, states, states).with_scaled_prior()
-    likely = fit_initial_states(problem.arms(x), problem.observed, step_multiple=problem.step_multiple)
-    return Point(problem, x, tuple(run for run, _ in likely))
 
 
 @dataclass(frozen=True)
@@ -382,29 +388,20 @@ def _bounded(problem: SquareRootInformation, point: Point) -> Array:
     return change
 
 
-def _point(
-    problem: TrajectoryProblem,
-    x: Array,
-    states: Sequence[Array],
-    known_states: Sequence[Array],
-    like: Sequence[Run] | None = None,
-) -> Point:
-    """The point with every recording simulated; initial states' priors as strong as in the runs `like`."""
-    arms = problem.arms(x)
-    priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, problem.observed, strict=True)]
-    if like is not None:
-        priors = [replace(prior, scale=run.prior.scale) for prior, run in zip(priors, like, strict=True)]
-    runs = simulate_or_rest(arms, problem.observed, priors, states, known_states, problem.step_multiple)
-    return Point(problem, x, tuple(runs))
-
-
 def _attempt(point: Point, step: TrajectoryStep) -> Point | None:
     """The point a step further; None where a simulation diverges or the arm finds no rest under its load."""
+    problem, x = point.problem, point.x + step.change
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
-        trial = _point(point.problem, point.x + step.change, states, point.states, point.runs)
+        arms = problem.arms(x)
+        priors = [
+            InitialStatePrior.of(arm, run.observed.recording, run.prior.scale)
+            for arm, run in zip(arms, point.runs, strict=True)
+        ]
+        runs = simulate_or_rest(arms, problem.observed, priors, states, point.states, problem.step_multiple)
     except (SimulationDivergedError, InsufficientDataError):
         return None
+    trial = Point(problem, x, tuple(runs))
     with contextlib.suppress(SimulationDivergedError):
         return _backtracked(point, step, trial)
     return trial

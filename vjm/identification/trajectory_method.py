@@ -15,10 +15,9 @@ from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_uniform_torque
 from vjm.identification.training_data import JointChoice, TrainingData, choose_virtual_joints
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.least_squares import Loss
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
@@ -58,7 +57,7 @@ class TrajectoryMethod:
         """Return numbers of joints to try, the smallest first: from as many as there are modes seen to the planned."""
         data = self.data
         planned = tuple(choice.joints for choice in data.joints)
-        if self._requested:
+        if all(choice.requested for choice in data.joints):
             return [planned]
         first = tuple(min(max(order, 2), n) for order, n in zip(data.shape.orders, planned, strict=True))
         most = max(n - m for n, m in zip(planned, first, strict=True))
@@ -77,7 +76,9 @@ class TrajectoryMethod:
         chain = problem.parametrisation.chain(fit.point.x)
         step_multiple = _largest_step_multiple(chain, problem.observed, states, fit.point.misfit**2)
         problem = replace(problem, step_multiple=step_multiple)
-        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self._only_a_start)
+        return fit_trajectory(
+            problem, fit.point.x, self.progress, states, rough=self.rough or self.data.parameters != "uniform"
+        )
 
     def enough_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
         """Return the fit with the fewest joints that one joint more does not improve, and what that joint would do.
@@ -97,17 +98,8 @@ class TrajectoryMethod:
         """Return a fit's numbers of joints with their discretisation errors."""
         links = zip(self.data.rig.links, self.data.shape.orders, fit.point.chain.links, strict=True)
         choices = [choose_virtual_joints(link, order, own.virtual_joints) for link, order, own in links]
-        return tuple(replace(choice, requested=self._requested) for choice in choices)
-
-    @property
-    def _requested(self) -> bool:
-        """True if the numbers of joints were asked for."""
-        return all(choice.requested for choice in self.data.joints)
-
-    @property
-    def _only_a_start(self) -> bool:
-        """True if the uniform links are not what is asked for."""
-        return self.rough or self.data.parameters != "uniform"
+        requested = all(choice.requested for choice in self.data.joints)
+        return tuple(replace(choice, requested=requested) for choice in choices)
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
         """The problem of uniform links with so many joints."""
@@ -119,25 +111,22 @@ class TrajectoryMethod:
         """Fit uniform links with so many joints, from far away.
 
         The search begins with the recordings' first periods, at what the torque method found, held to the measured
-        frequencies; where that does not follow them, other stiffnesses are tried.
+        frequencies if it can be, and free; where that does not follow them, other stiffnesses are tried.
         """
         problem = self._problem(joints)
-        nominal = problem.parametrisation.start
-        starts = [*self._torque_starts(), nominal]
+        nominal, starts = problem.parametrisation.start, list[Array]()
+        if self.torque is not None and self.torque.problem.parametrisation.hubs == self.hubs:
+            with contextlib.suppress(InsufficientDataError):
+                starts.append(self.torque.with_frequencies().x)
+            starts.append(self.torque.x)
+        starts.append(nominal)
         horizon = first_horizon(problem, starts[0])
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
         # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
         fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
-        return fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, horizon, rough=self._only_a_start)
-
-    def _torque_starts(self) -> list[Array]:
-        """Coordinates that the torque method finds: held to the measured frequencies if it can be, and free."""
-        if self.torque is None or self.torque.problem.parametrisation.hubs != self.hubs:
-            return []
-        with contextlib.suppress(InsufficientDataError):
-            return [self.torque.with_frequencies().x, self.torque.x]
-        return [self.torque.x]
+        rough = self.rough or self.data.parameters != "uniform"
+        return fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, horizon, rough)
 
     def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
         """The fit of the parameters asked for, which start from uniform links and prefer them where data are silent."""
@@ -174,7 +163,7 @@ def first_fit(
         InsufficientDataError: no recording can be simulated.
         SimulationDivergedError: no start can be simulated.
     """
-    recordings, problems = simulatable(data.recordings)
+    recordings, problems = _simulatable(data.recordings)
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_uniform_torque(data, progress) if data.prepared else None
     search = TrajectoryMethod(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
@@ -187,12 +176,8 @@ def first_fit(
     return search, fit
 
 
-def simulatable(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
-    """Return the recordings whose torques are known, and what is wrong with the others.
-
-    Raises:
-        InsufficientDataError: there is none.
-    """
+def _simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """The recordings whose torques are known, and what is wrong with the others."""
     kept, problems = [], []
     for recording in recordings:
         try:
@@ -206,7 +191,7 @@ def simulatable(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...],
             "no torque was measured at the active joints of any training recording, so none can be simulated",
             "record the column LINK.tau, or use method 'torque'",
         )
-    return tuple(kept), tuple(problems)
+    return kept, tuple(problems)
 
 
 def _fit_first_periods(
@@ -216,25 +201,35 @@ def _fit_first_periods(
 
     The first start (p,) is tried first, then all by how well they follow, then `others` where none leads anywhere.
     """
-    fit = _fit_or_none(problem, starts[0], progress)
+
+    def expected(x: Array) -> float:
+        """Return the RMS weighted residual before a fit; infinite where nothing runs."""
+        with contextlib.suppress(SimulationDivergedError):
+            return problem.point(x).misfit
+        return np.inf
+
+    def best_of(candidates: Sequence[Array]) -> TrajectoryFit | None:
+        """Fit from the start that follows best; from the next ones too, until one misses by little."""
+        best: TrajectoryFit | None = None
+        for x in candidates:
+            if best is not None and best.point.misfit < _DIVERGED_MISFIT:
+                break
+            with contextlib.suppress(SimulationDivergedError):
+                trial = fit_trajectory(problem, x, progress, rough=True)
+                best = trial if best is None or trial.point.misfit < best.point.misfit else best
+        return best
+
+    def by_misfit(candidates: Sequence[Array]) -> list[Array]:
+        ranked = sorted((expected(x), k) for k, x in enumerate(candidates))
+        return [candidates[k] for misfit, k in ranked if np.isfinite(misfit)]
+
+    fit = best_of(starts[:1])
     if fit is None or fit.point.misfit > _DIVERGED_MISFIT:
-        fit = _best_fit(problem, starts, progress)
+        fit = best_of(by_misfit(starts))
     if fit is None or fit.point.misfit > max(_DIVERGED_MISFIT, _DIVERGED_SHARE * _motion(problem, starts[-1])):
-        fit = _best_fit(problem, [*starts, *others], progress)
+        fit = best_of(by_misfit([*starts, *others]))
     # Where nothing runs at all, let the search itself say what is wrong.
     return fit or fit_trajectory(problem, starts[-1], progress)
-
-
-def _best_fit(problem: TrajectoryProblem, starts: Sequence[Array], progress: Progress | None) -> TrajectoryFit | None:
-    """The fit from the start that follows best; from the next ones too, until one misses by little."""
-    best: TrajectoryFit | None = None
-    for expected, k in sorted((_misfit_at(problem, x), k) for k, x in enumerate(starts)):
-        if not np.isfinite(expected) or (best is not None and best.point.misfit < _DIVERGED_MISFIT):
-            break
-        trial = _fit_or_none(problem, starts[k], progress)
-        if trial is not None and (best is None or trial.point.misfit < best.point.misfit):
-            best = trial
-    return best
 
 
 def _motion(problem: TrajectoryProblem, x: Array) -> float:
@@ -242,24 +237,8 @@ def _motion(problem: TrajectoryProblem, x: Array) -> float:
     squares = 0.0
     for observed, arm in zip(problem.observed, problem.arms(x), strict=True):
         rest = InitialStatePrior.of(arm, observed.recording).rest[: arm.chain.size]
-        residual = observed.residual(arm, Trajectory.at_rest(observed.recording.time, rest))
-        squares += float(residual @ residual)
+        squares += float(np.sum(observed.residual(arm, Trajectory.at_rest(observed.recording.time, rest)) ** 2))
     return float(np.sqrt(squares / sum(observed.count for observed in problem.observed)))
-
-
-def _misfit_at(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS weighted residual from the most likely initial states at coordinates x; infinite where nothing runs."""
-    try:
-        likely = fit_initial_states(problem.arms(x), problem.observed)
-    except SimulationDivergedError:
-        return np.inf
-    return Point(problem, x, tuple(run for run, _ in likely)).misfit
-
-
-def _fit_or_none(problem: TrajectoryProblem, x: Array, progress: Progress | None) -> TrajectoryFit | None:
-    with contextlib.suppress(SimulationDivergedError):
-        return fit_trajectory(problem, x, progress, rough=True)
-    return None
 
 
 def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
@@ -288,10 +267,9 @@ def _largest_step_multiple(
 ) -> float:
     """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error."""
     arms = [Arm(chain)] * len(observed)
-    priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, observed, strict=True)]
-    exact = simulate_runs(arms, observed, priors, states, 1.0)
+    exact = simulate_runs(arms, observed, None, states, 1.0)
     for multiple in (4.0, 2.0):
-        runs = simulate_runs(arms, observed, priors, states, multiple)
+        runs = simulate_runs(arms, observed, None, states, multiple)
         error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
         if error < _DISCRETIZATION_CHI2 * max(mean_square, 1.0):
             return multiple

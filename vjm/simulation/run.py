@@ -42,8 +42,8 @@ class InitialStatePrior:
     scale: float = 1.0
 
     @classmethod
-    def of(cls, arm: Arm, recording: Recording) -> InitialStatePrior:
-        """Return the prior of an arm at a recording's beginning.
+    def of(cls, arm: Arm, recording: Recording, scale: float = 1.0) -> InitialStatePrior:
+        """Return the prior of an arm at a recording's beginning, beside residuals of a size `scale`.
 
         Raises:
             SimulationDivergedError: joints that move nothing.
@@ -61,7 +61,7 @@ class InitialStatePrior:
         except np.linalg.LinAlgError:
             remedy = "a joint moves nothing that has inertia: give the hub some"
             raise SimulationDivergedError(float(recording.time[0]), 0.0, remedy) from None
-        return cls(np.concatenate([q, np.zeros(n)]), root)
+        return cls(np.concatenate([q, np.zeros(n)]), root, scale)
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:
 def simulate_runs(
     arms: Sequence[Arm],
     observed: Sequence[Observations],
-    priors: Sequence[InitialStatePrior],
+    priors: Sequence[InitialStatePrior] | None,
     states: Sequence[Array],
     step_multiple: float,
 ) -> list[Run]:
@@ -232,7 +232,8 @@ def simulate_runs(
 
     Args:
         arms: one a recording.
-        observed, priors: of the recordings.
+        observed: the recordings.
+        priors: of their initial states; None: those of the arms.
         states: (2 nv,) initial states.
         step_multiple: multiple of the default step.
 
@@ -244,4 +245,6 @@ def simulate_runs(
     arms = [arm.with_feedback(values.feedback) for arm, values in zip(arms, observed, strict=True)]
     longest = _longest_step(arms[0].chain, recordings)
     trajectories = simulate_trajectories(arms, recordings, q, v, step_multiple=step_multiple, longest=longest)
+    if priors is None:
+        priors = [InitialStatePrior.of(arm, recording) for arm, recording in zip(arms, recordings, strict=True)]
     return [Run(*parts) for parts in zip(observed, priors, arms, states, trajectories, strict=True)]
