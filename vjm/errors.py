@@ -130,7 +130,7 @@ class EffectError(InputError):
 
     Attributes:
         effect: its id, or its class where it has none.
-        clause: of the contract, as `vjm.diagnosis.check_effect.CLAUSES` names it.
+        clause: of the contract, as `vjm.check_effect` names it.
         found: what it does.
         expected: what it should do.
     """

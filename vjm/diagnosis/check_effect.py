@@ -9,7 +9,6 @@ from copy import deepcopy
 from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass, replace
 from functools import cache
 from itertools import product
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,19 +30,6 @@ from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
 from vjm.simulation.run import transfer_state
 from vjm.simulation.sensitivity import follow_internal_states
 
-CLAUSES: Mapping[str, str] = MappingProxyType(
-    {
-        "form": "a frozen dataclass derived from Effect, with an id, a description and a reference; its parameters are "
-        "declared with magnitude() and shape_parameter(), and null by default",
-        "coordinates": "coordinates are zero at the null, and values that are made coordinates come back",
-        "null": "at the null every hook returns what it was given, to the last bit",
-        "hooks": "hooks return finite values of the right shape, for states with any leading axes, within all bounds",
-        "inputs": "arrays and records that hooks are given stay as they were",
-        "action": "at a typical magnitude, markers or encoders of a rig on which it is testable show it",
-        "energy": "what is called dissipative takes energy at every state",
-        "recovery": "its magnitudes come back from recordings simulated with it, the chain's parameters being free",
-    }
-)
 _Law = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
 _SENSING = ("camera_instants", "marker_positions", "encoder_angles")
 _HOOKS = ("chain", "true_inputs", "force", *_SENSING, "initial_states", "state_rates", "rate_independent_update")
@@ -55,33 +41,26 @@ _NOISE = (5e-5, 5e-5)  # m of a marker coordinate, rad of an encoder
 def check_effect(effect: Effect, seed: int = 0) -> None:
     """Check whether an effect keeps the contract of effects, clause by clause; it takes a second or a few.
 
-    The effect is tried on small simulated rigs: a driven link with torque and encoder and a clamped one, with five
-    markers each; its hooks on a driven link upon a flexible post as well.
+    The clauses are `form`, `coordinates`, `null`, `hooks`, `inputs`, `action`, `energy` and `recovery`. The effect is
+    tried on small simulated rigs: a driven link with torque and encoder and a clamped one, with five markers each; its
+    hooks on a driven link upon a flexible post as well.
 
     Args:
         effect: absent, as its class makes it by default.
         seed: of random states and of the sensors' noise.
 
     Raises:
-        EffectError: the first of `CLAUSES` that is broken, what was found and what was expected.
+        EffectError: the first clause that is broken, what was found and what was expected.
     """
-    _hold(effect, "form", _form(effect))
-    if not _overridden(effect, _HOOKS):
-        return  # a name for something that is no physics
-    _hold(effect, "coordinates", _coordinates(effect))
-    _hold(effect, "null", _null(effect, seed))
-    _hold(effect, "hooks", _hooks(effect, seed))
-    _hold(effect, "inputs", _inputs(effect, seed))
-    _hold(effect, "action", _action(effect))
-    if effect.dissipative:
-        _hold(effect, "energy", _energy(effect, seed))
-    _hold(effect, "recovery", _recovery(effect, seed))
+    for clause, law in _LAWS.items():
+        _hold(effect, clause, law(effect, seed))
+        if not _overridden(effect, _HOOKS):
+            return  # a name for something that is no physics
 
 
 def _hold(effect: Effect, clause: str, law: _Law) -> None:
     """Raise an error at the first thing that does not hold, or at an error in what the effect's author wrote."""
-    name = getattr(effect, "id", "")
-    name = name if isinstance(name, str) and name else type(effect).__name__
+    name = str(getattr(effect, "id", "")) or type(effect).__name__
     try:
         for holds, found, expected in law:
             if not holds:
@@ -163,8 +142,8 @@ def _overridden(effect: Effect, hooks: Sequence[str]) -> str:
     return ", ".join(f"`{name}`" for name in hooks if getattr(type(effect), name) is not getattr(Effect, name))
 
 
-def _form(effect: Effect) -> _Law:
-    """A frozen dataclass whose parameters are declared and absent by default, and that describes itself."""
+def _form(effect: Effect, seed: int) -> _Law:
+    """A frozen dataclass derived from Effect with id, description and reference; its parameters null by default."""
     kind, derived = type(effect), "an instance of a class derived from vjm.effects.Effect"
     yield isinstance(effect, Effect), f"{effect!r}", derived
     # Without a decorator of its own, a subclass has its parent's fields only, whatever it declares.
@@ -212,7 +191,7 @@ def _trial_coordinates(effect: Effect) -> list[Array]:
     return [typical, *(np.where(numbers == k, bound, typical) for k, bound in product(numbers, (low, high)))]
 
 
-def _coordinates(effect: Effect) -> _Law:
+def _coordinates(effect: Effect, seed: int) -> _Law:
     """Zeros at the null, ones at typical magnitudes, and back the values from which they came."""
     for _, absent in _variants(effect)[:1]:
         start, (lower, upper) = absent.coordinates, absent.bounds
@@ -356,11 +335,11 @@ def _same(one: Any, other: Any) -> bool:
     return True
 
 
-def _action(effect: Effect) -> _Law:
+def _action(effect: Effect, seed: int) -> _Law:
     """A typical magnitude that markers or encoders of some rig show."""
-    refusals = [f"on the {bench.rig.name} link: {bench.refusal(effect)}" for bench in _benches()[:2]]
-    found = f"it says that nothing can show it ({'; '.join(refusals)})"
-    yield not all(bench.refusal(effect) for bench in _benches()[:2]), found, "a rig on which it is testable"
+    reasons = {bench.rig.name: bench.refusal(effect) for bench in _benches()[:2]}
+    found = f"it says that nothing can show it ({'; '.join(f'{name} link: {why}' for name, why in reasons.items())})"
+    yield not all(reasons.values()), found, "a rig on which it is testable"
     found = "at its typical magnitude no marker and no encoder shows anything of it"
     yield _shown_by(effect), found, "something beyond rounding"
 
@@ -377,9 +356,9 @@ def _shown_by(effect: Effect) -> _Bench | None:
 
 
 def _energy(effect: Effect, seed: int) -> _Law:
-    """Forces, dampers and inputs that take power at every state; with internal states, work since rest."""
+    """Dissipative forces, dampers and inputs take power at every state; with internal states, work since rest."""
     for bench in _benches()[:2]:
-        if bench.refusal(effect):
+        if bench.refusal(effect) or not effect.dissipative:
             continue
         arm = Arm.of(bench.chain, (bench.typical(effect),))
         power, size = _power(bench, arm, seed)
@@ -423,8 +402,9 @@ def _recovery(effect: Effect, seed: int) -> _Law:
     # Standard errors of the magnitudes at their true values, everything else being free.
     exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(0))
     extended = refit(CandidateFit(exact), (true,), StoppingRule(0))
-    yield extended, f"at {_values(true)} it cannot be simulated", "finite motion"
-    R = extended.point.reduced()[0].R[:, :-1] if extended else np.eye(1)
+    yield extended, f"with {_values(true)} nothing can be simulated", "finite motion"
+    assert extended  # for type checkers: this is not reached otherwise
+    R = extended.point.reduced()[0].R[:, :-1]
     lengths, own = np.maximum(np.linalg.norm(R, axis=0), 1e-300), range(free, free + true.magnitude_count)
     names = [f"`{name}`" for name in true.values]
     silent = [names[(k - free) % len(names)] for k in own if lengths[k] <= 1e-12 * lengths.max()]
@@ -438,12 +418,13 @@ def _recovery(effect: Effect, seed: int) -> _Law:
     yield (errors < 0.1).all() and (shares > 3e-4).all(), found, expected
     fitted = _fitted(CandidateFit(start), bench, true)
     yield fitted, "no fit that starts with one of its variants can be simulated", "finite motion"
-    off = np.abs((fitted or effect).coordinates - true.coordinates)[: true.magnitude_count]
+    assert fitted
+    off = np.abs(fitted.coordinates - true.coordinates)[: true.magnitude_count]
     # Noise moves an estimate by four standard errors once in 16,000 times; with next to none the search's own tolerance
     # counts, which is larger among the small bumps of what sticks and slips.
     allowed = np.maximum(0.10 if true.nonsmooth else 0.05, 4.0 * errors)
     worst = int(np.argmax(off / allowed))
-    found = f"a fit of recordings that were simulated with {_values(true)} finds {_values(fitted or effect)}"
+    found = f"a fit of recordings that were simulated with {_values(true)} finds {_values(fitted)}"
     expected = f"no more than {allowed[worst]:.2g} typical magnitudes between them ({off[worst]:.2g} found)"
     yield (off <= allowed).all(), found, expected
 
@@ -485,3 +466,15 @@ def _fitted(start: CandidateFit, bench: _Bench, true: Effect) -> Effect | None:
         if best is not None and best.misfit < NOISE:
             break
     return None if best is None else best.effects[0]
+
+
+_LAWS: Mapping[str, Callable[[Effect, int], _Law]] = {
+    "form": _form,
+    "coordinates": _coordinates,
+    "null": _null,
+    "hooks": _hooks,
+    "inputs": _inputs,
+    "action": _action,
+    "energy": _energy,
+    "recovery": _recovery,
+}

@@ -119,15 +119,10 @@ class ExternalTone(_TipEffect):
         return 2
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """Return frequencies from one period in the longest recording to half the camera's rate."""
-        steps = [float(np.median(np.diff(own.time[own.frames]))) for own in recordings if own.frames.size > 1]
-        longest = max((float(np.ptp(own.time)) for own in recordings), default=0.0)
-        (own,) = (self.placed(rig, link) for link in self.places(rig))
-        typical = own.parameters[1].typical_magnitude
-        lowest = 1 / longest if longest > 0 else typical / 25
-        highest = max(0.5 / min(steps) if steps else 10 * typical, 2 * lowest)
-        frequencies = np.geomspace(lowest, highest, 12).tolist()
-        return tuple(replace(own, lowest=lowest, frequency=frequency) for frequency in frequencies)
+        """Return it with frequencies down to one period in the longest recording."""
+        longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
+        lowest = 1 / longest if longest > 0 else 0.0
+        return tuple(replace(variant, lowest=lowest) for variant in super().variants(rig, recordings))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the force on the end of the last virtual link."""
