@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize.elementwise import find_root
 
@@ -21,7 +20,6 @@ _LARGEST_TURN = 0.5  # rad a step
 
 
 AngleMethod = Literal["curvature", "curve", "points"]
-ANGLE_METHODS: tuple[str, ...] = get_args(AngleMethod)
 
 
 @dataclass(frozen=True)
@@ -90,8 +88,8 @@ def estimate_angles(
         ChoiceError: unknown method.
         InsufficientDataError: an active joint without encoder, or, for `points`, markers without x coordinate.
     """
-    if settings.method not in ANGLE_METHODS:
-        raise ChoiceError("angle method", settings.method, ANGLE_METHODS)
+    if settings.method not in get_args(AngleMethod):
+        raise ChoiceError("angle method", settings.method, get_args(AngleMethod))
     rows = recording.frames
     theta = _at_frames(recording, recording.theta, rows)
     origin, heading = np.zeros((rows.size, 2)), np.zeros(rows.size)
@@ -102,6 +100,7 @@ def estimate_angles(
         if link.joint == "revolute":
             active_angle = theta[:, [rig.active_links.index(i)]]
             columns.append(active_angle)
+            blocks.append(np.array([[encoder_noise**2]]))
             heading = heading + active_angle[:, 0]
         markers = recording.markers[rows][:, rig.marker_slices[i]]
         if link.markers_frame == "base":
@@ -113,7 +112,7 @@ def estimate_angles(
         origin, heading = origin + rotate(position, heading), heading + tip_heading
         columns.append(phi)
         fits.append(fit)
-        blocks.append(measurement.covariance(fit, marker_noise, encoder_noise))
+        blocks.append(measurement.covariance(fit, marker_noise))
     q = np.concatenate(columns, axis=1)
     return Angles(
         time=recording.time[rows],
@@ -143,16 +142,14 @@ def _linearly_interpolated(time: Array, samples: Array) -> Array:
     return result
 
 
-def _at_frames(recording: Recording, values: Array, rows: NDArray[np.intp]) -> Array:
+def _at_frames(recording: Recording, values: Array, rows: Indices) -> Array:
     """Columns of an encoder or torque sensor at the camera's frames, linear between its own samples."""
     result = np.full((rows.size, values.shape[1]), np.nan)
-    time = recording.time[rows]
-    for column in range(values.shape[1]):
-        known = np.isfinite(values[:, column])
+    for column, signal in enumerate(values.T):
+        known = np.isfinite(signal)
         if known.sum() >= 2:
-            samples = recording.time[known]
-            inside = (time >= samples[0]) & (time <= samples[-1])
-            result[inside, column] = np.interp(time[inside], samples, values[known, column])
+            own = recording.time[known]
+            result[:, column] = np.interp(recording.time[rows], own, signal[known], left=np.nan, right=np.nan)
     return result
 
 
@@ -180,52 +177,42 @@ class _LinkMeasurement:
         """Return angles phi (F, n), and the tip's position (F, 2) and heading (F,) in the link frame."""
         if self.settings.method == "points":
             points = _representative_points(fit, self.cuts.lengths)
-            phi = _chord_angles(points)
-            return phi, points[:, -1], phi.sum(axis=1)
-        phi = _curvature_angles(fit, self.cuts)
+            chords = np.diff(points, axis=1)
+            directions = np.arctan2(chords[..., 1], chords[..., 0])
+            # Each virtual link's direction less that of the one before it (eq. 12); link 0 lies along the x axis.
+            return np.diff(directions, axis=1, prepend=0.0), points[:, -1], directions[:, -1]
+        # With y given over arc length, sin(psi) = y' and kappa = y'' / cos(psi).
+        joints = np.cumsum(self.cuts.lengths)[:-1]
+        phi = np.asarray(self.cuts.cells * fit.evaluate(joints, 2) / np.cos(_headings(fit, joints)))
         if self.settings.method == "curvature":
             return (phi, *_tip_pose(fit))
         phi = _curve_angles(curve_map(self.cuts, self.link.markers), self.markers, phi)
         tip = curve_map(self.cuts, [self.link.length])
         return phi, tip.positions(phi)[:, 0], phi @ tip.heading[0]
 
-    def covariance(self, fit: ShapeFit, marker_noise: float, encoder_noise: float) -> Array:
-        """Return the noise covariance of (theta, phi) [rad^2], for small bends."""
+    def covariance(self, fit: ShapeFit, marker_noise: float) -> Array:
+        """Return the noise covariance of phi [rad^2], for small bends."""
         if self.settings.method == "curve":
             straight = np.zeros(self.cuts.cells.size)
             inverse = np.linalg.pinv(curve_map(self.cuts, self.link.markers).jacobian(straight)[:, 1, :])
-            phi_block = marker_noise**2 * (inverse @ inverse.T)
-        else:
-            functions = basis(fit.family, fit.order, np.cumsum(self.cuts.lengths)[:-1], fit.length, 2)
-            to_phi = self.cuts.cells[:, None] * functions
-            phi_block = marker_noise**2 * to_phi @ fit.covariance @ to_phi.T
-        return phi_block if self.link.joint == "clamped" else block_diag(np.array([[encoder_noise**2]]), phi_block)
+            return np.asarray(marker_noise**2 * (inverse @ inverse.T))
+        functions = basis(fit.family, fit.order, np.cumsum(self.cuts.lengths)[:-1], fit.length, 2)
+        to_phi = self.cuts.cells[:, None] * functions
+        return np.asarray(marker_noise**2 * to_phi @ fit.covariance @ to_phi.T)
 
 
-def _curvature_angles(fit: ShapeFit, cuts: Layout) -> Array:
-    """Angles phi (T, n) [rad] of a shape over arc length; NaN where its slope exceeds one.
-
-    With y given over arc length, sin(psi) = y' and kappa = y'' / cos(psi).
-    """
-    joints = np.cumsum(cuts.lengths)[:-1]
-    return np.asarray(cuts.cells * fit.evaluate(joints, 2) / _cosine(fit.evaluate(joints, 1)))
+def _headings(fit: ShapeFit, arcs: Array) -> Array:
+    """Headings psi (T, p) [rad] of a shape at arc lengths (p,) [m]; NaN where its slope by arc length exceeds one."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.arcsin(fit.evaluate(arcs, 1)))
 
 
 def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
     """Position (T, 2) [m] and heading (T,) [rad] of the distal end in the link frame, by Gauss-Legendre quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    cosine = _cosine(fit.evaluate(fit.length * (1 + nodes) / 2, 1))
+    along = np.cos(_headings(fit, fit.length * (1 + nodes) / 2)) @ weights * fit.length / 2
     end = np.array([fit.length])
-    position = np.stack([cosine @ weights * fit.length / 2, fit.evaluate(end)[:, 0]], axis=-1)
-    return position, np.arcsin(_valid(fit.evaluate(end, 1)[:, 0]))
-
-
-def _valid(sine: Array) -> Array:
-    return np.where(np.abs(sine) < 1, sine, np.nan)
-
-
-def _cosine(sine: Array) -> Array:
-    return np.asarray(np.sqrt(1 - _valid(sine) ** 2))
+    return np.stack([along, fit.evaluate(end)[:, 0]], axis=-1), _headings(fit, end)[:, 0]
 
 
 def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
@@ -286,10 +273,3 @@ def _representative_points(fit: ShapeFit, lengths: Array) -> Array:
         y = height(x)
         points.append(np.stack([x, y], axis=-1))
     return np.stack(points, axis=1)
-
-
-def _chord_angles(points: Array) -> Array:
-    """Angles phi (T, n) [rad]: each virtual link's direction less that of the one before it (eq. 12)."""
-    chords = np.diff(points, axis=1)
-    directions = np.arctan2(chords[..., 1], chords[..., 0])
-    return np.diff(directions, axis=1, prepend=np.zeros((len(points), 1)))
