@@ -8,14 +8,12 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from types import GenericAlias
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from annotated_types import MinLen
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError, RecordingError, shown
@@ -31,17 +29,19 @@ _SECTIONS: dict[str, Any] = {
 }
 
 
-def _several(section: str) -> Any:
-    return Annotated[list[_SECTIONS[section]], MinLen(1)]  # type: ignore[valid-type]
-
-
 _FIELDS: dict[str, Any] = {
     "schema_": (int, Field(alias="schema", ge=1, le=1, description="schema = 1, the only one there is")),
     "name": (str, table_model(Rig, ("name",)).model_fields["name"]),
     "base": (_SECTIONS["base"], Field(description="a table [base] with gravity = [x, y] in m/s^2")),
-    "link": (_several("link"), Field(description="at least one table [[link]], from the base outwards")),
+    "link": (
+        GenericAlias(list, _SECTIONS["link"]),
+        Field(min_length=1, description="at least one table [[link]], from the base outwards"),
+    ),
     "sensors": (_SECTIONS["sensors"], Field(default=None, description="a table [sensors]")),
-    "recording": (_several("recording"), Field(description="at least one table [[recording]]")),
+    "recording": (
+        GenericAlias(list, _SECTIONS["recording"]),
+        Field(min_length=1, description="at least one table [[recording]]"),
+    ),
 }
 _FILE = create_model("File", __config__=STRICT, **_FIELDS)
 
@@ -68,26 +68,20 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         _FILE.model_validate(document)
     except ValidationError as error:
         raise _refusal(file, document, error) from error
-    links = []
-    for index, table in enumerate(document["link"]):
-        with _faults_of(file, _table_name(document, "link", index)):
+    links, table_name = [], ""
+    try:
+        for index, table in enumerate(document["link"]):
+            table_name = _table_name(document, "link", index)
             links.append(Link(**table))
-    with _faults_of(file):
+        table_name = ""  # faults of the rig name their own
         rig = Rig(document["name"], tuple(links), **document["base"], **document.get("sensors", {}))
         rig.require_markers()
+    except ExperimentError as error:
+        raise error.at(file, table_name) from error
     files = _recording_files(file, document)
     tables = zip(files, document["recording"], strict=True)
     recordings = [_read_recording(source, table, rig) for source, table in tables]
     return Experiment(rig, tuple(recordings), file)
-
-
-@contextmanager
-def _faults_of(file: Path, table: str = "") -> Iterator[None]:
-    """Say of a fault in a record which file and table it stands in."""
-    try:
-        yield
-    except ExperimentError as error:
-        raise error.at(file, table) from error
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
@@ -163,7 +157,13 @@ def _read_recording(file: Path, table: dict[str, Any], rig: Rig) -> Recording:
     """Return the recording in a CSV file; its table in the experiment file is valid by itself."""
     columns, body = _read_text(file)
     check_columns(file, columns, rig, table["kind"], row=1)
-    values, lines = _parse(file, columns, body)
+    if not body or body.isspace():
+        raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
+    values = _parse_at_once(body, columns)
+    if values is None:
+        values, lines = _parse_row_by_row(file, columns, body.decode("utf-8"))
+    else:
+        lines = np.arange(2, len(values) + 2, dtype=np.intp)
     try:
         return Recording.from_dataframe(pd.DataFrame(values, columns=list(columns)), rig, **table)
     except RecordingError as error:
@@ -188,7 +188,7 @@ def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
     if not raw or raw.isspace():
         raise RecordingError(file, None, None, "the file is empty", "a header line and rows of numbers")
     header, *rest = re.split(rb"\r\n|\n|\r", raw, maxsplit=1)
-    return _split_header(file, header.decode("utf-8")), rest[0] if rest else b""
+    return _split_header(file, header.decode("utf-8")), rest[0].rstrip(b"\r\n") if rest else b""
 
 
 def _split_header(file: Path, header: str) -> tuple[str, ...]:
@@ -200,17 +200,6 @@ def _split_header(file: Path, header: str) -> tuple[str, ...]:
     if separator is not None:
         raise RecordingError(file, 1, None, f"cells are separated by {separator!r}", "cells separated by commas")
     return names
-
-
-def _parse(file: Path, columns: tuple[str, ...], body: bytes) -> tuple[Array, Indices]:
-    """Return the (T, c) numbers after a header, NaN where a cell is empty, and the line of the file of each row."""
-    body = body.rstrip(b"\r\n")
-    if not body or body.isspace():
-        raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
-    values = _parse_at_once(body, columns)
-    if values is None:
-        return _parse_row_by_row(file, columns, body.decode("utf-8"))
-    return values, np.arange(2, len(values) + 2, dtype=np.intp)
 
 
 def _parse_at_once(body: bytes, columns: tuple[str, ...]) -> Array | None:

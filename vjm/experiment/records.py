@@ -285,7 +285,7 @@ class Recording:
             role=role,
             **{"gravity": rig.gravity, **fields},
         )
-        _check_recording(name, rig, recording)
+        _check_recording(rig, recording)
         return recording
 
     def __eq__(self, other: object) -> bool:
@@ -345,7 +345,7 @@ class Experiment:
         recordings = []
         for number, recording in enumerate(_several(self.recordings, Recording, "experiment", "recordings"), start=1):
             recording = recording.completed(rig, number)
-            _check_recording(recording.file, rig, recording)
+            _check_recording(rig, recording)
             recordings.append(recording)
         object.__setattr__(self, "rig", rig)
         object.__setattr__(self, "recordings", tuple(recordings))
@@ -428,8 +428,9 @@ def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind
             raise RecordingError(name, row, column, "the column is missing", expected)
 
 
-def _check_recording(name: Path | str, rig: Rig, recording: Recording) -> None:
+def _check_recording(rig: Rig, recording: Recording) -> None:
     """Check that arrays are as wide as the rig needs, and that enough of each was measured."""
+    name = recording.file or "recording"
     counts = ", ".join(f"{link.name} {len(link.markers)}" for link in rig.links)
     total = sum(len(link.markers) for link in rig.links)
     active = [rig.links[i].name for i in rig.active_links]

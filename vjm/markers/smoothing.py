@@ -74,15 +74,8 @@ def interpolate(time: ArrayLike, values: ArrayLike, step: float = 0.004) -> Deri
     response = CubicSpline(t, impulse)
     # Averaged over the grid, the response to one sample says how much noise a grid instant carries.
     responses = np.stack([response(grid, d) for d in range(3)]) * np.sqrt(t.size / grid.size)
-    return Derivatives(
-        grid,
-        spline(grid),
-        spline(grid, 1),
-        spline(grid, 2),
-        responses @ responses.T,
-        np.ones(grid.size, dtype=bool),
-        None,
-    )
+    value, rate, acceleration = (spline(grid, d) for d in range(3))
+    return Derivatives(grid, value, rate, acceleration, responses @ responses.T, np.ones(grid.size, dtype=bool), None)
 
 
 class Smoother:
