@@ -100,11 +100,7 @@ def _distance_limits(arcs: Array, noise: float) -> Array:
 
 
 def _clippings(coordinates: Array) -> Iterator[tuple[int, str, int, int]]:
-    """Yield where coordinates (T, c) stand still at their very extreme, as at the edge of an image.
-
-    Yields:
-        Column, `largest` or `smallest`, first row of the first run, and length of the longest run in rows measured.
-    """
+    """Yield column, `largest` or `smallest`, first row and longest run where coordinates (T, c) are clipped."""
     for column, values in enumerate(coordinates.T):
         measured = np.flatnonzero(np.isfinite(values))
         for sign, extreme in ((1.0, "largest"), (-1.0, "smallest")):
@@ -114,18 +110,7 @@ def _clippings(coordinates: Array) -> Iterator[tuple[int, str, int, int]]:
 
 
 def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
-    """Find where a signal stays at its maximum as a clipped one does.
-
-    A run counts when it is long, touches neither end of the signal (an arm at rest), and the signal falls steeply
-    on both sides: within the run's own length by more than a smooth peak does that is flat only because its values
-    are rounded. A parabola that rounding to steps q keeps flat over a width w is 9 q lower at a distance of 3 w / 2.
-
-    Args:
-        values: (N,) finite values.
-
-    Returns:
-        First index and length of each run.
-    """
+    """Return first index and length of each run in which a signal (N,) stays at its maximum as a clipped one does."""
     none = np.empty(0, dtype=np.intp)
     steps = np.unique(values)
     if steps.size < 2:
@@ -135,7 +120,9 @@ def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
     edges = np.flatnonzero(np.diff(at_top.astype(np.int8)))
     starts, stops = edges[::2], edges[1::2]
     lengths = stops - starts
-    # A run at either end of the signal has no drop on that side.
+    # A run counts when it is long, touches neither end of the signal (an arm at rest: no drop on that side), and the
+    # signal falls within the run's own length by more than a smooth peak does that is flat because values are rounded:
+    # a parabola that rounding to steps q keeps flat over a width w is 9 q lower at a distance of 3 w / 2.
     before = steps[-1] - values[np.maximum(starts - lengths, 0)]
     after = steps[-1] - values[np.minimum(stops - 1 + lengths, len(values) - 1)]
     clipped = (lengths >= 5) & (np.minimum(before, after) > 20.0 * finest)  # twice the drop of a rounded peak

@@ -38,17 +38,7 @@ def _median_noise(signals: Sequence[Array], scale: float) -> float:
 
 
 def _white_noise(samples: Array) -> float:
-    """Return the 1-sigma of the white part of evenly sampled signals.
-
-    A low quantile of the windowed periodogram: its bins are noise power times an exponential variate, and the few that
-    hold motion do not move the quantile.
-
-    Args:
-        samples: (T, m) signals with the same noise; of those measured at all, only complete rows are used.
-
-    Returns:
-        The noise, in the signals' unit; NaN for fewer than 16 samples.
-    """
+    """Return the 1-sigma of the white part of evenly sampled signals (T, m); NaN for fewer than 16 complete rows."""
     values = samples[:, np.isfinite(samples).any(axis=0)]
     values = values[np.isfinite(values).all(axis=1)]
     if not values.size or len(values) < 16:
@@ -57,6 +47,7 @@ def _white_noise(samples: Array) -> float:
     line = np.linspace(0, 1, len(values))[:, None]
     detrended = values - values[:1] * (1 - line) - values[-1:] * line
     window = get_window("blackmanharris", len(values))[:, None]
+    # Bins hold noise power times an exponential variate; the few with motion do not move a low quantile of them.
     power = np.abs(np.fft.rfft(detrended * window, axis=0)[4:-1]) ** 2 / np.sum(window**2)
     low = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
     return float(np.sqrt(np.quantile(power, low) / -np.log(1 - low)))

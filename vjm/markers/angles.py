@@ -216,16 +216,7 @@ def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
 
 
 def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
-    """Angles phi (T, n) [rad] by Gauss-Newton steps on all measured coordinates, all frames at once.
-
-    Args:
-        curve: maps phi to the markers' positions.
-        markers: (T, k, 2) in the link frame [m]; NaN where not measured.
-        initial: (T, n) where to start [rad]; zero where NaN.
-
-    Returns:
-        The angles; NaN for frames with too few markers.
-    """
+    """Angles phi (T, n) [rad] by Gauss-Newton steps on markers (T, k, 2) [m]; NaN for frames with too few of them."""
     phi, n = np.nan_to_num(initial), curve.heading.shape[1]
     if curve.arcs.size < n:
         problem = f"{curve.arcs.size} markers cannot place {n} virtual joints"
