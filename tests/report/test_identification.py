@@ -13,8 +13,8 @@ from vjm.identification.records import Identification, Whiteness
 from vjm.records import Estimate, RecordingComparison
 from vjm.report.identification import (
     _mode_table,
-    _nominal_value,
     _remedy_tables,
+    _values_by_name,
     _whiteness_tables,
     parameter_table,
     recording_table,
@@ -144,15 +144,15 @@ def test_nothing_simulated() -> None:
 
 def test_nominal_values_are_found_by_name() -> None:
     chain = elbow_fit().nominal.chain
-    upper = chain.links[0]
-    assert _nominal_value("upper.stiffness_2", chain) == upper.stiffness[1]
-    assert _nominal_value("upper.length_0", chain) == upper.lengths[0]
-    assert _nominal_value("upper.mass_center_1", chain) == upper.mass_centers[1]
-    assert _nominal_value("upper.mass_1", chain) == upper.masses[1]
-    assert _nominal_value("fore.hub_inertia", chain) == 2e-3
-    assert _nominal_value("upper.bending_stiffness", chain) == pytest.approx(4.0)
-    for unknown in ("upper.length_99", "upper.colour", "nobody.mass_0", "upper.mass_x"):
-        assert _nominal_value(unknown, chain) is None
+    upper, values = chain.links[0], _values_by_name(chain)
+    assert values["upper.stiffness_2"] == upper.stiffness[1]
+    assert values["upper.length_0"] == upper.lengths[0]
+    assert values["upper.mass_center_1"] == upper.mass_centers[1]
+    assert values["upper.mass_1"] == upper.masses[1]
+    assert values["fore.hub_inertia"] == 2e-3
+    assert values["upper.bending_stiffness"] == pytest.approx(4.0)
+    unknown = Estimate("upper.colour", 1.0, None, "")
+    assert parameter_table((unknown,), chain).rows[0][2] == "–"
 
 
 def test_parameter_table_survives_what_is_not_finite() -> None:

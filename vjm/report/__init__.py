@@ -1,1 +1,7 @@
-"""Results as text, tables, pictures, a page and a folder of files."""
+"""Results as users get them.
+
+- result.json: `result_json`; model.json, written and read: `model_json`; which files a folder has: `output`.
+- Sentences and tables, of the terminal, notebooks and report.html alike: `identification` (also of comparisons and
+  checks) and `diagnosis`, which make a `Page`; numbers and effects in words: `text`.
+- How a page looks on a terminal: `page`; in HTML: report.html.jinja. Pictures: `figures`.
+"""

@@ -225,39 +225,35 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str =
         nominal: the chain they are compared with.
         beside: name of that chain.
     """
-    rows = []
+    rows, compared = [], _values_by_name(nominal)
     for estimate in estimates:
         value, std = estimate.value, estimate.std
         state = "no" if not estimate.identifiable else "yes" if std is not None else "fixed"
         relative = None if std is None or value == 0 else abs(100 * std / value)
-        compared = number(_nominal_value(estimate.name, nominal), 4)
         uncertain = with_error(value, std), interval(value, std), number(relative, 2)
-        rows.append((estimate.name, state, compared, *uncertain, unit(estimate.unit)))
+        rows.append((estimate.name, state, number(compared.get(estimate.name), 4), *uncertain, unit(estimate.unit)))
     uncertain_headers = ("identified ± standard error", "95 % interval", "error [%]")
     headers = ("parameter", "determined", beside, *uncertain_headers, "unit")
     return Table("Table 1. Parameters", headers, tuple(rows), words=2)
 
 
-def _nominal_value(name: str, chain: Chain) -> float | None:
-    """Return the value that an estimate's parameter has in a chain; None for a name that the chain does not know."""
-    link_name, _, text = name.partition(".")
-    link = next((link for link in chain.links if link.name == link_name), None)
-    if link is None or text in ("bending_stiffness", "kelvin_voigt_time", "hub_inertia"):
-        return None if link is None else float(getattr(link, text))
-    # Virtual joints count from 1, virtual links from 0.
-    joints = {"stiffness": link.stiffness, "damping": link.damping}
-    links = {
-        "length": link.lengths,
-        "mass": link.masses,
-        "mass_center": link.mass_centers,
-        "inertia": link.inertias,
-    }
-    quantity, _, index = text.rpartition("_")
-    values = {**joints, **links}.get(quantity)
-    if values is None or not index.isdecimal():
-        return None
-    at = int(index) - (quantity in joints)
-    return float(values[at]) if 0 <= at < values.size else None
+def _values_by_name(chain: Chain) -> dict[str, float]:
+    """Return a chain's values by the names of parameters; virtual joints count from 1, virtual links from 0."""
+    values: dict[str, float] = {}
+    for link in chain.links:
+        joints = {"stiffness": link.stiffness, "damping": link.damping}
+        body = {
+            "length": link.lengths,
+            "mass": link.masses,
+            "mass_center": link.mass_centers,
+            "inertia": link.inertias,
+        }
+        for first, arrays in ((1, joints), (0, body)):
+            for name, array in arrays.items():
+                values |= {f"{link.name}.{name}_{k}": float(value) for k, value in enumerate(array, first)}
+        for name in ("bending_stiffness", "kelvin_voigt_time", "hub_inertia"):
+            values[f"{link.name}.{name}"] = float(getattr(link, name))
+    return values
 
 
 def _remedy_tables(estimates: Sequence[Estimate]) -> list[Table]:
