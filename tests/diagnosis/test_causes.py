@@ -67,7 +67,7 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     result = SimpleNamespace(best=best, first=family, p_values={payload.key: 1e-3, offset.key: 1e-5})
     causes = estimate_causes(cast(Any, result), cast(Any, search), {payload.key: (alternative,)})
     assert [cause.effect for cause in causes] == [offset, payload]
-    assert [cause.gain for cause in causes] == [29_000.0, 8000.0]
+    assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]
     assert [cause.alternatives for cause in causes] == [(), (alternative,)]
     assert causes[1].evidence.startswith("without it the model misses the training recordings by 3 times ")

@@ -82,7 +82,7 @@ def test_without_an_encoder_the_markers_alone_say_where_the_arm_is() -> None:
     runs = [
         replace(run, observed=replace(run.observed, recording=each)) for run, each in zip(wrong, blind, strict=True)
     ]
-    assert Noise.of(runs).size == pytest.approx(NOISE[0], rel=0.1)
+    assert Noise.of(runs).std == pytest.approx(NOISE[0], rel=0.1)
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])
@@ -92,9 +92,9 @@ def test_noise_is_known_where_the_model_is_all_wrong(correlation: float) -> None
     wrong = point_of(chain_of(), (InPlaneGravity(gx=1.5, gy=-1.0),), recordings)
     assert wrong.misfit > 100
     noise = Noise.of(wrong.runs)
-    assert noise.size == pytest.approx(NOISE[0], rel=0.1)
-    assert noise.colour.size == (correlation > 0)
-    assert noise.colour == pytest.approx([correlation] * noise.colour.size, abs=0.1)
+    assert noise.std == pytest.approx(NOISE[0], rel=0.1)
+    assert noise.autoregression.size == (correlation > 0)
+    assert noise.autoregression == pytest.approx([correlation] * noise.autoregression.size, abs=0.1)
 
 
 def test_noise_is_known_where_a_simulation_has_coiled_the_arm_up() -> None:
@@ -103,4 +103,4 @@ def test_noise_is_known_where_a_simulation_has_coiled_the_arm_up() -> None:
     coil = np.array([0.0, 2.5, -2.0, 2.5])
     coils = [replace(run.trajectory, q=run.trajectory.q + coil[: run.chain.size]) for run in wrong]
     runs = [replace(run, trajectory=trajectory) for run, trajectory in zip(wrong, coils, strict=True)]
-    assert Noise.of(runs).size == pytest.approx(NOISE[0], rel=0.1)
+    assert Noise.of(runs).std == pytest.approx(NOISE[0], rel=0.1)

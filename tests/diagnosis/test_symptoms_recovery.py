@@ -281,7 +281,7 @@ def test_a_residual_that_grows_and_one_that_wanders() -> None:
     wander = the(slow, "slow_drift", "beam.theta")
     assert wander in slow.significant
     assert wander.value == pytest.approx(2e-3 / 2**0.5, rel=0.1)
-    assert wander.local > 0.9
+    assert wander.local_share > 0.9
 
 
 def test_a_payload_of_one_recording_has_frequencies_of_its_own() -> None:

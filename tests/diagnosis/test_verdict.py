@@ -18,7 +18,7 @@ from vjm.diagnosis.records import (
     ResidualBand,
     ResidualTest,
 )
-from vjm.diagnosis.verdict import _block_length, conclude, estimate_gain, is_unexplained, why_insufficient
+from vjm.diagnosis.verdict import _block_length, _estimate_gain, conclude, is_unexplained, why_insufficient
 from vjm.effects import CameraRotation, CubicStiffness, EncoderOffset, TipPayload
 from vjm.records import (
     Array,
@@ -183,18 +183,18 @@ def test_the_gain_is_of_changed_held_out_recordings() -> None:
         compared(recording("before.csv", condition="reference"), 2e-3, 2e-3),
         compared(recording("slew.csv"), 3e-3, 1e-3, 2e-3),
     ]
-    gain = estimate_gain(given, 0)
+    gain = _estimate_gain(given, 0)
     assert gain is not None
     assert (gain.before, gain.after, gain.next_best) == pytest.approx((3e-3, 1e-3, 2e-3))
     assert (gain.reduction, *gain.interval) == pytest.approx((2 / 3,) * 3)
-    gain = estimate_gain(given[:2], 0)
+    gain = _estimate_gain(given[:2], 0)
     assert gain is not None
     assert gain.reduction == 0.0
-    assert estimate_gain(given[:1], 0) is None
-    part = estimate_gain([compared(seen_in(200), 3e-3, 1e-3)], 0)
+    assert _estimate_gain(given[:1], 0) is None
+    part = _estimate_gain([compared(seen_in(200), 3e-3, 1e-3)], 0)
     assert part is not None
     assert part.before == pytest.approx(3e-3)
-    assert estimate_gain([compared(seen_in(200), 3e-3, 1e-3), compared(seen_in(0), 3e-3, 1e-3)], 0) == part
+    assert _estimate_gain([compared(seen_in(200), 3e-3, 1e-3), compared(seen_in(0), 3e-3, 1e-3)], 0) == part
 
 
 def autoregression(random: np.random.Generator, count: int, correlation: float, channels: int = 4) -> Array:
@@ -212,7 +212,7 @@ def test_the_gains_interval_covers_as_often_as_it_says(correlation: float) -> No
     for _ in range(60):
         measured = recording(count=1500)
         before, after = (2 * autoregression(random, 1500, correlation), autoregression(random, 1500, correlation))
-        gain = estimate_gain([compared(measured, before, after)], 0)
+        gain = _estimate_gain([compared(measured, before, after)], 0)
         assert gain is not None
         covered += gain.interval[0] < 0.5 < gain.interval[1]
         widths.append(gain.interval[1] - gain.interval[0])
@@ -225,7 +225,7 @@ def test_scaling_time_changes_no_interval() -> None:
     measured = recording(count=600)
     before, after = autoregression(random, 600, 0.9), autoregression(random, 600, 0.9)
     slow = replace(measured, time=1000 * measured.time)
-    assert estimate_gain([compared(slow, before, after)], 0) == estimate_gain([compared(measured, before, after)], 0)
+    assert _estimate_gain([compared(slow, before, after)], 0) == _estimate_gain([compared(measured, before, after)], 0)
 
 
 def test_blocks_are_as_long_as_theory_says() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.report.diagnoses import pair
-from vjm.diagnosis.diagnose import simulate_without_each_cause
+from vjm.diagnosis.diagnose import _simulate_without_each_cause
 from vjm.effects import ViscousFriction
 
 
@@ -18,7 +18,7 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
     model = replace(diagnosis.model, effects=(friction, *causes), reference_effects=1)
     first = diagnosis.most_improved
     assert first is not None
-    without = simulate_without_each_cause(replace(diagnosis, model=model)).causes[0].without
+    without = _simulate_without_each_cause(replace(diagnosis, model=model)).causes[0].without
     assert without is not None
     expected = replace(model, effects=(friction, causes[1])).replay(first.recording)
     np.testing.assert_allclose(without.simulation.markers, expected.simulation.markers, rtol=0, atol=1e-12)
@@ -30,5 +30,5 @@ def test_a_single_cause_leaves_the_model_fitted_without_it() -> None:
     diagnosis = pair()
     first = diagnosis.most_improved
     assert first is not None
-    (cause,) = simulate_without_each_cause(replace(diagnosis, causes=diagnosis.causes[:1])).causes
+    (cause,) = _simulate_without_each_cause(replace(diagnosis, causes=diagnosis.causes[:1])).causes
     assert cause.without is first.reference

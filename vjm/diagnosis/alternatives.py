@@ -129,7 +129,7 @@ def estimate_causes(
         )
         parameters = _with_errors(estimate, spread[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
-    return tuple(sorted(causes, key=lambda cause: -cause.gain))
+    return tuple(sorted(causes, key=lambda cause: -cause.decrease))
 
 
 def _with_errors(effect: Effect, spread: Array) -> dict[str, Estimate]:

@@ -74,8 +74,8 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     runs = [*fit.point.runs, *_simulated(fit.point, resting)]
     noise = Noise.of(runs)
     size = search.observed[0].noise
-    if noise.size is not None and (experiment.rig.marker_noise is None or noise.size > _LARGER_NOISE * size[0]):
-        size = (noise.size, size[1])
+    if noise.std is not None and (experiment.rig.marker_noise is None or noise.std > _LARGER_NOISE * size[0]):
+        size = (noise.std, size[1])
     joints = tuple(max(_LEAST_JOINTS, link.virtual_joints) for link in fit.point.chain.links)
     observed = tuple(_prepared(trimmed(run), size, noise) for run in runs)
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))

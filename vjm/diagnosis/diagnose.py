@@ -140,7 +140,7 @@ def _findings(
         notes=_notes(baseline, start, best),
         seed=search.rules.seed,
     )
-    return simulate_without_each_cause(findings)
+    return _simulate_without_each_cause(findings)
 
 
 _Runs = dict[str, tuple[Run, bool]]  # by file: the simulation, and whether its initial state was found
@@ -195,7 +195,7 @@ def _simulate(model: CandidateFit, observed: Sequence[Observations], states: Seq
     return {one.recording.file: run for one, run in zip(observed, runs, strict=True)}
 
 
-def simulate_without_each_cause(findings: Findings) -> Findings:
+def _simulate_without_each_cause(findings: Findings) -> Findings:
     """Simulate the most improved recording without each cause; a single one leaves the model fitted without it."""
     shown = findings.most_improved
     if shown is None:

@@ -28,17 +28,11 @@ _CLIP = 3.5  # robust standard deviations; normal noise exceeds them once in 2,0
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of the camera.
+    """Noise of the camera."""
 
-    Attributes:
-        size: standard deviation of a marker coordinate [m]; None where the recordings do not determine it.
-        colour: (p,) coefficients of the autoregression from frame to frame; empty for white noise.
-        source: in words, how it was determined.
-    """
-
-    size: float | None
-    colour: Array
-    source: str
+    std: float | None  # of a marker coordinate [m]; None where the recordings do not determine it
+    autoregression: Array  # (p,) coefficients from frame to frame; empty for white noise
+    source: str  # in words, how it was determined
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Self:
@@ -54,10 +48,10 @@ class Noise:
         where = "the moving recordings, there being no quiet one"
         if quiet:
             where = "the quiet recording" + "s" * (len(quiet) > 1)
-        size, correlation, count = _autocorrelation(residuals)
-        colour = _autoregression(correlation, count)
-        kind = "white" if not colour.size else f"coloured (lag-one correlation {correlation[1]:.2f})"
-        return cls(size, colour, f"{kind}, {1e3 * size:.2g} mm, estimated from {where}")
+        std, correlation, count = _autocorrelation(residuals)
+        coefficients = _autoregression(correlation, count)
+        kind = f"coloured (lag-one correlation {correlation[1]:.2f})" if coefficients.size else "white"
+        return cls(std, coefficients, f"{kind}, {1e3 * std:.2g} mm, estimated from {where}")
 
     def whitened(self, observed: Observations) -> Observations:
         """Return measurements with a matrix that whitens the noise of their markers; encoders are taken to be white.
@@ -65,16 +59,16 @@ class Noise:
         Each coordinate is predicted from the last frames in which it was measured, across gaps too: its prediction
         error, over its standard deviation, is white.
         """
-        if not self.colour.size or not observed.markers.size:
+        if not self.autoregression.size or not observed.markers.size:
             return observed
-        correlation = _correlation(self.colour)
+        correlation = _correlation(self.autoregression)
         frames, channels = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
         ticks = _ticks(observed.recording.time[observed.frames])
         encoders = np.arange(observed.markers.size, observed.count)
         entries = [(encoders, encoders, np.ones(encoders.size))]
         for channel in np.unique(channels):
             own = np.flatnonzero(channels == channel)
-            entries += _prediction_errors(own, ticks[frames[own]], self.colour.size, correlation)
+            entries += _prediction_errors(own, ticks[frames[own]], self.autoregression.size, correlation)
         rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
         shape = (observed.count, observed.count)
         return replace(observed, whitening=sparse.csr_array((values, (rows, columns)), shape=shape))
@@ -157,11 +151,11 @@ def _autoregression(correlation: Array, count: int) -> Array:
     return np.asarray(coefficients[1 : order + 1, order])
 
 
-def _correlation(colour: Array) -> Array:
+def _correlation(coefficients: Array) -> Array:
     """Autocorrelation of an autoregression at lags 0 to the longest gap."""
     from statsmodels.tsa.arima_process import arma_acovf  # takes a second to import
 
-    covariance = arma_acovf(np.r_[1.0, -colour], np.ones(1), _LONGEST_GAP + 1)
+    covariance = arma_acovf(np.r_[1.0, -coefficients], np.ones(1), _LONGEST_GAP + 1)
     return np.asarray(covariance / covariance[0])
 
 

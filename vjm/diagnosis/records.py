@@ -37,7 +37,7 @@ class Cause:
         effect: with the parameters at which the model's chain follows the recordings.
         parameters: those of a beam, free of the chain's discretization error, with standard errors, by name.
         p_value: probability that noise alone makes any of the candidates look as needed as this.
-        gain: decrease of the training recordings' chi^2 by it.
+        decrease: of the training recordings' chi^2 by it.
         alternatives: effects that explain the recordings as well in its place.
         evidence: in words.
         without: the recording in which the causes gain most, simulated with all effects but this one; None where it
@@ -47,7 +47,7 @@ class Cause:
     effect: Effect
     parameters: Mapping[str, Estimate]
     p_value: float
-    gain: float
+    decrease: float
     alternatives: tuple[Alternative, ...]
     evidence: str
     without: SimulatedRecording | None = None

@@ -54,7 +54,7 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
+def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
     """Return the improvement of held-out recordings; None where none of them can be simulated by both models.
 
     The interval is by a block bootstrap of the squared residuals, with blocks as long as these are correlated.
@@ -141,11 +141,11 @@ def conclude(findings: Findings) -> Diagnosis:
     if findings.insufficient:
         return _diagnosis(findings, "insufficient", None, Remaining(None))
     unexplained = is_unexplained(findings)
-    gain = estimate_gain(findings.recordings, findings.seed)
+    gain = _estimate_gain(findings.recordings, findings.seed)
     useless = findings.decrease < _SMALL_DECREASE and (gain is None or gain.reduction < _NO_GAIN)
     if findings.causes and useless and not unexplained:
         findings = _without_causes(findings)
-        gain = estimate_gain(findings.recordings, findings.seed)
+        gain = _estimate_gain(findings.recordings, findings.seed)
     verdict: Verdict = "named" if findings.causes else "none"
     if any(cause.alternatives for cause in findings.causes):
         verdict = "set"

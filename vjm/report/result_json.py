@@ -235,7 +235,7 @@ def _cause(cause: Cause, model: Model) -> Result:
             name: {field: getattr(size, field) for field in _ESTIMATED} for name, size in cause.parameters.items()
         },
         "p_value": cause.p_value,
-        "chi2_gain": cause.gain,
+        "chi2_gain": cause.decrease,
         "indistinguishable_from": list(dict.fromkeys(item.effect.id for item in cause.alternatives)),
         "alternatives": [
             {**_place(item.effect, model), "parameters": item.effect.values, "chi2_increase": item.worse}

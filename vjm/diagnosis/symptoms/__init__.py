@@ -65,7 +65,7 @@ class Symptom:
     unit: str  # of both
     p_value: float  # probability that a residual without it shows as much
     share: float  # of all recordings' mean square residual, in units of the noise, that it describes
-    local: float  # the same of its own recording, or of those in which it was seen
+    local_share: float  # the same of its own recording, or of those in which it was seen
     sentence: str  # in words
 
 
@@ -103,7 +103,7 @@ class Symptoms(Record):
     def significant(self) -> tuple[Symptom, ...]:
         """Symptoms that are more than chance, at a level that allows for all that was looked for, and worth a word."""
         level = _FALSE_ALARM / max(len(self.found), 1)
-        return tuple(one for one in self.found if one.p_value < level and one.local >= _LEAST_SHARE)
+        return tuple(one for one in self.found if one.p_value < level and one.local_share >= _LEAST_SHARE)
 
     def headlines(self, most: int = 8) -> tuple[Symptom, ...]:
         """Return the largest symptom of each kind and mode, at most so many, saying how many recordings share it."""
@@ -135,7 +135,7 @@ def symptoms(
         misfit = float(sum(np.sum(sensor.residual**2) for sensor in sensors))
         modes, at_rest = ModeComparison(), list[SensorAtRest]()
         if one.recording.kind in ("quiet", "static"):
-            at_rest = [rest for rest in map(SensorAtRest.of, sensors) if rest is not None]
+            at_rest = [quiet for quiet in map(SensorAtRest.of, sensors) if quiet is not None]
         elif sensors:
             modes = ModeComparison.of(one.recording, sensors, frequencies[one.recording.payload])
         recordings.append(RecordingSymptoms(one, sensors, misfit, modes, at_rest=tuple(at_rest)))
@@ -184,11 +184,11 @@ class _Source(NamedTuple):
 
 def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
     source, modes = _Source(one.simulated.recording.file, one.misfit, total), one.modes
-    for rest in one.at_rest:
-        name, correlation = rest.channels.sensor, rest.correlation
-        yield source.symptom("noise_size", rest.size, "1", name)
+    for quiet in one.at_rest:
+        name, correlation = quiet.channels.sensor, quiet.correlation
+        yield source.symptom("noise_size", quiet.size, "1", name)
         yield source.symptom("noise_correlation", correlation, "1", name, value=_plain(correlation.value))
-        yield from _tone(source, rest.channels, rest.tone, "quiet_tone")
+        yield from _tone(source, quiet.channels, quiet.tone, "quiet_tone")
     if not modes.remaining:
         return
     present = [mode.simulated for mode in modes.modes]
@@ -362,18 +362,20 @@ def _plain(value: float, digits: int = 2) -> str:
     return f"{round(size, decimals):.{max(decimals, 0)}f}"
 
 
+# Scales in which sizes of a unit are written, each from a size on.
+_SCALES = {
+    "1": ((0.0, 100.0, "%"),),
+    "log": ((0.0, 100.0, "%"),),
+    "m": ((1e-5, 1e3, "mm"), (0.0, 1e6, "µm")),
+    "s": ((1.0, 1.0, "s"), (1e-5, 1e3, "ms"), (0.0, 1e6, "µs")),
+    "rad": ((math.radians(0.1), math.degrees(1.0), "deg"), (0.0, 1e3, "mrad")),
+    "m/s²": ((1.0, 1.0, "m/s²"), (0.0, 1e3, "mm/s²")),
+}
+
+
 def _quantity(value: float, unit: str) -> str:
     """Write a number's size in a unit that suits it: `2.0 mm`, `11 deg`, `4.0 ms`, `290 mm/s²`, `0.40 %`."""
     size = abs(math.expm1(value)) if unit == "log" else abs(value)
-    scale, name = 1.0, unit
-    if unit in ("1", "log"):
-        scale, name = 100.0, "%"
-    elif unit in ("m", "s") and size < 1e-5:
-        scale, name = 1e6, f"µ{unit}"
-    elif unit == "m" or (unit == "s" and size < 1):
-        scale, name = 1e3, f"m{unit}"
-    elif unit == "rad":
-        scale, name = (math.degrees(1.0), "deg") if size >= math.radians(0.1) else (1e3, "mrad")
-    elif unit == "m/s²" and size < 1:
-        scale, name = 1e3, "mm/s²"
+    scales = _SCALES.get(unit, ((0.0, 1.0, unit),))
+    scale, name = next((scale, name) for least, scale, name in scales if size >= least or not least)
     return f"{_plain(size * scale)} {name}"

@@ -56,12 +56,12 @@ def explained(change: Array, residual: Array) -> float:
     return float(np.sum(change * (2 * residual - change)))
 
 
-def regress(columns: Array, residual: Array, groups: Indices, lost: int = 0) -> tuple[list[Coefficient], Array]:
+def regress(columns: Array, residual: Array, groups: Indices, freedom_lost: int = 0) -> tuple[list[Coefficient], Array]:
     """Fit columns (N, p) to a residual (N,) by least squares, with standard errors that hold for a correlated residual.
 
     The errors are the largest of white noise of the known size, white noise of the residual's own size, and the
     cluster-robust sandwich (Liang and Zeger 1986, Biometrika 73) over stretches of time `groups` (N,). Columns and
-    residual are in units of the noise; `lost` degrees of freedom were taken out of them beforehand. Returns the
+    residual are in units of the noise; `freedom_lost` degrees of it were taken out of them beforehand. Returns the
     coefficients (p), unknown where other columns make up the same, and the remaining residual (N,).
     """
     from statsmodels.regression.linear_model import OLS
@@ -80,7 +80,7 @@ def regress(columns: Array, residual: Array, groups: Indices, lost: int = 0) -> 
         return [Coefficient()] * columns.shape[1], residual
     fit = OLS(residual, scaled @ kept).fit(cov_type="cluster", cov_kwds={"groups": groups}, use_t=True)
     remaining, values = np.asarray(fit.resid), kept @ fit.params
-    noise = max(float(remaining @ remaining) / max(remaining.size - columns.shape[1] - lost, 1), 1.0)
+    noise = max(float(remaining @ remaining) / max(remaining.size - columns.shape[1] - freedom_lost, 1), 1.0)
     white, cluster = np.sqrt(noise * variances), np.sqrt(np.maximum(np.diag(kept @ fit.cov_params() @ kept.T), 0.0))
     coefficients = [Coefficient()] * columns.shape[1]
     for k in np.flatnonzero(determined):

@@ -23,7 +23,7 @@ from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
 _TERMS = 4  # of a mode: gain, phase, decay, speed
-_BESIDE = "slow_gain", "slow_delay", "camera_lag", "camera_clock"  # parameters that follow those of the modes
+_OTHER_TERMS = "slow_gain", "slow_delay", "camera_lag", "camera_clock"  # parameters that follow those of the modes
 _MOST_ROWS = 1500  # instants to which the simulated, noise-free motion is fitted
 _LEAST_SIGNAL = 30.0  # root of the sum of squares over the noise: an amplitude known to 5 %
 _BLUR = 0.04  # relative error of a mode's parameters: oscillators describe no large motion exactly
@@ -78,7 +78,7 @@ class FreeMotion(NamedTuple):
 
 
 class ModeComparison(NamedTuple):
-    """All modes of one recording, and the slow motion beside them."""
+    """All modes of one recording, and the slow motion outside them."""
 
     modes: tuple[ModeDifference, ...] = ()  # those that move
     slow_gain: Coefficient = Coefficient()  # of the motion outside the modes
@@ -116,9 +116,9 @@ class ModeComparison(NamedTuple):
             shapes = fit.shapes(mode, fit.own(x)[k], remaining[0])
             modes.append(ModeDifference(mode.order, mode.pole, shapes, *terms))
         others = range(fit.own(x).size, x.size)
-        beside = dict(zip(_BESIDE, (estimates[j]._replace(explained=gained(j)) for j in others), strict=False))
+        slow = dict(zip(_OTHER_TERMS, (estimates[j]._replace(explained=gained(j)) for j in others), strict=False))
         free = [fit.free_motion(k, fit.own(x), recording) for k in range(len(fit.modes))]
-        return cls(tuple(modes), **beside, free=tuple(f for f in free if f is not None), remaining=remaining)
+        return cls(tuple(modes), **slow, free=tuple(f for f in free if f is not None), remaining=remaining)
 
 
 def _blurred(coefficient: Coefficient) -> Coefficient:
