@@ -70,27 +70,27 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    def add(name: str, text: str, more: str) -> argparse.ArgumentParser:
+    def add(name: str, text: str, more: str, experiment: bool = True) -> argparse.ArgumentParser:
         command = commands.add_parser(
             name, help=text, description=f"{text[0].upper()}{text[1:]}. {more}", epilog=_STATUS
         )
         command.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
         command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
         command.add_argument("--no-progress", action="store_true", help="no progress bar on the terminal")
+        if experiment:
+            command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
         return command
 
     more = f"Identifies a steel beam from simulated markers, then diagnoses it. {_FILES} DIR/diagnosis gets the same."
-    _add_out(add("demo", "a worked example on the data that comes with the package", more))
+    _add_out(add("demo", "a worked example on the data that comes with the package", more, experiment=False))
 
     more = "Also says what the recordings can identify, and what they cannot tell apart."
     check = add("check", "read an experiment and say what is wrong with it", more)
-    _add_experiment(check)
     _add_out(check, "folder for result.json; without it nothing is written", None)
 
     _add_identification(add("identify", "identify the virtual-joint model of an arm", _FILES))
 
     simulate = add("simulate", "replay every recording with an identified model, and compare", _FILES)
-    _add_experiment(simulate)
     text = "the model.json of an identification or a diagnosis"
     simulate.add_argument("model", metavar="MODEL", type=Path, help=text)
     _add_out(simulate)
@@ -99,7 +99,7 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     _add_diagnosis(add("diagnose", "find what a model of the arm lacks, why, and what adding it gains", more))
 
     more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
-    urdf = add("urdf", "write the virtual-joint chain as URDF", more)
+    urdf = add("urdf", "write the virtual-joint chain as URDF", more, experiment=False)
     urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
     text = "the URDF file (default: standard output; with --json, inside the result object)"
     _add_out(urdf, text, None, "FILE")
@@ -116,10 +116,6 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _add_experiment(command: argparse.ArgumentParser) -> None:
-    command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
-
-
 def _add_out(
     command: argparse.ArgumentParser,
     text: str = f"folder for the results (default: {_DIRECTORY}); made if need be",
@@ -130,7 +126,6 @@ def _add_out(
 
 
 def _add_identification(command: argparse.ArgumentParser) -> None:
-    _add_experiment(command)
     _add_out(command)
     text = (
         "trajectory: whole simulated trajectories against everything measured; torque: torque errors alone, as in the "
@@ -147,7 +142,6 @@ def _add_identification(command: argparse.ArgumentParser) -> None:
 
 
 def _add_diagnosis(command: argparse.ArgumentParser) -> None:
-    _add_experiment(command)
     _add_out(command)
     text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
     command.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)

@@ -119,7 +119,11 @@ class Model(Record):
         return PinocchioModel(dynamics.build(chain).model, chain.stiffness, chain.damping)
 
     def to_urdf(self, path: Path | str) -> Path:
-        """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path."""
+        """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path.
+
+        Raises:
+            FolderError: the file cannot be written.
+        """
         file = Path(path)
         write_text(file, self.arm.urdf())
         return file
