@@ -14,7 +14,7 @@ from vjm.diagnosis.encoder_feedback import nominal_with_feedback
 from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryStep, _attempt
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, _attempt, _TrajectoryStep
 from vjm.simulation.arm import Arm
 from vjm.simulation.run import Run
 
@@ -71,7 +71,7 @@ def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch
         assert run.state == pytest.approx(off)
 
 
-def missing_step(effect: Effect) -> tuple[Point, TrajectoryStep, Array]:
+def missing_step(effect: Effect) -> tuple[Point, _TrajectoryStep, Array]:
     """A right model, a step of its initial states alone that promises much, and that change of a state."""
     arm = Arm.of(chain_of(), [effect])
     point = point_of(chain_of(), [effect], recorded(arm, 1))
@@ -79,4 +79,4 @@ def missing_step(effect: Effect) -> tuple[Point, TrajectoryStep, Array]:
     point = replace(point, problem=problem, x=np.concatenate([point.x, effect.coordinates]))
     off = np.zeros(2 * arm.chain.size)
     off[arm.chain.size] = 0.1
-    return point, TrajectoryStep(20.0, 1.0, np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0]), off
+    return point, _TrajectoryStep(20.0, 1.0, np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0]), off

@@ -17,7 +17,6 @@ from vjm.identification.records import METHODS, Identification, Method, Whitenes
 from vjm.identification.torque_method import fit_torque
 from vjm.identification.training_data import (
     DerivativeMethod,
-    JointChoice,
     TrainingData,
     read_training_data,
 )
@@ -85,54 +84,39 @@ def identify(
     if virtual_joints is not None and not 1 <= virtual_joints <= 60:
         raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
     data = read_training_data(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
-    if method == "trajectory":
-        solution = _by_trajectory(data, loss, progress)
-    else:
-        fit = fit_torque(data, method == "torque+frequency", progress)
-        parametrisation, information = fit.problem.parametrisation, torque_information(fit)
-        solution = _Solution(parametrisation, fit.x, information, data.joints, fit.converged, data.problems)
+    if method != "trajectory":
+        torque = fit_torque(data, method == "torque+frequency", progress)
+        parametrisation, information = torque.problem.parametrisation, torque_information(torque)
+        solution = _Solution(parametrisation, torque.x, information, torque.converged)
+        return _result(experiment, method, data, solution, progress)
+    search, first = first_fit(data, loss, progress)
+    fit, notes = search.enough_joints(first)
+    information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
+    torque_chain = None if search.torque is None else search.torque.chain
+    parametrisation, x = fit.point.problem.parametrisation, fit.point.x
+    solution = _Solution(parametrisation, x, information, fit.converged, notes, fit, whiteness, torque_chain)
+    data = replace(data, joints=search.joint_choices(fit), problems=search.problems)
     return _result(experiment, method, data, solution, progress)
 
 
 @dataclass(frozen=True)
 class _Solution:
-    """Estimate of either method, and the decisions on the way."""
+    """Estimate of either method, and what else is known after it."""
 
     parametrisation: Parametrisation
     x: Array
     information: Information
-    joints: tuple[JointChoice, ...]
     converged: bool
-    problems: tuple[str, ...]
     notes: tuple[str, ...] = ()
     trajectory: TrajectoryFit | None = None
     whiteness: tuple[Whiteness, ...] = ()
     torque_chain: Chain | None = None
 
 
-def _by_trajectory(data: TrainingData, loss: str, progress: Progress | None) -> _Solution:
-    search, fit = first_fit(data, loss, progress)
-    fit, notes = search.enough_joints(fit)
-    information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
-    return _Solution(
-        fit.point.problem.parametrisation,
-        fit.point.x,
-        information,
-        search.joint_choices(fit),
-        fit.converged,
-        search.problems,
-        notes,
-        fit,
-        whiteness,
-        None if search.torque is None else search.torque.chain,
-    )
-
-
 def _result(
     experiment: Experiment, method: str, data: TrainingData, solution: _Solution, progress: Progress | None
 ) -> Identification:
     rig, parametrisation, information = data.rig, solution.parametrisation, solution.information
-    data = replace(data, joints=solution.joints)
     chain = parametrisation.chain(solution.x)
     covariance = parametrisation.physical_covariance(solution.x, information.covariance)
     parameters = estimates(parametrisation, solution.x, information, covariance)
@@ -176,7 +160,7 @@ def _result(
         warnings=(
             *experiment.warnings,
             *data_warnings(data),
-            *solution.problems,
+            *data.problems,
             *fit_warnings(recordings, parameters, solution.whiteness, modes if method == "torque" else ()),
         ),
         notes=identification_notes(data, solution.notes),

@@ -129,23 +129,17 @@ class TrajectoryProblem(Record):
         return tuple(zip(*by_coordinate, strict=True))
 
     def prior(self, x: Array) -> tuple[Array, Array]:
-        """Return rows (r, p) and residuals (r,), for a change of x, of the preference and of the parameter held."""
+        """Return rows (r, p) and residuals (r,), for a change of x: of the preference, then of the parameter held."""
         rows, residual = np.zeros((0, x.size)), np.zeros(0)
         if self.preference is not None:
             centre, width = self.preference
             rows, residual = np.diag(self.residual_scale / width), self.residual_scale * (centre - x) / width
         if self.fixed is None:
             return rows, residual
-        index, _, fixed_width = self.fixed
+        index, value, fixed_width = self.fixed
         slope = self.parametrisation.jacobian(x)[index] / fixed_width
-        return np.vstack([rows, slope]), np.append(residual, self.fixed_residual(x))
-
-    def fixed_residual(self, x: Array) -> float:
-        """Return the distance of the parameter held from its value, in widths; zero where none is held."""
-        if self.fixed is None:
-            return 0.0
-        index, value, width = self.fixed
-        return float((value - self.parametrisation.physical(x)[index]) / width)
+        distance = (value - self.parametrisation.physical(x)[index]) / fixed_width
+        return np.vstack([rows, slope]), np.append(residual, distance)
 
 
 @dataclass(frozen=True, repr=False)
@@ -300,7 +294,7 @@ def _horizons(problem: TrajectoryProblem, x: Array, known_duration: float) -> li
 
 
 @dataclass(frozen=True)
-class TrajectoryStep(Step):
+class _TrajectoryStep(Step):
     """Step of coordinates and initial states.
 
     Attributes:
@@ -316,7 +310,7 @@ class TrajectoryStep(Step):
     gains: list[float]
 
 
-class TrajectorySearch(Search[Point, TrajectoryStep]):
+class TrajectorySearch(Search[Point, _TrajectoryStep]):
     """Levenberg-Marquardt search over coordinates, with each recording's initial state eliminated.
 
     Attributes:
@@ -337,7 +331,7 @@ class TrajectorySearch(Search[Point, TrajectoryStep]):
         self.final, self.stop, self.report = final, stop, report
         self.predicted_decrease = np.inf
 
-    def step_at(self, damping: float) -> TrajectoryStep:
+    def step_at(self, damping: float) -> _TrajectoryStep:
         """Minimise the linearised problem within the coordinates' bounds and largest steps."""
         point = self.point
         together, parts = point.reduced(damping)
@@ -351,7 +345,7 @@ class TrajectorySearch(Search[Point, TrajectoryStep]):
         rows, residual = point.problem.prior(point.x)
         prior_gain = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
         length = float(np.linalg.norm(point.scale * change))
-        return TrajectoryStep(sum(gains) + prior_gain, length, change, states, own, gains)
+        return _TrajectoryStep(sum(gains) + prior_gain, length, change, states, own, gains)
 
     def stopping_rule(self) -> Status:
         """Converge where the predicted decrease is negligible; stop where `stop` says so."""
@@ -388,7 +382,7 @@ def _bounded(problem: SquareRootInformation, point: Point) -> Array:
     return change
 
 
-def _attempt(point: Point, step: TrajectoryStep) -> Point | None:
+def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
     """The point a step further; None where a simulation diverges or the arm finds no rest under its load."""
     problem, x = point.problem, point.x + step.change
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
@@ -407,7 +401,7 @@ def _attempt(point: Point, step: TrajectoryStep) -> Point | None:
     return trial
 
 
-def _backtracked(point: Point, step: TrajectoryStep, trial: Point) -> Point:
+def _backtracked(point: Point, step: _TrajectoryStep, trial: Point) -> Point:
     """The trial with nonsmooth recordings begun nearer to where they did before, if that follows them better.
 
     The coordinates' part of a step is right for them, the part of an initial state of its own often not.

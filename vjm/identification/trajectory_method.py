@@ -27,8 +27,6 @@ from vjm.simulation.system import Trajectory, measured_torque
 # the model itself lacks something, by more than 30 % of the motion: a fit of another cycle misses by about all of it.
 _DIVERGED_MISFIT = 10.0
 _DIVERGED_SHARE = 0.3
-_VISIBLE_GAIN = 0.005  # fall of the RMS residual that a joint more is worth, however significant: 1 % of chi^2
-_DISCRETIZATION_CHI2 = 0.01  # of the integration error: no direction of the parameters moves by more than its root
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class TrajectoryMethod:
         problems: why recordings are not used, a sentence each.
         torque: what the torque method finds; None where there is nothing for it to find.
         progress: told (text, done, total) now and then.
-        rough: whether minima are only a start for other searches.
+        rough: whether minima of uniform links are only a start for other searches.
     """
 
     data: TrainingData
@@ -76,9 +74,7 @@ class TrajectoryMethod:
         chain = problem.parametrisation.chain(fit.point.x)
         step_multiple = _largest_step_multiple(chain, problem.observed, states, fit.point.misfit**2)
         problem = replace(problem, step_multiple=step_multiple)
-        return fit_trajectory(
-            problem, fit.point.x, self.progress, states, rough=self.rough or self.data.parameters != "uniform"
-        )
+        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.rough)
 
     def enough_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
         """Return the fit with the fewest joints that one joint more does not improve, and what that joint would do.
@@ -125,8 +121,7 @@ class TrajectoryMethod:
         # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
         fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
-        rough = self.rough or self.data.parameters != "uniform"
-        return fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, horizon, rough)
+        return fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, horizon, self.rough)
 
     def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
         """The fit of the parameters asked for, which start from uniform links and prefer them where data are silent."""
@@ -166,6 +161,7 @@ def first_fit(
     recordings, problems = _simulatable(data.recordings)
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_uniform_torque(data, progress) if data.prepared else None
+    rough = rough or data.parameters != "uniform"
     search = TrajectoryMethod(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
     joints = search.candidates()[0]
     fit = search._far(joints)
@@ -246,7 +242,7 @@ def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
     count = fewer.point.count
     gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
     added = more.point.x.size - fewer.point.x.size
-    return bool(gain > max(added * np.log(count), 2 * _VISIBLE_GAIN * count))
+    return bool(gain > max(added * np.log(count), 0.01 * count))  # of chi^2: 0.5 % of the RMS residual
 
 
 def _comparison(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
@@ -271,6 +267,6 @@ def _largest_step_multiple(
     for multiple in (4.0, 2.0):
         runs = simulate_runs(arms, observed, None, states, multiple)
         error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
-        if error < _DISCRETIZATION_CHI2 * max(mean_square, 1.0):
+        if error < 0.1**2 * max(mean_square, 1.0):  # no direction of the parameters moves by more than the root
             return multiple
     return 1.0

@@ -311,7 +311,7 @@ def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -
         fixed = (index, value + offset * std, 1e-3 * abs(std) / inflation)
         problem = replace(best.point.problem, fixed=fixed)
         near = fit_trajectory(problem, near.point.x, states=near.point.states)
-        held = problem.fixed_residual(near.point.x) ** 2
+        held = float(problem.prior(near.point.x)[1][-1]) ** 2
         return float(np.sqrt(max(near.point.cost - held - best.point.cost, 0.0))) / inflation - quantile
 
     inside, outside = 0.0, 1.1 * quantile  # a parabola's end and a little
