@@ -42,15 +42,12 @@ class CurveMap:
     weights: Array
 
     def positions(self, phi: ArrayLike, root_angle: ArrayLike = 0.0, rest_curvature: float = 0.0) -> Array:
-        """Return positions in the link frame.
+        """Return positions (..., k, 2) [m] in the link frame.
 
         Args:
             phi: (..., n) virtual joints' angles [rad].
             root_angle: (...) of the root joint [rad].
             rest_curvature: of the unloaded link [1/m].
-
-        Returns:
-            (..., k, 2) [m].
         """
         psi = np.asarray(phi, dtype=float) @ self.node_heading.T
         psi += rest_curvature * self.nodes + np.asarray(root_angle, dtype=float)[..., None]
@@ -102,14 +99,9 @@ def _curve_map(
 
 
 def link_poses(chain: Chain, q: ArrayLike) -> tuple[Array, Array]:
-    """Return the links' frames Sigma_i in the base frame (eq. 9).
+    """Return the links' frames Sigma_i in the base frame (eq. 9), active angles included.
 
-    Args:
-        chain: the arm.
-        q: (..., nv) joint angles [rad].
-
-    Returns:
-        Origins (..., N, 2) [m] and headings (..., N) [rad] of the link frames, active angles included.
+    They are origins (..., N, 2) [m] and headings (..., N) [rad], at joint angles q (..., nv) [rad].
     """
     angles = np.asarray(q, dtype=float)
     origin, heading = np.zeros((*angles.shape[:-1], 2)), np.zeros(angles.shape[:-1])

@@ -102,13 +102,9 @@ def _end_corrected(n: int, distal: Distal) -> tuple[Array, Array]:
 
 
 def layout_of_lengths(lengths: ArrayLike, distal: Distal = "free") -> Layout:
-    """Return the layout with given virtual links; each joint's cell ends midway to its neighbours.
+    """Return the layout with given virtual links (n + 1,) [m]; each joint's cell ends midway to its neighbours.
 
     Past the last joint before a free end the curvature falls to zero: only half of the last virtual link counts.
-
-    Args:
-        lengths: (n + 1,) [m], positive.
-        distal: whether the distal end is free of moment, or joined to a further link.
     """
     values = np.asarray(lengths, dtype=float)
     cells = (values[:-1] + values[1:]) / 2
@@ -119,13 +115,7 @@ def layout_of_lengths(lengths: ArrayLike, distal: Distal = "free") -> Layout:
 
 
 def uniform_chain(link: Link, cuts: Layout, kelvin_voigt: float = 0.0) -> LinkChain:
-    """Return the chain of a uniform link: uniform rods, K = EI / cell, D = K times the Kelvin-Voigt time.
-
-    Args:
-        link: the rig's link; its mass is spread evenly.
-        cuts: its virtual links and joints.
-        kelvin_voigt: ratio of viscous to elastic bending moment [s].
-    """
+    """Return the chain of a uniform link: uniform rods, K = EI / cell, D = K times the Kelvin-Voigt time [s]."""
     masses, stiffness = link.mass * cuts.lengths / link.length, link.bending_stiffness / cuts.cells
     return LinkChain(
         name=link.name,

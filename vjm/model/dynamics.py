@@ -109,14 +109,11 @@ def _placement(x: float, angle: float = 0.0) -> pin.SE3:
 
 
 def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-    """Return joint torques without springs and dampers, M a + h, for a whole batch (RNEA).
+    """Return joint torques without springs and dampers, M a + h (T, nv) [N m], for a whole batch (RNEA).
 
     Args:
         mechanism: the model.
         q, v, a: (T, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
-
-    Returns:
-        (T, nv) torques [N m].
 
     Raises:
         ShapeError: arrays that are not (T, nv).

@@ -145,15 +145,6 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
     at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
     that this becomes where the linear part is zero.
-
-    Args:
-        system: the copies.
-        q, v: (C, nv) initial angles [rad] and rates [rad/s].
-        z: (C, nz) initial internal states.
-        drive: the torques over the steps.
-
-    Raises:
-        SimulationDivergedError: the trajectory left the finite numbers.
     """
     n, count, step = q.shape[1], len(drive.start), drive.step
     propagator = _LinearPropagator(system, step)
@@ -315,11 +306,7 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
     """Return exp, phi_1, phi_2, phi_3 of step * L for x' = L x: power series of halved matrices, then doubling.
 
     phi_k(z) = (phi_{k-1}(z) - 1 / (k - 1)!) / z with phi_0 = exp (Hochbruck and Ostermann 2010).
-
-    Args:
-        L: (K, m, m) matrices [1/s].
-        step: [s].
-        size: number of angles, the first unknowns; their rates come next, and are balanced with them.
+    L is (K, m, m) [1/s]. The first `size` unknowns are angles, the next their rates, which are balanced with them.
     """
     stiffness = float(np.abs(L[:, size : 2 * size, :size]).sum(axis=-1).max(initial=0.0))
     units = np.ones(L.shape[-1])

@@ -172,12 +172,7 @@ class Run:
         return rows, weight @ (self.prior.rest - self.state)
 
     def scores(self, perturbed: Sequence[PerturbedArm], linearized: SquareRootInformation) -> Array:
-        """Return (T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated.
-
-        Args:
-            perturbed: one a parameter.
-            linearized: this run's.
-        """
+        """Return (T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated."""
         states = linearized.columns - len(perturbed)
         by_parameters = linearized.elimination_slopes(states)
         instants = self.observed.instants

@@ -21,6 +21,18 @@ from vjm.simulation.system import Trajectory, torque_at
 _LARGEST_PHASE = 3.2  # rad an interval, inside which derivatives are interpolated: to three hundredths at this limit
 _MOST_MODES = 16
 _STEP = 1e-6  # rad, rad/s or units of internal states: largest perturbation of a joint
+# Fields of links on which rigid-body terms depend, and those on which the curves do.
+_OF_BODIES = (
+    "lengths",
+    "masses",
+    "mass_centers",
+    "inertias",
+    "hub_inertia",
+    "root_inertia",
+    "payload",
+    "rest_curvature",
+)
+_OF_CURVES = ("lengths", "cells", "rest_curvature")
 _NUMBERS_A_CHUNK = 400_000  # of coefficients held at once, bounds the memory
 
 
@@ -144,12 +156,12 @@ def _parameter_derivatives(
     other = other_arm.chain
     forces = motion.q * (other.stiffness - chain.stiffness) + motion.v * (other.damping - chain.damping)
     rates = np.zeros(motion.z.shape)
-    if other_arm.effects == equations.arm.effects and _same_bodies(chain, other):
+    if other_arm.effects == equations.arm.effects and _equal(chain, other, _OF_BODIES):
         if equations.has_further_forces and not np.array_equal(other.stiffness, chain.stiffness):
             forces = forces + _EquationsOfMotion(other_arm, recording).further_torque(motion) - further
         return forces / step, rates
     changed, nz = _EquationsOfMotion(other_arm, recording), motion.z.shape[1]
-    if changed.driven.gravity != equations.driven.gravity or not _same_bodies(chain, other):
+    if changed.driven.gravity != equations.driven.gravity or not _equal(chain, other, _OF_BODIES):
         forces = forces + changed.inertial_torque(motion) - inertial
     # Internal states that only the perturbed arm has follow the motion as it is.
     if sum(other_arm.states) > nz:
@@ -166,15 +178,9 @@ def _parameter_derivatives(
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def follow_internal_states(arm: Arm, time: Array, q: Array, v: Array) -> Array:
-    """Return the internal states of an arm's effects along a given motion; rates are integrated by Heun's method.
+    """Return the internal states (I, nz) of an arm's effects along a given motion, integrated by Heun's method.
 
-    Args:
-        arm: the arm.
-        time: (I,) since the recording's start [s].
-        q, v: (I, nv) angles [rad] and rates [rad/s].
-
-    Returns:
-        (I, nz) internal states.
+    The motion is angles q and rates v (I, nv) [rad, rad/s] at times since the recording's start (I,) [s].
     """
     z = np.empty((len(q), sum(arm.states)))
     z[:] = arm.initial_states(q[0])
@@ -185,15 +191,10 @@ def follow_internal_states(arm: Arm, time: Array, q: Array, v: Array) -> Array:
     return z
 
 
-def _same_bodies(chain: Chain, other: Chain) -> bool:
-    """True if two chains differ in springs and dampers at most."""
-    arrays = ("lengths", "masses", "mass_centers", "inertias")
-    numbers = ("hub_inertia", "root_inertia", "payload", "rest_curvature")
-    return all(
-        all(getattr(one, field) == getattr(two, field) for field in numbers)
-        and all(np.array_equal(getattr(one, field), getattr(two, field)) for field in arrays)
-        for one, two in zip(chain.links, other.links, strict=True)
-    )
+def _equal(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
+    """True if the links of two chains are equal in some fields."""
+    links = list(zip(chain.links, other.links, strict=True))
+    return all(np.array_equal(getattr(one, field), getattr(two, field)) for one, two in links for field in fields)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -313,7 +314,8 @@ class Linearization:
             slopes = (by_marker @ np.swapaxes(modes, 0, 1)).reshape(*by_modes.shape[:2], modes.shape[-1])
         base: Array | None = None
         for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[2] - len(self.perturbed)):
-            if not _same_view(self.arm, other):
+            # Markers are measured at the same places unless sensors or curves differ.
+            if self.arm.sensors != other.sensors or not _equal(self.arm.chain, other.chain, _OF_CURVES):
                 base = arcs.measured_positions(self.arm, q) if base is None else base
                 changed = arcs.frames(other, self.trajectory, stamps)
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
@@ -345,13 +347,3 @@ def _joined(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory
     kept &= before.time >= after.time[0] - overlap - 2 * after.step
     parts = zip((before.time, *before.motion), (after.time, *after.motion), strict=True)
     return Trajectory(*(np.concatenate([one[kept], two]) for one, two in parts))
-
-
-def _same_view(arm: Arm, other: Arm) -> bool:
-    """True if two arms' markers are measured at the same places where their joints have the same angles."""
-    return arm.sensors == other.sensors and all(
-        np.array_equal(one.lengths, two.lengths)
-        and np.array_equal(one.cells, two.cells)
-        and one.rest_curvature == two.rest_curvature
-        for one, two in zip(arm.chain.links, other.chain.links, strict=True)
-    )

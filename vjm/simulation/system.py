@@ -233,13 +233,9 @@ class Trajectory:
         return cls(np.array([time[0], time[-1]]), constant, 0 * constant, 0 * constant, np.zeros((2, 0)))
 
     def sample(self, time: Array) -> tuple[Array, Array]:
-        """Return angles and rates between the first and last step, by quintic Hermite interpolation.
+        """Return angles and rates (..., nv) [rad, rad/s] at instants (...) [s], by quintic Hermite interpolation.
 
-        Args:
-            time: (...) [s].
-
-        Returns:
-            q, v (..., nv) [rad, rad/s]; those of copies (..., C, nv).
+        Those of C copies are (..., C, nv).
         """
         h = self.step
         k = np.clip(((time - self.time[0]) / h).astype(int), 0, len(self.time) - 2)
