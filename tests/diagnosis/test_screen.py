@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
+from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
 from vjm.effects import (
@@ -37,7 +38,7 @@ from vjm.effects import (
 )
 from vjm.identification.trajectory_fit import Point
 from vjm.simulation.arm import Arm
-from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
+from vjm.simulation.run import InitialStatePrior, simulate_runs
 
 EFFECTS: tuple[Effect, ...] = (
     TipPayload(),

@@ -22,13 +22,14 @@ from tests.simulation.setups import (
     steel_link,
     two_link_arm,
 )
+from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import phi_functions, simulate_trajectories
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs, transfer_state
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.sensitivity import PerturbedArm
 
 Array = NDArray[np.float64]

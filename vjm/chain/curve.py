@@ -61,7 +61,7 @@ class CurveMap:
         return np.stack([by_x, by_y], axis=-2)
 
 
-def curvature_spline(cuts: Layout | LinkChain) -> BSpline:
+def _curvature_spline(cuts: Layout | LinkChain) -> BSpline:
     """Return the curvature along a link as a spline linear in phi: evaluates to (..., n) [1/m per rad]."""
     knots, values = np.cumsum(cuts.lengths), np.diag(1 / cuts.cells)
     if cuts.distal == "joined":
@@ -88,7 +88,7 @@ def _curve_map(
     half = np.diff(edges) / 2
     nodes = (edges[:-1, None] + half[:, None] * (1 + abscissae)).ravel()
     weights = (half[:, None] * gauss).ravel()
-    heading = curvature_spline(cuts).antiderivative()
+    heading = _curvature_spline(cuts).antiderivative()
     return CurveMap(
         arcs=ends,
         heading=heading(ends) - heading(0.0),
@@ -158,3 +158,24 @@ def marker_poses(
         positions.append(position)
         headings.append(heading)
     return np.concatenate(positions, axis=-2), np.concatenate(headings, axis=-1)
+
+
+def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:
+    """Return an initial state (2 nv,) with the same curvatures in the joints of another chain of the same arm.
+
+    A root joint that the given chain lacks is turned by the moment that the link's curvature there exerts on it.
+    """
+    links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
+    turn = np.zeros((wanted.size, given.size))
+    turn[wanted.active, given.active] = 1.0
+    for one, two, here, there in links:
+        curvature = _curvature_spline(one)
+        turn[there, here] = two.cells[:, None] * curvature(two.joint_arcs)
+        if two.root_stiffness is None:
+            continue
+        if one.root_stiffness is not None:
+            turn[there.start - 1, here.start - 1] = 1.0
+        else:
+            turn[there.start - 1, here] = one.bending_stiffness / max(two.root_stiffness, 1e-300) * curvature(0.0)
+    q, v = np.split(state, 2)
+    return np.concatenate([turn @ q, turn @ v])

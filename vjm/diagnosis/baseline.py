@@ -16,6 +16,7 @@ from typing import Self
 
 import numpy as np
 
+from vjm.chain.curve import transfer_state
 from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
 from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, Extension, refit
 from vjm.diagnosis.noise import Noise
@@ -31,7 +32,7 @@ from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import Run, simulate_runs, transfer_state
+from vjm.simulation.run import Run, simulate_runs
 from vjm.simulation.system import measured_torque
 
 _LEAST_JOINTS = 8  # of a link: the third mode's frequency is then right to about one per cent (error of order 1/n^2)

@@ -13,6 +13,7 @@ from typing import Self
 
 import numpy as np
 
+from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -22,7 +23,7 @@ from vjm.identification.uncertainty import Information, estimates, trajectory_in
 from vjm.records import REFERENCE, Array, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run, transfer_state
+from vjm.simulation.run import Run
 
 Names = frozenset[Key]
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
+from vjm.chain.curve import transfer_state
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import CandidateFit, refit
@@ -27,7 +28,6 @@ from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
-from vjm.simulation.run import transfer_state
 from vjm.simulation.sensitivity import follow_internal_states
 
 _Law = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected

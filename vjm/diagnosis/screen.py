@@ -22,6 +22,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from scipy import stats
 
+from vjm.chain.curve import transfer_state
 from vjm.diagnosis.candidate_fit import adds_joint
 from vjm.diagnosis.records import Candidate
 from vjm.effects.effect import Effect, Key
@@ -30,7 +31,7 @@ from vjm.identification.trajectory_fit import Point
 from vjm.records import REFERENCE, Array, Mask, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs, transfer_state
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.sensitivity import PerturbedArm
 
 _ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes

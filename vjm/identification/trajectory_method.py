@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vjm.chain.curve import transfer_state
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -20,7 +21,7 @@ from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import Loss
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, simulate_runs, transfer_state
+from vjm.simulation.run import InitialStatePrior, simulate_runs
 from vjm.simulation.system import Trajectory, measured_torque
 
 # A start is followed by others while its fit of the first periods misses by more than ten times the noise, or, where

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from vjm.chain.curve import curvature_spline
 from vjm.chain.virtual_links import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.model.modes import linearise
@@ -193,27 +192,6 @@ def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
     frames = [recording.time[recording.frames] for recording in recordings]
     nyquist = 0.5 / min((float(np.median(np.diff(time))) for time in frames if time.size > 1), default=np.inf)
     return 0.25 / max(min(fastest, nyquist), 1e-300)  # a quarter of a period: two steps at a time
-
-
-def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:
-    """Return an initial state (2 nv,) with the same curvatures in the joints of another chain of the same arm.
-
-    A root joint that the given chain lacks is turned by the moment that the link's curvature there exerts on it.
-    """
-    links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
-    turn = np.zeros((wanted.size, given.size))
-    turn[wanted.active, given.active] = 1.0
-    for one, two, here, there in links:
-        curvature = curvature_spline(one)
-        turn[there, here] = two.cells[:, None] * curvature(two.joint_arcs)
-        if two.root_stiffness is None:
-            continue
-        if one.root_stiffness is not None:
-            turn[there.start - 1, here.start - 1] = 1.0
-        else:
-            turn[there.start - 1, here] = one.bending_stiffness / max(two.root_stiffness, 1e-300) * curvature(0.0)
-    q, v = np.split(state, 2)
-    return np.concatenate([turn @ q, turn @ v])
 
 
 def simulate_runs(
