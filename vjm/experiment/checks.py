@@ -251,19 +251,15 @@ def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> Ite
 
 
 def _moves(values: Array, noise: float | None) -> bool:
-    """Return True if a signal (N,) [m or rad] spreads over more than its noise explains.
-
-    The spread is the range of a sinusoid of the same variance, 2.8 standard deviations; unlike the plain range it
-    does not grow with the number of samples. Where the noise is not known, first differences of a well sampled signal
-    tell it; fast motion inflates them.
-    """
+    """Return True if a signal (N,) [m or rad] spreads over more than its noise explains."""
     measured = values[np.isfinite(values)]
     if measured.size < 2:
         return False
-    if noise is None:
+    if noise is None:  # told by first differences of a well sampled signal; fast motion inflates them
         differences = np.diff(measured)
         deviation = np.median(np.abs(differences - np.median(differences)))
         noise = min(1.4826 * deviation / np.sqrt(2.0), _DEFAULT_NOISE)  # 1.4826: standard over median deviation
+    # The range of a sinusoid of the same variance; the plain range would grow with the number of samples.
     spread = 2.0 * np.sqrt(2.0) * (measured - measured[0]).std()  # from the first: a constant has exactly none
     return bool(spread > 4.0 * noise)  # pure noise spreads over 2.8 sigma
 

@@ -246,17 +246,14 @@ class Recording:
             object.__setattr__(self, key, value)
 
     @classmethod
-    def from_dataframe(
-        cls, frame: pd.DataFrame, rig: Rig | Link, *, kind: Kind, role: Role = "train", **fields: Any
-    ) -> Recording:
+    def from_dataframe(cls, frame: pd.DataFrame, rig: Rig | Link, *, kind: Kind, **fields: Any) -> Recording:
         """Return a recording from a table with the columns of a recording's CSV file.
 
         Args:
             frame: columns `t`, `LINK.theta`, `LINK.tau`, `LINK.mK.x` and `LINK.mK.y`; NaN where not measured.
             rig: the arm, which says what columns there can be; a bare link is fine too.
             kind: `driven`, `decay`, `static` or `quiet`.
-            role: `train` or `holdout`.
-            fields: further fields of the recording: file, gravity, payload, repeat, condition.
+            fields: further fields of the recording: role, file, gravity, payload, repeat, condition.
 
         Raises:
             ExperimentError: a field has the wrong type or value.
@@ -282,7 +279,6 @@ class Recording:
             gathered(f"{link}.theta" for link in active),
             gathered(f"{link}.tau" for link in active),
             kind=kind,
-            role=role,
             **{"gravity": rig.gravity, **fields},
         )
         _check_recording(rig, recording)
@@ -300,13 +296,6 @@ class Recording:
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if self.time.size else ""
         arrays = ", ".join(f"{key} {getattr(self, key).shape}" for key in _ARRAYS[1:])
         return f"Recording({self.file!r}, {self.kind}, {self.role}: {self.time.size} samples{span}, {arrays})"
-
-    def completed(self, rig: Rig, number: int) -> Recording:
-        """Return the recording with the gravity of its rig and a name by its number, where it has none of its own."""
-        gravity = rig.gravity if isinstance(self.gravity, _RigsGravity) else self.gravity
-        file = self.file or f"recording_{number}"
-        same = gravity is self.gravity and file == self.file
-        return self if same else replace(self, gravity=gravity, file=file)
 
     @property
     def initial_theta(self) -> Array:
@@ -344,7 +333,9 @@ class Experiment:
         rig.require_markers()
         recordings = []
         for number, recording in enumerate(_several(self.recordings, Recording, "experiment", "recordings"), start=1):
-            recording = recording.completed(rig, number)
+            gravity = rig.gravity if isinstance(recording.gravity, _RigsGravity) else recording.gravity
+            if gravity is not recording.gravity or not recording.file:
+                recording = replace(recording, gravity=gravity, file=recording.file or f"recording_{number}")
             _check_recording(rig, recording)
             recordings.append(recording)
         object.__setattr__(self, "rig", rig)

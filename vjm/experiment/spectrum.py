@@ -132,11 +132,7 @@ class MeasuredModes:
 
 
 def measure_modes(
-    time: ArrayLike,
-    signals: ArrayLike,
-    noise: float,
-    most: int,
-    torque: tuple[ArrayLike, ArrayLike] | None = None,
+    time: ArrayLike, signals: ArrayLike, noise: float, most: int, torque: tuple[ArrayLike, ArrayLike] | None = None
 ) -> MeasuredModes:
     """Fit up to `most` modes to the deflections of one recording.
 
