@@ -55,7 +55,7 @@ def test_titles_say_what_is_wrong() -> None:
     titles = [figure.texts[0].get_text().replace("\n", " ") for figure in figures(wrong)]
     assert "the residual grows" in titles[0]
     assert "0.50 % slower at 1.2 Hz than the model" in titles[1]
-    assert titles[2] == "Frequency and damping against amplitude, while nothing drives the arm"
+    assert titles[2] == "Frequency and damping while nothing drives the arm, one curve a condition"
     assert "The camera shows the motion 3.0 ms later" in titles[4]
     assert "at 13.0 Hz, which the model does not" in titles[5]
 

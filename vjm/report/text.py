@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from vjm.effects.effect import Effect
-from vjm.records import Estimate
+from vjm.records import Estimate, Recording
 from vjm.simulation.model import Model
 
 UNKNOWN = "–"
@@ -114,6 +114,11 @@ def short(text: str, most: int = 36) -> str:
         return clean
     tail = most // 3
     return f"{clean[: most - tail - 1]}…{clean[-tail:]}"
+
+
+def recording_label(recording: Recording, most: int = 36) -> str:
+    """Return a recording's file name, shortened to so many characters, with its role."""
+    return f"{short(recording.file, most)} ({'held out' if recording.role == 'holdout' else 'train'})"
 
 
 def listed(names: Sequence[str]) -> str:

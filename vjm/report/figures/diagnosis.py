@@ -18,19 +18,18 @@ from vjm.diagnosis.symptoms.joints import missing_torque
 from vjm.effects.effect import Effect
 from vjm.records import REFERENCE, Array, RecordingComparison, SimulatedRecording
 from vjm.report.figures.panels import (
-    LOOKS,
+    MARKS,
     Color,
     Page,
     Picture,
     Spectrum,
     binned_means,
-    recording_label,
     rms_figure,
     spectrum_panel,
 )
 from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, moving_recordings
 from vjm.report.figures.symptoms import symptom_pictures
-from vjm.report.text import capital, clause, millimetres, named, place, short
+from vjm.report.text import capital, clause, millimetres, named, place, recording_label, short
 from vjm.simulation.model import Model
 
 _MOST_CAUSES = 4
@@ -41,12 +40,12 @@ NAMES = (
     "gain",
     *(f"held_out_{k + 1}" for k in range(_MOST_HELD_OUT)),
 )
-_LABELS: dict[str, str] = {
+_LABELS = {
     "reference": "without the causes",
     "alternative": "next best explanation",
     "simulated": "with the causes",
 }
-Points = tuple[Array, Array]  # abscissa and residual (P,)
+_Points = tuple[Array, Array]  # abscissa and residual (P,)
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> list[Picture]:
@@ -78,13 +77,11 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     shown.sort(key=lambda each: each.recording.role != "holdout")  # these are what counts
     if shown:
         gain, title = diagnosis.gain, "Residual of the model without any effect"
-        labels: dict[str, str] = _LABELS if diagnosis.causes else {"reference": "model"}
+        labels = _LABELS if diagnosis.causes else {"reference": "model"}
         if gain is not None and diagnosis.causes:
             best = "" if gain.next_best is None else f", {millimetres(gain.next_best)} with the next best explanation"
-            title = (
-                f"Held-out recordings: {millimetres(gain.before)} without the causes, {millimetres(gain.after)} with"
-            )
-            title = f"{title} them{best}; noise {millimetres(gain.noise)}"
+            sizes = f"{millimetres(gain.before)} without the causes, {millimetres(gain.after)} with them"
+            title = f"Held-out recordings: {sizes}{best}; noise {millimetres(gain.noise)}"
         caption = "Open-loop simulation of each whole recording; a complete model lies on the noise mark."
         yield Picture("gain", caption, partial(rms_figure, title, shown[:40], labels, in_noise=False))
     for k, (comparison, signal) in enumerate(_held_out(diagnosis) if diagnosis.causes else ()):
@@ -111,16 +108,14 @@ def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure
     title = f"{recording_label(comparison.recording)}, {signal.name}: residual {sizes}"
     window = liveliest_window(signal.time, np.nan_to_num(signal.residual(before)))
     heading = "" if signal.is_whole(window) else "Where the model without the causes is off most"
-    motion = {role: label for role, label in _LABELS.items() if role != "alternative"}
-    return motion_figure(title, signal, comparison, motion, _LABELS, [(window, heading)])
+    return motion_figure(title, signal, comparison, _LABELS, [(window, heading)])
 
 
 @dataclass(frozen=True)
 class _Evidence:
     """Residuals without and with a cause against the quantity on which the cause depends."""
 
-    before: Points
-    after: Points
+    points: tuple[_Points, ...]  # without and with the cause
     labels: tuple[str, str]  # of abscissa and residual, with their units
     noise: float  # 1-sigma of a residual; zero where it is not known
     rms: bool = False  # the residual's size matters, not its mean
@@ -134,10 +129,9 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
     left, right = page.axes[0]
     before, after = comparisons[0].reference, comparisons[0].simulated
     if before is not None and after is not None:
-        spectra = [Spectrum.of(each) for each in (before, after)] if cause.effect.abscissa == "frequency" else [None]
-        known = [spectrum for spectrum in spectra if spectrum is not None]
-        if len(known) == 2:
-            spectrum_panel(left, [(known[0], "", Color.NOMINAL), (known[1], "", Color.IDENTIFIED)])
+        spectra = Spectrum.of(before), Spectrum.of(after)
+        if cause.effect.abscissa == "frequency" and spectra[0] and spectra[1]:
+            spectrum_panel(left, [(spectra[0], "", Color.NOMINAL), (spectra[1], "", Color.IDENTIFIED)])
             left.set_title("Spectrum of the residual; dashed: limit of noise")
         else:
             torque = _torque_evidence(cause.effect, model, comparisons)
@@ -145,8 +139,8 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
         _draw_added(right, before, after)
     return page.finish(
         [
-            Line2D([], [], label="without the cause", **LOOKS["reference"][1]),
-            Line2D([], [], label="with it", **LOOKS["simulated"][1]),
+            Line2D([], [], label="without the cause", **MARKS["reference"]),
+            Line2D([], [], label="with it", **MARKS["simulated"]),
             Patch(color=Color.BAND, label="noise"),
             Line2D([], [], color=Color.MEASURED, linestyle="--", label="residual equals what the cause adds"),
         ]
@@ -178,9 +172,9 @@ def _marker_evidence(effect: Effect, before: SimulatedRecording, after: Simulate
         x, label = (time - time[0])[:, None, None], "time since the start [s]"
     x = np.broadcast_to(x, residuals[0].shape)
     known = np.isfinite(x) & np.isfinite(residuals[0]) & np.isfinite(residuals[1])
-    points = [(x[known], 1e3 * each[known]) for each in residuals]
+    points = tuple((x[known], 1e3 * each[known]) for each in residuals)
     labels = label, "residual, RMS [mm]" if rms else "residual [mm]"
-    return _Evidence(points[0], points[1], labels, 1e3 * before.noise[0], rms)
+    return _Evidence(points, labels, 1e3 * before.noise[0], rms)
 
 
 def _torque_evidence(effect: Effect, model: Model, comparisons: Sequence[RecordingComparison]) -> _Evidence | None:
@@ -195,7 +189,7 @@ def _torque_evidence(effect: Effect, model: Model, comparisons: Sequence[Recordi
             return None
         points.append((np.degrees(profile.position if by_angle else profile.velocity), 1e3 * profile.fit.own))
     labels = "joint angle [°]" if by_angle else "joint velocity [°/s]", "missing torque [mN m]"
-    return _Evidence(points[0], points[1], labels, 0.0, title="Torque at the joint that the model lacks")
+    return _Evidence(tuple(points), labels, 0.0, title="Torque at the joint that the model lacks")
 
 
 def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
@@ -203,14 +197,14 @@ def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
     band = (0.0, noise) if evidence.rms else (-2 * noise, 2 * noise)
     axes.axhspan(*band, color=Color.BAND, linewidth=0)
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
-    for (x, values), role in ((evidence.before, "reference"), (evidence.after, "simulated")):
-        look = LOOKS[role][1]
+    for (x, values), role in zip(evidence.points, ("reference", "simulated"), strict=True):
         if not evidence.rms:
             some = _some(x.size)
-            axes.plot(x[some], values[some], ".", color=look["color"], alpha=0.3, markersize=2, zorder=1)
-        centres, means, _ = binned_means(x, values**2 if evidence.rms else values)
+            axes.plot(x[some], values[some], ".", color=MARKS[role]["color"], alpha=0.3, markersize=2, zorder=1)
+        most = 24 if x.size > 1000 else 10
+        centres, means, _ = binned_means(x, values**2 if evidence.rms else values, most)
         means = np.sqrt(means) if evidence.rms else means
-        axes.plot(centres, means, linestyle="-", linewidth=1.1, **look)
+        axes.plot(centres, means, linestyle="-", linewidth=1.1, **MARKS[role])
         largest = max(largest, 1.5 * float(np.max(np.abs(means), initial=0.0)))
     axes.set_ylim(0.0 if evidence.rms else -largest, None if evidence.rms else largest)
     axes.set(xlabel=evidence.labels[0], ylabel=evidence.labels[1], title=evidence.title)

@@ -22,12 +22,11 @@ from vjm.report.figures.panels import (
     Picture,
     Spectrum,
     heat_map,
-    recording_label,
     rms_figure,
     spectrum_panel,
 )
 from vjm.report.figures.signals import Signal, motion_figure, moving_recordings, one_of_each_repeat
-from vjm.report.text import number, short
+from vjm.report.text import number, recording_label, short
 from vjm.simulation.model import Model
 
 _MOST_TIPS = 4
@@ -110,12 +109,11 @@ def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[st
     rms = {role: signal.rms(simulated) for role, simulated in simulations.items()}
     # A second residual is drawn where it is neither hidden by the first one nor hides it.
     least: tuple[tuple[str, float], ...] = (("alternative", 1.05), ("reference", 0.0))
-    second = [role for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4]
+    second = [role for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4][:1]
     sizes = [f"{labels[role]} {signal.rms_text(simulations[role])}" for role in reversed(simulations)]
     title = f"{recording_label(comparison.recording)}, {signal.name}: residual of {', '.join(sizes)} RMS"
-    motion = {role: label for role, label in labels.items() if role != "alternative"}
-    residuals = {role: label for role, label in labels.items() if role in (*second[:1], "simulated")}
-    return motion_figure(title, signal, comparison, motion, residuals, signal.windows())
+    hidden = {"alternative", "reference"} - {*second}
+    return motion_figure(title, signal, comparison, labels, signal.windows(), hidden)
 
 
 def _residual_pictures(fit: Identification) -> Iterator[Picture]:

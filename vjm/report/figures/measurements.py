@@ -12,12 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 
-from vjm.chain.curve import link_poses, rotate
 from vjm.chain.virtual_links import Chain
 from vjm.identification.records import Identification
 from vjm.identification.training_data import PreparedRecording
 from vjm.records import Array, Indices, Recording, Rig
-from vjm.report.figures.panels import LOOKS, NOISE_MARK, Color, Page, Picture, log_scale, marks_panel
+from vjm.report.figures.panels import LINES, MARKS, Color, Page, Picture, log_scale, marks_panel
 from vjm.report.figures.signals import Signal, Window, liveliest_window, moving_axis, one_of_each_repeat
 from vjm.report.text import counted, listed, millimetres, number, short
 
@@ -121,7 +120,8 @@ def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: PreparedRecording, i:
     fit, length = data.angles.shapes[i], chain.links[i].length
     arcs = np.linspace(0.0, fit.length, 80)
     lateral, slopes = fit.evaluate(arcs), fit.evaluate(arcs, 1)
-    frames, markers = _instants(data, lateral[:, -1]), _link_frame_markers(rig, chain, data, i)
+    frames, places = _instants(data, lateral[:, -1]), rig.links[i].markers
+    markers = fit.evaluate(places) + fit.residuals
     curve: Any = {"linestyle": "-", "linewidth": 2.2, "alpha": 0.6, "label": "shape function"}
     joints: Any = {"marker": "s", "markersize": 4, "markerfacecolor": "white", "markevery": slice(1, -1)}
     joints |= {"linestyle": (0, (4, 2)), "linewidth": 0.9, "label": "virtual links and joints"}
@@ -134,7 +134,7 @@ def _draw_shapes(axes: Axes, rig: Rig, chain: Chain, data: PreparedRecording, i:
         headings = np.r_[0.0, np.cumsum(data.angles.q[frame, chain.passive_slices[i]])]
         steps = chain.links[i].lengths[:, None] * np.stack([np.cos(headings), 1e3 * np.sin(headings)], axis=-1)
         axes.plot(*np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]).T, color=color, **joints)
-        axes.plot(*(markers[frame] * [1.0, 1e3]).T, color=color, label="measured markers", **circles)
+        axes.plot(np.interp(places, arcs, x), 1e3 * markers[frame], color=color, label="measured markers", **circles)
         tip, label = (x[-1], 1e3 * lateral[frame, -1]), f"{data.angles.time[frame]:.2f} s"
         axes.annotate(label, tip, xytext=(5, 0), textcoords="offset points", va="center", fontsize=7.5)
     name = short(rig.links[i].name, 24)
@@ -151,16 +151,6 @@ def _instants(data: PreparedRecording, deflection: Array) -> Indices:
     near = complete[(time[complete] >= start) & (time[complete] <= stop)]
     levels = np.linspace(deflection[near].min(), deflection[near].max(), 5)
     return np.unique([near[np.argmin(np.abs(deflection[near] - level))] for level in levels])
-
-
-def _link_frame_markers(rig: Rig, chain: Chain, data: PreparedRecording, i: int) -> Array:
-    """Return (F, k_i, 2) measured markers of link i in its own frame [m]; a missing x is the marker's arc length."""
-    markers, link = data.recording.markers[data.recording.frames][:, rig.marker_slices[i]], rig.links[i]
-    if link.markers_frame == "base":
-        origins, headings = link_poses(chain, data.angles.q)
-        markers = rotate(markers - origins[:, None, i], -headings[:, i, None])
-    along = np.where(np.isfinite(markers[..., 0]), markers[..., 0], np.array(link.markers))
-    return np.stack([along, markers[..., 1]], axis=-1)
 
 
 def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
@@ -225,15 +215,15 @@ def _torque_errors(fit: Identification) -> Figure:
     time = time[data.derivatives.interior]
     shown = (time >= start) & (time <= stop)
     trace.axhline(0.0, color=Color.AXIS, linewidth=0.6)
-    trace.plot(time[shown], 1e3 * identified[worst][shown, joint], label="identified", **LOOKS["simulated"][0])
-    trace.plot(time[shown], 1e3 * nominal[worst][shown, joint], label="nominal", **LOOKS["reference"][0])
+    trace.plot(time[shown], 1e3 * identified[worst][shown, joint], label="identified", **LINES["simulated"])
+    trace.plot(time[shown], 1e3 * nominal[worst][shown, joint], label="nominal", **LINES["reference"])
     heading = f"{chain.joint_names[joint]}, where the nominal model errs most, in {short(data.recording.file)}"
     trace.set(xlabel="time [s]", ylabel="error [mN m]", title=heading)
     if chain.size > 1:
         lower, values = page.axes[1][0], 1e3 * np.stack([noise, before, after])
-        looks = (NOISE_MARK, LOOKS["reference"][1], LOOKS["simulated"][1])
-        labels = ("expected from noise", "nominal, RMS", "identified, RMS")
-        marks_panel(lower, chain.joint_names, [*zip(labels, values, [None] * 3, looks, strict=True)])
+        labels = {"noise": "expected from noise", "reference": "nominal, RMS", "simulated": "identified, RMS"}
+        marks = [(label, rms, None, MARKS[kind]) for (kind, label), rms in zip(labels.items(), values, strict=True)]
+        marks_panel(lower, chain.joint_names, marks)
         known = values[np.isfinite(values) & (values > 0)]
         log_scale(lower.xaxis, known.min() / 1.4, known.max() * 1.4)
         lower.set(xlabel="RMS error, over all training recordings [mN m]", ylabel="joint")

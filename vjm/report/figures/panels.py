@@ -24,9 +24,10 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, NullLocator
 from scipy import stats
+from scipy.signal import periodogram
 
-from vjm.records import Array, Recording, RecordingComparison, SimulatedRecording
-from vjm.report.text import short
+from vjm.records import Array, RecordingComparison, SimulatedRecording
+from vjm.report.text import recording_label
 
 FALSE_ALARM = 1e-3  # probability that white noise passes a limit anywhere in one recording
 
@@ -42,20 +43,18 @@ class Color:
     AXIS = "#444444"
 
 
-# Line and mark of each simulation of a RecordingComparison, in the order in which they are drawn: what is judged lies
-# on top.
-LOOKS: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "reference": (
-        {"color": Color.NOMINAL, "linestyle": (0, (4, 2))},
-        {"color": Color.NOMINAL, "marker": "s", "markerfacecolor": "white"},
-    ),
-    "alternative": (
-        {"color": Color.TORQUE, "linestyle": "-"},
-        {"color": Color.TORQUE, "marker": "D", "markersize": 7},
-    ),
-    "simulated": ({"color": Color.IDENTIFIED, "linestyle": "-"}, {"color": Color.IDENTIFIED, "marker": "o"}),
+# Lines and marks of a RecordingComparison's simulations, in the order in which they are drawn.
+LINES: dict[str, dict[str, Any]] = {
+    "reference": {"color": Color.NOMINAL, "linestyle": (0, (4, 2))},
+    "alternative": {"color": Color.TORQUE, "linestyle": "-"},
+    "simulated": {"color": Color.IDENTIFIED, "linestyle": "-"},
 }
-NOISE_MARK: Mapping[str, Any] = {"color": Color.MEASURED, "marker": "|", "markersize": 15, "markeredgewidth": 2}
+MARKS: dict[str, dict[str, Any]] = {
+    "noise": {"color": Color.MEASURED, "marker": "|", "markersize": 15, "markeredgewidth": 2},
+    "reference": {"color": Color.NOMINAL, "marker": "s", "markerfacecolor": "white"},
+    "alternative": {"color": Color.TORQUE, "marker": "D", "markersize": 7},
+    "simulated": {"color": Color.IDENTIFIED, "marker": "o"},
+}
 
 
 @contextmanager
@@ -136,7 +135,7 @@ class Page:
             unused.remove()
         return cls(page.figure, [every[:count]])
 
-    def finish(self, handles: Sequence[Artist] = (), columns: int = 6) -> Figure:
+    def finish(self, handles: Sequence[Artist] = ()) -> Figure:
         """Return the figure with one legend above the panels: of handles, or of all their labels, areas last."""
         labelled: dict[str, Artist] = {}
         for axes in self.figure.axes:
@@ -145,7 +144,7 @@ class Page:
         areas = [handle for handle in labelled.values() if isinstance(handle, (Patch, Collection))]
         lines = [handle for handle in labelled.values() if handle not in areas]
         shown = [*(handles or [*lines, *areas])]
-        self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(columns, len(shown)))
+        self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(6, len(shown)))
         engine = self.figure.get_layout_engine()
         assert engine is not None
         engine.execute(self.figure)
@@ -187,21 +186,24 @@ def heat_map(
     axes.grid(False)
 
 
-def binned_means(x: Array, values: Array) -> tuple[Array, Array, Array]:
-    """Return abscissae, means and standard errors of values (N,) in bins of x (N,) that hold about as many of them.
+def binned_means(x: Array, values: Array, most: int, std: Array | float = np.inf) -> tuple[Array, Array, Array]:
+    """Return abscissae, means and their standard errors of values (N,) over bins of x (N,) of about as many of them.
 
-    Where x are whole numbers, each has a bin of its own.
+    Args:
+        x: where they are whole numbers, each has a bin of its own.
+        values: with independent errors.
+        most: number of bins at most.
+        std: standard errors of the values, by which they are weighted; infinite: not known.
     """
-    numbers, count = np.unique(x), 24 if x.size > 1000 else max(min(10, x.size // 6), 1)
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, count + 1)))
-    if np.all(numbers == np.round(numbers)):
-        edges = np.append(numbers - 0.5, numbers[-1] + 0.5)
-    bins = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, edges.size - 2)
-    sizes = np.bincount(bins)
-    centres, means = (np.bincount(bins, each) / np.maximum(sizes, 1) for each in (x, values))
-    errors = np.sqrt(np.bincount(bins, (values - means[bins]) ** 2) / np.maximum(sizes * (sizes - 1), 1))
-    kept = sizes > 2
-    return centres[kept], means[kept], errors[kept]
+    numbers, bins = np.unique(x, return_inverse=True)
+    if np.any(numbers != np.round(numbers)):
+        bins[np.argsort(x)] = np.arange(x.size) * max(most, 1) // x.size
+    weights = np.where(np.isfinite(std), np.broadcast_to(std, x.shape) ** -2.0, 1.0)
+    sizes, total = np.bincount(bins), np.bincount(bins, weights)
+    centres, means = (np.bincount(bins, weights * each) / total for each in (x, values))
+    scatter = np.bincount(bins, weights * (values - means[bins]) ** 2) / total / np.maximum(sizes - 1, 1)
+    known = np.where(np.isfinite(std).any(), 1 / total, 0.0)  # variance that the given errors leave at least
+    return centres, means, np.sqrt(np.maximum(scatter, known))
 
 
 @dataclass(frozen=True)
@@ -238,13 +240,14 @@ class Spectrum:
         place = np.round((time - time[0]) / step).astype(int)  # frames that the camera dropped leave gaps
         even = np.zeros((int(place[-1]) + 1, int(kept.sum())))
         even[place] = np.nan_to_num(residual[np.ix_(rows, kept)])
-        power: Array = np.mean(np.abs(np.fft.rfft(even, axis=0)[1:-1] * (2 / counts[kept])) ** 2, axis=1)
+        even *= len(even) / counts[kept]
+        frequency, powers = periodogram(even, 1 / step, detrend=False, scaling="spectrum", axis=0)
+        power: Array = 2 * powers[1:-1].mean(axis=1)  # a sine of amplitude a has the power a^2 / 2
         # The mean of c squared magnitudes of white noise is chi-squared with 2 c degrees of freedom.
         white = simulated.noise[encoder] ** 2 * float(np.mean(4 / counts[kept]))
         freedom = 2 * int(kept.sum())
         limit = white * float(stats.chi2.isf(FALSE_ALARM / power.size, freedom)) / freedom
-        frequency: Array = np.fft.rfftfreq(len(even), step)[1:-1].astype(float)
-        return cls(frequency, np.sqrt(power), float(np.sqrt(white)), float(np.sqrt(limit)))
+        return cls(frequency[1:-1], np.sqrt(power), float(np.sqrt(white)), float(np.sqrt(limit)))
 
 
 def spectrum_panel(
@@ -306,11 +309,11 @@ def rms_figure(
     page = Page.of(title, [(0.7 + 0.28 * max(len(comparisons), 2), 1)])
     axes, noise = page.axes[0][0], np.array([each.noise[0] for each in comparisons])
     units = noise if in_noise else np.full(noise.shape, 1e-3)
-    marks, names = [("noise", noise / units, None, NOISE_MARK)], []
-    for role in [role for role in LOOKS if role in labels]:
+    marks, names = [("noise", noise / units, None, MARKS["noise"])], []
+    for role in [role for role in LINES if role in labels]:
         simulations = [getattr(each, role) for each in comparisons]
         rms = np.array([np.nan if one is None else one.marker_rms for one in simulations]) / units
-        marks.append((labels[role], rms, None, LOOKS[role][1]))
+        marks.append((labels[role], rms, None, MARKS[role]))
     every = np.stack([values for _, values, *_ in marks])
     for each, known in zip(comparisons, np.isfinite(every[1:]).any(axis=0), strict=True):
         label = recording_label(each.recording, 24)
@@ -321,8 +324,3 @@ def rms_figure(
     unit_name = "times the noise" if in_noise else "mm"
     axes.set(xlabel=f"marker residual over the whole recording, open loop, RMS [{unit_name}]", ylabel="recording")
     return page.finish()
-
-
-def recording_label(recording: Recording, most: int = 36) -> str:
-    """Return a recording's file name, shortened to so many characters, with its role."""
-    return f"{short(recording.file, most)} ({'held out' if recording.role == 'holdout' else 'train'})"

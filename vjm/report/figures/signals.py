@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -16,8 +16,8 @@ from scipy.signal import detrend
 
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.records import Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording, Simulation
-from vjm.report.figures.panels import LOOKS, Color, Page, recording_label
-from vjm.report.text import millimetres, number, short
+from vjm.report.figures.panels import LINES, Color, Page
+from vjm.report.text import millimetres, number, recording_label, short
 
 Window = tuple[float, float]  # first and last instant [s]
 _Item = TypeVar("_Item")
@@ -186,13 +186,13 @@ def motion_panel(
         path = CubicSpline(instants, _channel(simulated.simulation, signal.index))
         # A camera may take no more than four frames a period: closely spaced instants between those of the recording.
         time = np.union1d(np.linspace(start, stop, 800), instants[(instants >= start) & (instants <= stop)])
-        axes.plot(time, scale * path(time), label=labels[role], **LOOKS[role][0])
+        axes.plot(time, scale * path(time), label=labels[role], **LINES[role])
     axes.set(xlabel="time [s]", ylabel=f"{short(signal.name, 20)} [{unit}]")
 
 
 def _simulations(comparison: RecordingComparison, labels: Mapping[str, str]) -> list[tuple[str, SimulatedRecording]]:
     """Return the labelled simulations of a recording in the order in which they are drawn."""
-    pairs = [(role, getattr(comparison, role)) for role in LOOKS if role in labels]
+    pairs = [(role, getattr(comparison, role)) for role in LINES if role in labels]
     return [(role, simulated) for role, simulated in pairs if simulated is not None]
 
 
@@ -216,7 +216,7 @@ def residual_panel(
     largest = 4 * sigma
     for role, simulated in _simulations(comparison, labels):
         values = scale * signal.residual(simulated)
-        look = {"color": LOOKS[role][0]["color"], "linestyle": "-", "linewidth": 0.9}
+        look = LINES[role] | {"linestyle": "-", "linewidth": 0.9}
         axes.plot(signal.time, values, label=labels[role], **look)
         largest = max(largest, 1.08 * float(np.nanmax(np.abs(values), initial=0.0)))
     axes.set_ylim(-largest, largest)
@@ -224,21 +224,23 @@ def residual_panel(
 
 
 def motion_figure(
-    title: str, signal: Signal, comparison: RecordingComparison, motion: Mapping[str, str],
-    residuals: Mapping[str, str], windows: Sequence[tuple[Window, str]],
+    title: str, signal: Signal, comparison: RecordingComparison, labels: Mapping[str, str],
+    windows: Sequence[tuple[Window, str]], hidden: Collection[str] = (),
 ) -> Figure:  # fmt: skip
     """Draw a measured signal and simulations of it in one or two windows [s] with headings; below, the residuals.
 
-    `motion` and `residuals` are the labels of the simulations whose motion and whose residuals are drawn.
+    The motion by the alternative model is not drawn, nor are the residuals of the simulations named in `hidden`.
     """
     page = Page.of(title, [(2.6, len(windows)), (1.75, 1)])
     panels, (lowest,) = page.axes
+    motion = {role: label for role, label in labels.items() if role != "alternative"}
     for axes, (window, heading) in zip(panels, windows, strict=True):
         motion_panel(axes, signal, comparison, motion, window, 170 // len(windows))
         axes.set_title(heading)
     limits = np.array([axes.get_ylim() for axes in panels])
     for axes in panels:
         axes.set_ylim(limits.min(), limits.max())
+    residuals = {role: label for role, label in labels.items() if role not in hidden}
     residual_panel(lowest, signal, comparison, residuals, [window for window, _ in windows])
     return page.finish()
 
@@ -249,19 +251,7 @@ def plot_recordings(
 ) -> NDArray[Any]:  # fmt: skip
     """Plot the outermost measured signal of each recording, as `motion_panel` or `residual_panel` draws it.
 
-    Args:
-        rig: names the markers.
-        comparisons: recordings beside their simulations.
-        panel: draws one of them.
-        recording: the only one to plot, or the name of its file; None: all (into `ax`, the first one).
-        ax: axes to draw into; None: a new figure.
-
-    Returns:
-        (k,) axes, one for each recording.
-
-    Raises:
-        ChoiceError: a recording that is not among them.
-        InsufficientDataError: no recording could be simulated.
+    Its other arguments, its result and its errors are those of `SimulatedResult.plot_fit`.
     """
     name = recording.file if isinstance(recording, Recording) else recording
     files = [item.recording.file for item in comparisons]

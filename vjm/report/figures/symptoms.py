@@ -44,40 +44,39 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
     """Return all pictures that the recordings have something for; each has a title of its own."""
     headlines, told = found.headlines(len(found.found)), set[str]()
     pictures = {}
+    lag = number(1e3 * (abs(found.lag.value) + 2 * found.lag.std), 2)  # it may differ from zero by so much
     moving = [one for one in found.recordings if one.modes.remaining]
-    table: list[tuple[str, Sequence[str], str, str, str, Callable[..., Figure], Any]] = [
-        ("quiet", ("quiet_tone", "noise_size", "noise_correlation"), "Noise of the sensors at rest",
+    # Name, kinds of symptoms it shows, title without any, caption, function and content; the overview shows all kinds.
+    table: list[tuple[str, Sequence[str], str, str, Callable[..., Figure], Any]] = [
+        ("quiet", ("quiet_tone", "noise_size", "noise_correlation"),
          "At rest, the sensors show white noise of the size that was supposed",
          "The sensors at rest: a line above the dashed one is no noise, a slope is noise that is not white.",
          _quiet, _at_rest(found)),
-        ("lag", ("camera_lag",), "Delay of each sensor against the model",
-         f"Camera and encoders tell the same time, to within {_milliseconds(found.lag)} ms",
+        ("lag", ("camera_lag",), f"Camera and encoders tell the same time, to within {lag} ms",
          "Delay of each sensor against the model: dark marks off the zero line are two clocks that disagree.",
          _lags, _with_lag(found)),
-        ("profiles", ("against_angle", "against_velocity", "against_sign"), "Residuals against the motion",
+        ("profiles", ("against_angle", "against_velocity", "against_sign"),
          "What the model misses depends neither on where the arm is nor on how fast or which way it moves",
          "Residuals against position, velocity and direction, each without what the other two explain: a slope goes "
          "with the motion, a step changes with its direction.", _profiles, _profiles_shown(found)),
         ("bands", ("frequency", "damping", "amplitude", "phase", "slow_amplitude", "slow_delay"),
-         "Each mode, measured against the model",
          "Frequency, damping, amplitude and phase of all modes are as simulated",
          "Each mode, measured against the model: a column of one colour is off in every recording, a row of one colour "
          "is that recording's own.", _modes, [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]),
         ("amplitude", ("frequency", "damping", "frequency_with_amplitude", "damping_with_amplitude"),
-         "Frequency and damping against amplitude, while nothing drives the arm",
          "Frequency and damping are as in the model, and change with amplitude as they do there",
          "Frequency and damping while nothing drives the arm, one curve a condition: marks beside their line are off; "
          "marks with another slope depend on amplitude as the model does not.", _with_amplitude, _free_motion(found)),
-        ("overview", (), "The recordings that the model follows worst",
-         "The model follows every recording to within what noise explains",
+        ("overview", (), "The model follows every recording to within what noise explains",
          "The recordings that the model follows worst, and their residuals: one that grows is a wrong frequency, one "
          "that keeps the motion's shape a wrong size or time.", _overview, moving),
     ]  # fmt: skip
-    for name, kinds, subject, usual, caption, draw, shown in table:
+    for name, kinds, nothing, caption, draw, shown in table:
         if not shown:
             continue
         own = [one.sentence.removesuffix(".") for one in headlines if one.kind in kinds or not kinds]
-        title = next((sentence for sentence in own if sentence not in told), subject if own else usual)
+        subject = caption.partition(":")[0]  # where other figures have told all of them
+        title = next((sentence for sentence in own if sentence not in told), subject if own else nothing)
         told.add(title)
         pictures[name] = Picture(f"symptom_{name}", caption, partial(draw, title, found, shown))
     return [pictures[name] for name in _ORDER if name in pictures]
@@ -85,11 +84,6 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
 
 def _file(one: RecordingSymptoms, most: int) -> str:
     return short(one.simulated.recording.file, most)
-
-
-def _milliseconds(delay: Coefficient) -> str:
-    """Write by how much a delay may differ from zero [ms]."""
-    return number(1e3 * (abs(delay.value) + 2 * delay.std), 2)
 
 
 def _overview(title: str, found: Symptoms, moving: Sequence[RecordingSymptoms]) -> Figure:
@@ -224,16 +218,10 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
     What other motion leaks into the windows is the same in both, and goes with their difference. Neighbours in
     amplitude are averaged by their errors.
     """
-    line = np.stack([np.ones_like(amplitude), (amplitude / amplitude.max()) ** power], axis=1)
-    model = line @ np.linalg.lstsq(line / std[:, None], pairs[:, 1] / std, rcond=None)[0]
+    abscissa = (amplitude / amplitude.max()) ** power
+    model = np.polyval(np.polyfit(abscissa, pairs[:, 1], 1, w=1 / std), abscissa)
     measured = model + pairs[:, 0] - pairs[:, 1]
-    parts = np.array_split(np.argsort(amplitude), min(8, max(amplitude.size // 2, 1)))
-    place, shown, errors = (np.empty(len(parts)) for _ in range(3))
-    for k, part in enumerate(parts):
-        weights = std[part] ** -2.0
-        place[k], shown[k] = (float(np.average(v[part], weights=weights)) for v in (amplitude, measured))
-        scatter = np.average((measured[part] - shown[k]) ** 2, weights=weights) / max(part.size - 1, 1)
-        errors[k] = max(float(np.sum(weights) ** -0.5), float(np.sqrt(scatter)))
+    place, shown, errors = binned_means(amplitude, measured, min(8, amplitude.size // 2), std)
     clear = errors <= 4 * np.median(errors)  # of the others nothing could be seen
     order = np.argsort(amplitude)
     axes.plot(amplitude[order], model[order], color=look["color"], linestyle="-")
@@ -298,7 +286,7 @@ def _draw_means(axes: Axes, x: Array, values: Array, spread: float = 0.0) -> Non
     scattered = x + spread * np.random.default_rng(0).uniform(-1, 1, x.size)
     axes.plot(scattered[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1)
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6, zorder=1)
-    centres, means, errors = binned_means(x, values)
+    centres, means, errors = binned_means(x, values, min(24 if x.size > 1000 else 10, x.size // 6))
     bars: Any = {"linestyle": "", "marker": "o", "markersize": 4, "color": Color.IDENTIFIED, "elinewidth": 1.1}
     axes.errorbar(centres, means, yerr=2 * errors, **bars)
     # The means are shown well; of the single values, those at the far ends may be cut off.
@@ -321,13 +309,14 @@ def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Fi
     axes.axvspan(*interval, color=_POOLED, linewidth=0, label="all recordings together")
     axes.axvline(0.0, color=Color.AXIS, linewidth=0.8)
     marks = []
-    for label, delays, look in (
-        ("camera against model", [one.sensors[0].delay for one in shown], {"color": Color.MEASURED, "marker": "o"}),
-        ("camera against encoder", [one.modes.camera_lag for one in shown], {"color": Color.IDENTIFIED, "marker": "D"}),
-        ("encoder against model", [one.sensors[1].delay for one in shown], {"color": Color.TORQUE, "marker": "s"}),
+    for label, delays, color, marker, face in (
+        ("camera against model", [one.sensors[0].delay for one in shown], Color.MEASURED, "o", "white"),
+        ("camera against encoder", [one.modes.camera_lag for one in shown], Color.IDENTIFIED, "D", Color.IDENTIFIED),
+        ("encoder against model", [one.sensors[1].delay for one in shown], Color.TORQUE, "s", "white"),
     ):
         values, errors = (np.array([1e3 * getattr(delay, name) for delay in delays]) for name in ("value", "std"))
-        marks.append((label, values, 2 * errors, look | {"markersize": 4.5}))
+        look = {"color": color, "marker": marker, "markersize": 4.5, "markerfacecolor": face}
+        marks.append((label, values, 2 * errors, look))
     marks_panel(axes, [_file(one, 22) for one in shown], marks, apart=0.22)
     axes.set(xlabel="delay, two standard errors [ms]", ylabel="recording")
     return page.finish()
