@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from scipy import stats
 
 from vjm.identification.records import Identification
@@ -160,9 +159,7 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     axes.set(xlabel="marker coordinate", ylabel="recording")
     words = [f"{level:g} times the noise" for level in levels]
     words = [f"{words[0]} or less", *words[1:-1], f"{words[-1]} or more"]
-    return page.finish(
-        [Patch(facecolor=colors(norm(v)), edgecolor="#bbbbbb", label=w) for v, w in zip(levels, words, strict=True)]
-    )
+    return page.finish(areas=dict(zip(words, colors(norm(levels)), strict=True)))
 
 
 def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tuple[list[str], Array, Array]:
@@ -250,8 +247,8 @@ def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
     colors, norm = colormaps["PuOr_r"], Normalize(-1.0, 1.0)
     heat_map(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else 6.0)
     axes.set(xlabel="parameter", ylabel="parameter")
-    words = ((1.0, "+1: rise together"), (0.0, "0: independent"), (-1.0, "−1: one for the other"))
-    return page.finish([Patch(facecolor=colors(norm(value)), edgecolor="#bbbbbb", label=word) for value, word in words])
+    words = ("+1: rise together", "0: independent", "−1: one for the other")
+    return page.finish(areas=dict(zip(words, colors(norm([1.0, 0.0, -1.0])), strict=True)))
 
 
 def _correlation_title(names: Sequence[str], matrix: Array) -> str:

@@ -17,7 +17,7 @@ from vjm.identification.records import Identification
 from vjm.identification.training_data import PreparedRecording
 from vjm.records import Array, Indices, Recording, Rig
 from vjm.report.figures.panels import LINES, MARKS, Color, Page, Picture, log_scale, marks_panel
-from vjm.report.figures.signals import Signal, Window, liveliest_window, moving_axis, one_of_each_repeat
+from vjm.report.figures.signals import Signal, liveliest_window, moving_axis, one_of_each_repeat
 from vjm.report.text import counted, listed, millimetres, number, short
 
 _MOST_LINKS = 3  # beside each other
@@ -71,16 +71,23 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
     """Draw marker coordinates against time as measured; a row of panels for each recording of several links."""
     links = range(min(len(rig.links), _MOST_LINKS))
     panels = [(recording, link) for recording in recordings for link in links]
-    markers = sum(len(link.markers) for link in rig.links)
-    title = f"Markers as measured: {counted(len(recordings), 'recording')}, {counted(markers, 'marker')}"
+    count = sum(len(link.markers) for link in rig.links)
+    title = f"Markers as measured: {counted(len(recordings), 'recording')}, {counted(count, 'marker')}"
     page = Page.grid(title, len(panels), (2.8, 1.9), max(len(links), 2))
     for axes, (recording, link) in zip(page.axes[0], panels, strict=True):
         signal = Signal.of(rig, recording)
-        window = whole = float(recording.time[0]), float(recording.time[-1])
+        start, stop = whole = float(recording.time[0]), float(recording.time[-1])
         if signal is not None and recording.kind not in ("quiet", "static"):
-            window = liveliest_window(signal.time, signal.value)
-        _draw_markers(axes, recording, rig.marker_slices[link], window)
-        length, duration = window[1] - window[0], whole[1] - whole[0]
+            start, stop = liveliest_window(signal.time, signal.value)
+        rows = recording.frames
+        rows = rows[(recording.time[rows] >= start) & (recording.time[rows] <= stop)]
+        markers = 1e3 * recording.markers[rows][:, rig.marker_slices[link]]
+        axis = moving_axis(markers)
+        dots: Any = {"marker": "." if rows.size <= 40 else "none", "markersize": 4}  # frames, where there are few
+        for k in _evenly(markers.shape[1], 6):  # a marker lost for a moment leaves a gap in its line
+            axes.plot(recording.time[rows], markers[:, k, axis], linewidth=1.1, label=f"marker {k + 1}", **dots)
+        axes.set(xlabel="time [s]", ylabel=f"{'xy'[axis]} [mm]")
+        length, duration = stop - start, whole[1] - whole[0]
         part = "" if length > 0.99 * duration else f", {length:.2g} s of {duration:.3g} s"
         role = "held out" if recording.role == "holdout" else "train"
         heading = f"{short(recording.file, 22)} ({recording.kind}, {role}{part})"
@@ -88,17 +95,6 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
             heading = f"{short(rig.links[link].name, 12)} ({rig.links[link].markers_frame} frame), {heading}"
         axes.set_title(heading)
     return page.finish()
-
-
-def _draw_markers(axes: Axes, recording: Recording, markers: slice, window: Window) -> None:
-    rows = recording.frames
-    rows = rows[(recording.time[rows] >= window[0]) & (recording.time[rows] <= window[1])]
-    own = 1e3 * recording.markers[rows][:, markers]
-    axis = moving_axis(own)
-    dots: Any = {"marker": "." if rows.size <= 40 else "none", "markersize": 4}  # single frames where there are few
-    for k in _evenly(own.shape[1], 6):  # a marker lost for a moment leaves a gap in its line
-        axes.plot(recording.time[rows], own[:, k, axis], linewidth=1.1, label=f"marker {k + 1}", **dots)
-    axes.set(xlabel="time [s]", ylabel=f"{'xy'[axis]} [mm]")
 
 
 def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]) -> Figure:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import matplotlib as mpl
@@ -135,15 +136,20 @@ class Page:
             unused.remove()
         return cls(page.figure, [every[:count]])
 
-    def finish(self, handles: Sequence[Artist] = ()) -> Figure:
-        """Return the figure with one legend above the panels: of handles, or of all their labels, areas last."""
+    def finish(self, handles: Sequence[Artist] = (), areas: Mapping[str, Any] = MappingProxyType({})) -> Figure:
+        """Return the figure, laid out, with one legend above the panels.
+
+        Args:
+            handles: of the legend; none: all labelled ones in the panels, areas last.
+            areas: labels and colours of areas, instead of handles.
+        """
         labelled: dict[str, Artist] = {}
         for axes in self.figure.axes:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 labelled.setdefault(label, handle)
-        areas = [handle for handle in labelled.values() if isinstance(handle, (Patch, Collection))]
-        lines = [handle for handle in labelled.values() if handle not in areas]
-        shown = [*(handles or [*lines, *areas])]
+        patches = [Patch(facecolor=color, edgecolor="#bbbbbb", label=label) for label, color in areas.items()]
+        is_area = {handle: isinstance(handle, (Patch, Collection)) for handle in labelled.values()}
+        shown: list[Artist] = [*patches] or [*handles] or sorted(is_area, key=is_area.__getitem__)
         self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(6, len(shown)))
         engine = self.figure.get_layout_engine()
         assert engine is not None

@@ -12,7 +12,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import FuncNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms
 from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
@@ -136,9 +135,9 @@ def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Fi
         axes.tick_params(labelleft=k == 0)
         axes.set(title=heading, xlabel="mode, or outside the modes [Hz]" if rest else "mode [Hz]")
     page.axes[0][0].set_ylabel("recording")
-    words = ((colors(0.95), "more than the model"), ("white", "0: as the model, within three standard errors"),
-             (colors(0.05), "less"), (Color.BAND, "does not move"))  # fmt: skip
-    return page.finish([Patch(facecolor=color, edgecolor="#bbbbbb", label=word) for color, word in words])
+    same = "0: as the model, within three standard errors"
+    areas = {"more than the model": colors(0.95), same: "white", "less": colors(0.05), "does not move": Color.BAND}
+    return page.finish(areas=areas)
 
 
 def _frequency(found: Symptoms, mode: int, digits: int) -> str:
