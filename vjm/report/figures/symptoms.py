@@ -32,8 +32,8 @@ from vjm.report.figures.panels import (
 from vjm.report.figures.signals import Signal, liveliest_window, motion_panel, one_of_each_repeat, residual_panel
 from vjm.report.text import number, short
 
-_ORDER = ("overview", "bands", "amplitude", "profiles", "lag", "quiet")
-NAMES = tuple(f"symptom_{name}" for name in _ORDER)  # every file name that these pictures may have
+# Every file name that these pictures may have.
+NAMES = tuple(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet"))
 _MOST_ROWS = 24  # recordings on a page: more could not be read
 _DOTS, _POOLED = "#cfcfcf", "#c9d6e6"
 _UNITS = {"m": (1e3, "mm"), "rad": (float(np.degrees(1.0)), "deg"), "N m": (1e3, "mN m")}
@@ -41,23 +41,21 @@ _UNITS = {"m": (1e3, "mm"), "rad": (float(np.degrees(1.0)), "deg"), "N m": (1e3,
 
 def symptom_pictures(found: Symptoms) -> list[Picture]:
     """Return all pictures that the recordings have something for; each has a title of its own."""
-    headlines, told = found.headlines(len(found.found)), set[str]()
-    pictures = {}
+    headlines, told, pictures = found.headlines(len(found.found)), set[str](), []
+    moving = sorted((one for one in found.recordings if one.modes.remaining), key=_times_noise, reverse=True)
+    worst = one_of_each_repeat(moving, lambda one: one.simulated.recording)[:3]
+    overview = "The model follows every recording to within what noise explains"
+    if worst and headlines:
+        size = number(_times_noise(worst[0]), 2)
+        overview = (
+            f"The model is off most in {_file(worst[0], 36)}: residual {size} times the noise, RMS of all sensors"
+        )
     lag = number(1e3 * (abs(found.lag.value) + 2 * found.lag.std), 2)  # it may differ from zero by so much
-    moving = [one for one in found.recordings if one.modes.remaining]
-    # Name, kinds of symptoms it shows, title without any, caption, function and content; the overview shows all kinds.
+    # Name, kinds of symptoms it shows, title without any, caption, function and content.
     table: list[tuple[str, Sequence[str], str, str, Callable[..., Figure], Any]] = [
-        ("quiet", ("quiet_tone", "noise_size", "noise_correlation"),
-         "At rest, the sensors show white noise of the size that was supposed",
-         "The sensors at rest: a line above the dashed one is no noise, a slope is noise that is not white.",
-         _quiet, _at_rest(found)),
-        ("lag", ("camera_lag",), f"Camera and encoders tell the same time, to within {lag} ms",
-         "Delay of each sensor against the model: dark marks off the zero line are two clocks that disagree.",
-         _lags, _with_lag(found)),
-        ("profiles", ("against_angle", "against_velocity", "against_sign"),
-         "What the model misses depends neither on where the arm is nor on how fast or which way it moves",
-         "Residuals against position, velocity and direction, each without what the other two explain: a slope goes "
-         "with the motion, a step changes with its direction.", _profiles, _profiles_shown(found)),
+        ("overview", (), overview,
+         "The recordings that the model follows worst, and their residuals: one that grows is a wrong frequency, one "
+         "that keeps the motion's shape a wrong size or time.", _overview, worst),
         ("bands", ("frequency", "damping", "amplitude", "phase", "slow_amplitude", "slow_delay"),
          "Frequency, damping, amplitude and phase of all modes are as simulated",
          "Each mode, measured against the model: a column of one colour is off in every recording, a row of one colour "
@@ -66,34 +64,40 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
          "Frequency and damping are as in the model, and change with amplitude as they do there",
          "Frequency and damping while nothing drives the arm, one curve a condition: marks beside their line are off; "
          "marks with another slope depend on amplitude as the model does not.", _with_amplitude, _free_motion(found)),
-        ("overview", (), "The model follows every recording to within what noise explains",
-         "The recordings that the model follows worst, and their residuals: one that grows is a wrong frequency, one "
-         "that keeps the motion's shape a wrong size or time.", _overview, moving),
+        ("profiles", ("against_angle", "against_velocity", "against_sign"),
+         "What the model misses depends neither on where the arm is nor on how fast or which way it moves",
+         "Residuals against position, velocity and direction, each without what the other two explain: a slope goes "
+         "with the motion, a step changes with its direction.", _profiles, _profiles_shown(found)),
+        ("lag", ("camera_lag",), f"Camera and encoders tell the same time, to within {lag} ms",
+         "Delay of each sensor against the model: dark marks off the zero line are two clocks that disagree.",
+         _lags, _with_lag(found)),
+        ("quiet", ("quiet_tone", "noise_size", "noise_correlation"),
+         "At rest, the sensors show white noise of the size that was supposed",
+         "The sensors at rest: a line above the dashed one is no noise, a slope is noise that is not white.",
+         _quiet, _at_rest(found)),
     ]  # fmt: skip
     for name, kinds, nothing, caption, draw, shown in table:
         if not shown:
             continue
-        own = [one.sentence.removesuffix(".") for one in headlines if one.kind in kinds or not kinds]
-        subject = caption.partition(":")[0]  # where other figures have told all of them
+        own = [one.sentence.removesuffix(".") for one in headlines if one.kind in kinds]
+        subject = caption.partition(":")[0]  # where another figure has told all of them
         title = next((sentence for sentence in own if sentence not in told), subject if own else nothing)
         told.add(title)
-        pictures[name] = Picture(f"symptom_{name}", caption, partial(draw, title, found, shown))
-    return [pictures[name] for name in _ORDER if name in pictures]
+        pictures.append(Picture(f"symptom_{name}", caption, partial(draw, title, found, shown)))
+    return pictures
+
+
+def _times_noise(one: RecordingSymptoms) -> float:
+    """Return the RMS residual of all sensors in units of their noise."""
+    return float(np.sqrt(one.misfit / max(sum(int(sensor.known.sum()) for sensor in one.sensors), 1)))
 
 
 def _file(one: RecordingSymptoms, most: int) -> str:
     return short(one.simulated.recording.file, most)
 
 
-def _overview(title: str, found: Symptoms, moving: Sequence[RecordingSymptoms]) -> Figure:
-    """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below.
-
-    The recording that the title names comes first, then those with the largest residuals; one of each repeat.
-    """
-    named = {one.recording for one in found.headlines(len(found.found)) if one.sentence.startswith(title)}
-    worst = sorted(moving, key=lambda one: -one.misfit / max(sum(int(s.known.sum()) for s in one.sensors), 1))
-    worst.sort(key=lambda one: one.simulated.recording.file not in named)
-    shown = one_of_each_repeat(worst, lambda one: one.simulated.recording)[:3]
+def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
+    """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below."""
     page = Page.of(title, [(2.4, len(shown)), (1.8, len(shown))])
     for upper, lower, one in zip(*page.axes, shown, strict=True):
         signal = Signal.of(found.rig, one.simulated.recording)
@@ -177,8 +181,10 @@ def _free_motion(found: Symptoms) -> _FreeMotions:
 def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
     """Draw frequency and damping ratio of every mode against amplitude, while nothing drives the arm."""
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
-    markers = zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)
-    looks: dict[str, Any] = {name: {"color": f"C{k}", "marker": marker} for k, (name, marker) in enumerate(markers)}
+    looks: dict[str, Any] = {}
+    for k, (condition, marker) in enumerate(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)):
+        color = f"C{round(5 * k / max(len(conditions) - 1, 1))}"  # of the cycle's six
+        looks[condition] = {"color": color, "linestyle": ("-", "--", ":", "-.")[k % 4], "marker": marker}
     page = Page.of(title, [(2.1, len(modes)), (2.35, len(modes))])
     for upper, lower, (mode, groups) in zip(*page.axes, modes.items(), strict=True):
         scale, unit = _UNITS[next(iter(groups.values()))[0].unit]
@@ -223,7 +229,7 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
     place, shown, errors = binned_means(amplitude, measured, min(8, amplitude.size // 2), std)
     clear = errors <= 4 * np.median(errors)  # of the others nothing could be seen
     order = np.argsort(amplitude)
-    axes.plot(amplitude[order], model[order], color=look["color"], linestyle="-")
+    axes.plot(amplitude[order], model[order], **(look | {"marker": ""}))
     bars: Any = look | {"linestyle": "", "markersize": 5, "markerfacecolor": "white"}
     axes.errorbar(place[clear], shown[clear], yerr=errors[clear], elinewidth=1.1, **bars)
 
