@@ -47,9 +47,7 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
     overview = "The model follows every recording to within what noise explains"
     if worst and headlines:
         size = number(_times_noise(worst[0]), 2)
-        overview = (
-            f"The model is off most in {_file(worst[0], 36)}: residual {size} times the noise, RMS of all sensors"
-        )
+        overview = f"The model is off most in {_file(worst[0], 36)}: {size} times the noise over all sensors"
     lag = number(1e3 * (abs(found.lag.value) + 2 * found.lag.std), 2)  # it may differ from zero by so much
     # Name, kinds of symptoms it shows, title without any, caption, function and content.
     table: list[tuple[str, Sequence[str], str, str, Callable[..., Figure], Any]] = [
