@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from vjm.experiment.load import load_experiment
     from vjm.identification import Identification, bootstrap, identify, profile_interval
     from vjm.identification.check import Check, check
-    from vjm.identification.comparison import Comparison, compare
+    from vjm.identification.comparison import compare
+    from vjm.identification.records import Comparison
     from vjm.records import Experiment, Link, Recording, Rig
     from vjm.report.model_json import load_model
     from vjm.report.output import save

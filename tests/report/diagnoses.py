@@ -99,7 +99,7 @@ def followed_by(
 ) -> tuple[RecordingComparison, ...]:
     """Every recording, replayed by all models."""
     models = [each for each in (base, model, next_best) if each is not None]
-    replays = [each.replays(experiment.recordings) for each in models]
+    replays = [[each.replay(recording) for recording in experiment.recordings] for each in models]
     if next_best is None:
         replays.append([None] * len(experiment.recordings))  # type: ignore[list-item]
     return tuple(

@@ -154,7 +154,7 @@ def test_no_effect_is_present_in_reference_recordings() -> None:
     reference = replace(first, condition="reference")
     plain = base.replay(first).simulation.markers
     assert np.array_equal(with_it.replay(reference).simulation.markers, plain)
-    one, other = with_it.replays([first, reference])
+    one, other = with_it.replay(first), with_it.replay(reference)
     assert not np.array_equal(one.simulation.markers, plain)
     assert np.allclose(other.simulation.markers, plain, atol=1e-4)
     assert one.marker_rms < other.marker_rms

@@ -22,7 +22,8 @@ from vjm.experiment.load import load_experiment
 from vjm.files import check_folder, json_text, write_folder, write_text
 from vjm.identification import Identification, identify
 from vjm.identification.check import Check, check
-from vjm.identification.comparison import Comparison, compare
+from vjm.identification.comparison import compare
+from vjm.identification.records import Comparison
 from vjm.identification.training_data import choose_virtual_joints
 from vjm.records import Progress
 from vjm.report.model_json import load_model, read_model

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -30,12 +31,11 @@ from vjm.diagnosis.symptoms import Symptoms, symptoms
 from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.identification.outliers import trimmed
-from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording
+from vjm.identification.comparison import replay_each, replay_without_outliers
+from vjm.records import REFERENCE, Experiment, Progress, RecordingComparison, SimulatedRecording
 from vjm.simulation.initial_state import simulated_recording
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run
 
 # Decrease of chi^2 over what is left from which an effect of a change matters where something is missing already in the
 # reference recordings: as much as is left, since the old error, in another motion, may well explain less.
@@ -143,9 +143,6 @@ def _findings(
     return _simulate_without_each_cause(findings)
 
 
-_Runs = dict[str, tuple[Run, bool]]  # by file: the simulation, and whether its initial state was found
-
-
 def _compare_recordings(
     experiment: Experiment,
     noise: tuple[float, float],
@@ -159,40 +156,24 @@ def _compare_recordings(
     """
     known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
     further = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
-    observed = [Observations.of(experiment.rig, recording, noise) for recording in further]
-    by_best = _simulate(best, observed)
-    clean = {file: trimmed(run) for file, (run, _) in by_best.items()}
-    changed = [one for file, one in clean.items() if one is not by_best[file][0].observed]
-    by_best |= _simulate(best, changed, [by_best[one.recording.file][0].state for one in changed])
-    observed = [clean.get(one.recording.file, one) for one in observed]
+    observed, by_best = replay_without_outliers(
+        partial(simulate_open_loop, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
+    )
     recordings = known | {one.recording.file: one.recording for one in observed}
 
     def by_file(model: CandidateFit | None) -> dict[str, SimulatedRecording]:
         if model is None:
             return {}
-        fitted = {run.observed.recording.file: (run, True) for run in without_feedback(model, reference).point.runs}
-        runs = fitted | (by_best if model is best else _simulate(model, observed))
-        return {file: simulated_recording(*run) for file, run in runs.items()}
+        fitted = [(run, True) for run in without_feedback(model, reference).point.runs]
+        others = by_best if model is best else replay_each(partial(simulate_open_loop, model), observed)
+        simulated = [simulated_recording(*result) for result in (*fitted, *others) if not isinstance(result, str)]
+        return {one.recording.file: one for one in simulated}
 
     after, before, alternative = by_file(best), by_file(reference), by_file(next_best)
     return tuple(
         RecordingComparison(recordings[file], noise, after.get(file), before.get(file), alternative.get(file))
         for file in (recording.file for recording in experiment.recordings)
     )
-
-
-def _simulate(model: CandidateFit, observed: Sequence[Observations], states: Sequence[Array] | None = None) -> _Runs:
-    """Simulations of recordings that were not fitted; those that are not possible are left out."""
-    if not observed:
-        return {}
-    try:
-        runs = simulate_open_loop(model, observed, states)
-    except (InsufficientDataError, SimulationDivergedError):
-        if len(observed) == 1:
-            return {}
-        single = [_simulate(model, [one], states and [states[k]]) for k, one in enumerate(observed)]
-        return {file: run for part in single for file, run in part.items()}
-    return {one.recording.file: run for one, run in zip(observed, runs, strict=True)}
 
 
 def _simulate_without_each_cause(findings: Findings) -> Findings:

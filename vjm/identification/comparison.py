@@ -2,55 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from vjm.chain.curve import curve_map
 from vjm.chain.layout import chain_layouts, nominal_chain
-from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
 from vjm.identification.check import fit_warnings
-from vjm.identification.outliers import without_outliers
-from vjm.identification.records import ModeComparison
-from vjm.identification.torque_method import MODE_TOLERANCE
-from vjm.identification.training_data import PreparedRecording, TrainingData
-from vjm.model.modes import modes
+from vjm.identification.outliers import trimmed
+from vjm.identification.records import Comparison
 from vjm.records import (
     Array,
-    Complex,
     Experiment,
     Progress,
-    Recording,
     RecordingComparison,
-    Rig,
     SimulatedRecording,
-    SimulatedResult,
 )
+from vjm.simulation.initial_state import fit_initial_states, simulated_recording
+from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
+from vjm.simulation.run import Run
 
-
-@dataclass(frozen=True, repr=False)
-class Comparison(SimulatedResult):
-    """A given model beside the recordings of an experiment.
-
-    Attributes:
-        experiment: the recordings.
-        model: the given model.
-        nominal: of the experiment file's nominal values, with the same virtual links.
-        covariance: (p, p) of the model's estimated parameters; empty where unknown.
-        recordings: comparison of every recording, in the experiment's order.
-        warnings: what a user should know.
-    """
-
-    experiment: Experiment
-    model: Model
-    nominal: Model
-    covariance: Array
-    recordings: tuple[RecordingComparison, ...]
-    warnings: tuple[str, ...]
+Replay = Callable[[Sequence[Observations], Sequence[Array | None] | None], list[tuple[Run, bool]]]
 
 
 def compare(
@@ -98,109 +73,73 @@ def compare_recordings(
         progress: told (text, done, total) while it runs.
         states: (2 nv,) most likely initial states, as far as they are known, by recording file.
     """
-    report, known = progress or (lambda *_: None), states or {}
+    report, known, noise = progress or (lambda *_: None), states or {}, (model.marker_noise, model.encoder_noise)
     report("replaying recordings", 0, 2)
-    recordings = list(experiment.cleaned_recordings)
-    simulated = _simulated(model, recordings, known)
-    report("replaying recordings", 1, 2)
-    trimmed = []
-    for k, (recording, (fit, _)) in enumerate(zip(recordings, simulated, strict=True)):
-        if fit is not None:
-            recordings[k], count = without_outliers(recording, fit.simulation.markers, model.marker_noise)
-            trimmed += [k] if count else []
-    for k, again in zip(trimmed, _simulated(model, [recordings[k] for k in trimmed], known), strict=True):
-        simulated[k] = again
+    measured = [Observations.of(experiment.rig, recording, noise) for recording in experiment.cleaned_recordings]
+    starts = [known.get(one.recording.file) for one in measured]
+    measured, results = replay_without_outliers(partial(_replay, model, 1.0), measured, starts)
     report("replaying recordings", 2, 2)
     # Others miss by more than the error of steps twice as long.
-    columns = [
-        [None] * len(recordings) if other is None else [fit for fit, _ in _simulated(other, recordings, {}, 2.0)]
-        for other in others
-    ]
+    replays = [other and replay_each(partial(_replay, other, 2.0), measured) for other in others]
+    columns = [[_simulated(result) for result in column or [""] * len(measured)] for column in (results, *replays)]
     return tuple(
         RecordingComparison(
-            recording=recording,
-            noise=(model.marker_noise, model.encoder_noise),
-            simulated=fit,
-            reference=columns[0][k],
-            alternative=columns[1][k],
-            left_out=int(np.isfinite(experiment.recordings[k].markers).sum() - np.isfinite(recording.markers).sum()),
-            problem=problem,
+            recording=one.recording,
+            noise=noise,
+            simulated=simulated,
+            reference=reference,
+            alternative=alternative,
+            left_out=int(np.isfinite(raw.markers).sum() - np.isfinite(one.recording.markers).sum()),
+            problem=result if isinstance(result, str) else "",
         )
-        for k, (recording, (fit, problem)) in enumerate(zip(recordings, simulated, strict=True))
+        for raw, one, result, simulated, reference, alternative in zip(
+            experiment.recordings, measured, results, *columns, strict=True
+        )
     )
 
 
-def _simulated(
-    model: Model, recordings: Sequence[Recording], states: Mapping[str, Array], step_multiple: float = 1.0
-) -> list[tuple[SimulatedRecording | None, str]]:
-    """Each recording's simulation, or why there is none."""
-    if not recordings:
+def _replay(
+    model: Model, step_multiple: float, observed: Sequence[Observations], states: Sequence[Array | None] | None
+) -> list[tuple[Run, bool]]:
+    return fit_initial_states([model.arm_in(one.recording) for one in observed], observed, states, step_multiple)
+
+
+def _simulated(result: tuple[Run, bool] | str) -> SimulatedRecording | None:
+    return None if isinstance(result, str) else simulated_recording(*result)
+
+
+def replay_each(
+    replay: Replay, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
+) -> list[tuple[Run, bool] | str]:
+    """Simulate recordings together, or each alone where that fails; return the reason for one that cannot be.
+
+    Args:
+        replay: simulates recordings from initial states, and says whether these converged, as `fit_initial_states`.
+        observed: the recordings.
+        states: (2 nv,) where to start; None: not known.
+    """
+    if not observed:
         return []
     try:
-        known = [states.get(recording.file) for recording in recordings]
-        return [(fit, "") for fit in model.replays(recordings, known, step_multiple)]
+        return [*replay(observed, states)]
     except (InsufficientDataError, SimulationDivergedError) as error:
-        if len(recordings) == 1:
-            return [(None, str(error))]
-    return [_simulated(model, [recording], states, step_multiple)[0] for recording in recordings]
+        if len(observed) == 1:
+            return [str(error)]
+    return [replay_each(replay, [one], states and [states[k]])[0] for k, one in enumerate(observed)]
 
 
-def compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ...]:
-    """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show."""
-    found = modes(chain, data.payload)
-    shapes = _model_shapes(chain, data.rig, data.payload)
-    alike = [one for one in data.prepared if one.recording.payload == data.payload]
-    rows = []
-    for frequency, ratio, shape in zip(found.frequencies.tolist(), found.damping_ratios.tolist(), shapes, strict=True):
-        value, std, damping = match(frequency, data.modes, MODE_TOLERANCE) or (None, None, None)
-        measured = _measured_shape(data.rig, frequency, alike, data.modes)
-        rows.append(
-            ModeComparison(
-                frequency_model=frequency,
-                frequency_measured=value,
-                frequency_std=std,
-                damping_model=ratio,
-                damping_measured=damping,
-                mac=None if measured is None else _modal_assurance(shape, measured),
-            )
-        )
-    last = max([k + 1 for k, row in enumerate(rows) if row.frequency_measured is not None], default=0)
-    return tuple(rows[: max(last, *data.shape.orders)])
+def replay_without_outliers(
+    replay: Replay, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
+) -> tuple[list[Observations], list[tuple[Run, bool] | str]]:
+    """Simulate recordings as `replay_each`, and those with outliers again without them.
 
-
-def _model_shapes(chain: Chain, rig: Rig, payload: float) -> Array:
-    """(m, k) lateral deflections of the markers in their link frames, in each mode of the model."""
-    angles = modes(chain, payload).shapes
-    rows = []
-    for link, own, part in zip(chain.links, rig.links, chain.passive_slices, strict=True):
-        slope = curve_map(link, own.markers).jacobian(np.zeros(link.virtual_joints))
-        rows.append(slope[:, 1] @ angles[part])
-    return np.concatenate(rows).T
-
-
-def _modal_assurance(model: Array, measured: Complex) -> float:
-    """MAC of two shapes (k,): one where they agree up to a factor, zero where they are orthogonal."""
-    power = np.vdot(model, model).real * np.vdot(measured, measured).real
-    return float(np.abs(np.vdot(model, measured)) ** 2 / max(power, 1e-300))
-
-
-def _measured_shape(
-    rig: Rig, frequency: float, prepared: Sequence[PreparedRecording], measured: Sequence[MeasuredModes]
-) -> Complex | None:
-    """(k,) deflection of all markers in the measured mode nearest to a frequency [Hz]; None where none is near.
-
-    Of all recordings, and of free and forced motion, the one shape that explains most.
+    Initial states are looked for again near those given; without any, near those found. Also return the recordings.
     """
-    parts = []
-    for one, known in zip(prepared, measured, strict=True):
-        if not known.frequencies.size:
-            continue
-        nearest = int(np.argmin(np.abs(known.frequencies - frequency)))
-        if abs(known.frequencies[nearest] / frequency - 1) < MODE_TOLERANCE:
-            pairs = zip(rig.links, one.angles.shapes, strict=True)
-            lateral = np.hstack([shape.evaluate(link.markers) for link, shape in pairs])
-            parts.append(mode_shapes(one.angles.time, lateral, known, one.driving_torque)[nearest])
-    if not parts:
-        return None
-    shape: Complex = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)[0][:, 0]
-    return shape
+    kept, results, outlying = [*observed], replay_each(replay, observed, states), dict[int, Array | None]()
+    for k, result in enumerate(results):
+        if not isinstance(result, str) and (clean := trimmed(result[0])) is not observed[k]:
+            kept[k], outlying[k] = clean, states[k] if states else result[0].state
+    repeated = replay_each(replay, [kept[k] for k in outlying], [*outlying.values()])
+    for k, result in zip(outlying, repeated, strict=True):
+        results[k] = result
+    return kept, results

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
 
+from vjm.chain.curve import curve_map
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, chain_layouts, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
+from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
 from vjm.identification.check import data_warnings, fit_warnings, identification_notes
-from vjm.identification.comparison import compare_modes, compare_recordings
+from vjm.identification.comparison import compare_recordings
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
-from vjm.identification.records import METHODS, Identification, Method, Whiteness
-from vjm.identification.torque_method import fit_torque
-from vjm.identification.training_data import (
-    DerivativeMethod,
-    TrainingData,
-    read_training_data,
-)
+from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
+from vjm.identification.torque_method import MODE_TOLERANCE, fit_torque
+from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData, read_training_data
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
 from vjm.identification.uncertainty import Information, estimates, torque_information, trajectory_information
 from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FamilyName
 from vjm.model.dynamics import objective
-from vjm.records import Array, Experiment, Progress
+from vjm.model.modes import modes
+from vjm.records import Array, Complex, Experiment, Progress, Rig
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.model import Model
 
@@ -127,7 +127,7 @@ def _result(
     runs = () if solution.trajectory is None else solution.trajectory.point.runs
     states = {run.observed.recording.file: run.state for run in runs}
     recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
-    modes = compare_modes(chain, data)
+    compared_modes = _compare_modes(chain, data)
     prepared = data.prepared_for(chain)
     factors = [one.noise_factor(chain) for one in prepared]  # the same weights for both models
     objectives = [
@@ -145,7 +145,7 @@ def _result(
         parametrisation=parametrisation.kind,
         parameters=parameters,
         covariance=covariance[np.ix_(known, known)],
-        modes=modes,
+        modes=compared_modes,
         shape=data.shape,
         objective=objectives[0],
         objective_nominal=objectives[1],
@@ -161,7 +161,68 @@ def _result(
             *experiment.warnings,
             *data_warnings(data),
             *data.problems,
-            *fit_warnings(recordings, parameters, solution.whiteness, modes if method == "torque" else ()),
+            *fit_warnings(recordings, parameters, solution.whiteness, compared_modes if method == "torque" else ()),
         ),
         notes=identification_notes(data, solution.notes),
     )
+
+
+def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ...]:
+    """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show."""
+    found = modes(chain, data.payload)
+    shapes = _model_shapes(chain, data.rig, data.payload)
+    alike = [one for one in data.prepared if one.recording.payload == data.payload]
+    rows = []
+    for frequency, ratio, shape in zip(found.frequencies.tolist(), found.damping_ratios.tolist(), shapes, strict=True):
+        value, std, damping = match(frequency, data.modes, MODE_TOLERANCE) or (None, None, None)
+        measured = _measured_shape(data.rig, frequency, alike, data.modes)
+        rows.append(
+            ModeComparison(
+                frequency_model=frequency,
+                frequency_measured=value,
+                frequency_std=std,
+                damping_model=ratio,
+                damping_measured=damping,
+                mac=None if measured is None else _modal_assurance(shape, measured),
+            )
+        )
+    last = max([k + 1 for k, row in enumerate(rows) if row.frequency_measured is not None], default=0)
+    return tuple(rows[: max(last, *data.shape.orders)])
+
+
+def _model_shapes(chain: Chain, rig: Rig, payload: float) -> Array:
+    """(m, k) lateral deflections of the markers in their link frames, in each mode of the model."""
+    angles = modes(chain, payload).shapes
+    rows = []
+    for link, own, part in zip(chain.links, rig.links, chain.passive_slices, strict=True):
+        slope = curve_map(link, own.markers).jacobian(np.zeros(link.virtual_joints))
+        rows.append(slope[:, 1] @ angles[part])
+    return np.concatenate(rows).T
+
+
+def _modal_assurance(model: Array, measured: Complex) -> float:
+    """MAC of two shapes (k,): one where they agree up to a factor, zero where they are orthogonal."""
+    power = np.vdot(model, model).real * np.vdot(measured, measured).real
+    return float(np.abs(np.vdot(model, measured)) ** 2 / max(power, 1e-300))
+
+
+def _measured_shape(
+    rig: Rig, frequency: float, prepared: Sequence[PreparedRecording], measured: Sequence[MeasuredModes]
+) -> Complex | None:
+    """(k,) deflection of all markers in the measured mode nearest to a frequency [Hz]; None where none is near.
+
+    Of all recordings, and of free and forced motion, the one shape that explains most.
+    """
+    parts = []
+    for one, known in zip(prepared, measured, strict=True):
+        if not known.frequencies.size:
+            continue
+        nearest = int(np.argmin(np.abs(known.frequencies - frequency)))
+        if abs(known.frequencies[nearest] / frequency - 1) < MODE_TOLERANCE:
+            pairs = zip(rig.links, one.angles.shapes, strict=True)
+            lateral = np.hstack([shape.evaluate(link.markers) for link, shape in pairs])
+            parts.append(mode_shapes(one.angles.time, lateral, known, one.driving_torque)[nearest])
+    if not parts:
+        return None
+    shape: Complex = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)[0][:, 0]
+    return shape

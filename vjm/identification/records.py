@@ -56,18 +56,35 @@ class VirtualJointAngles(Record):
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(SimulatedResult):
-    """An identified model and what is known about it.
+class Comparison(SimulatedResult):
+    """A model beside the recordings of an experiment.
 
     Attributes:
-        experiment: what it was identified from.
-        model: the identified chain, ready to simulate and to write as URDF.
-        nominal: the chain that the experiment file's nominal values give.
+        experiment: the recordings.
+        model: given or identified.
+        nominal: of the experiment file's nominal values, with the same virtual links.
+        covariance: (p, p) of the parameters that have a standard error; empty where unknown.
+        recordings: comparison of every recording, in the experiment's order.
+        warnings: what a user should know.
+    """
+
+    experiment: Experiment
+    model: Model
+    nominal: Model
+    covariance: Array
+    recordings: tuple[RecordingComparison, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, repr=False)
+class Identification(Comparison):
+    """An identified model beside its recordings, and what is known about it.
+
+    Attributes:
         torque_model: the torque method's, where the trajectory method started from it; else None.
         method: `torque`, `torque+frequency` or `trajectory`.
         parametrisation: `uniform`, `joints`, `lengths` or `full`.
         parameters: every parameter of the parametrisation, estimated or fixed.
-        covariance: (p, p) of the estimated parameters, in the order of those in `parameters` with a standard error.
         modes: model and measurement side by side, slowest first.
         shape: the shape functions, and how angles are read off them.
         objective: J of eq. (15): the noise-weighted mean square of the torque errors at the identified parameters; None
@@ -76,21 +93,15 @@ class Identification(SimulatedResult):
         trajectory: the fit of whole trajectories; None for the torque methods.
         whiteness: of the trajectories' residuals, one a fitted recording.
         torque_data: the training recordings as the torque method sees them.
-        recordings: comparison of every recording, in the experiment's order.
         status: `converged` or `not converged`.
         remedy: what to do when it has not converged; empty otherwise.
-        warnings: what a user should know before trusting the result.
         notes: what was decided on the way, and why.
     """
 
-    experiment: Experiment
-    model: Model
-    nominal: Model
     torque_model: Model | None
     method: str
     parametrisation: str
     parameters: tuple[Estimate, ...]
-    covariance: Array
     modes: tuple[ModeComparison, ...]
     shape: ShapeSettings
     objective: float | None
@@ -98,10 +109,8 @@ class Identification(SimulatedResult):
     trajectory: TrajectoryFit | None
     whiteness: tuple[Whiteness, ...]
     torque_data: tuple[PreparedRecording, ...]
-    recordings: tuple[RecordingComparison, ...]
     status: Literal["converged", "not converged"]
     remedy: str
-    warnings: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Estimate:

@@ -64,8 +64,7 @@ class TrajectoryProblem(Record):
         parametrisation: the chain's coordinates.
         observed: the recordings.
         step_multiple: multiple of the integrator's default step.
-        preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
-        residual_scale: weighted residual that counts as one standard deviation beside the preference.
+        preference: centre and width (p,) of a normal prior of the coordinates; None: no prior.
         fixed: index of a physical parameter that is held, its value, and the width within which; None: all are free.
         extension: what is varied where that is more than the parametrisation, whose coordinates come first.
     """
@@ -74,7 +73,6 @@ class TrajectoryProblem(Record):
     observed: tuple[Observations, ...]
     step_multiple: float = 1.0
     preference: tuple[Array, Array] | None = None
-    residual_scale: float = 1.0
     fixed: tuple[int, float, float] | None = None
     extension: Coordinates | None = None
 
@@ -133,7 +131,7 @@ class TrajectoryProblem(Record):
         rows, residual = np.zeros((0, x.size)), np.zeros(0)
         if self.preference is not None:
             centre, width = self.preference
-            rows, residual = np.diag(self.residual_scale / width), self.residual_scale * (centre - x) / width
+            rows, residual = np.diag(1 / width), (centre - x) / width
         if self.fixed is None:
             return rows, residual
         index, value, fixed_width = self.fixed
@@ -270,7 +268,7 @@ def fit_trajectory(
                 progress("fitting trajectories", int(100 * (k + within) / len(horizons)), 100)
 
         part = problem if last else problem.until(horizon)
-        search = TrajectorySearch(part.point(x, states), last and not rough, stop if last else None, report)
+        search = _TrajectorySearch(part.point(x, states), last and not rough, stop if last else None, report)
         minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], most=60)
         iterations += len(search.decreases) + 1
         x, states = search.point.x, search.point.states
@@ -310,7 +308,7 @@ class _TrajectoryStep(Step):
     gains: list[float]
 
 
-class TrajectorySearch(Search[Point, _TrajectoryStep]):
+class _TrajectorySearch(Search[Point, _TrajectoryStep]):
     """Levenberg-Marquardt search over coordinates, with each recording's initial state eliminated.
 
     Attributes:

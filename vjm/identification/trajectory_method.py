@@ -129,14 +129,14 @@ class TrajectoryMethod:
         if self.data.parameters == "uniform":
             return fit
         parametrisation = Parametrisation(fit.point.chain, self.data.parameters, self.hubs)
-        problem = replace(fit.point.problem, parametrisation=parametrisation, preference=parametrisation.preference)
-        x = parametrisation.start
+        x, (centre, width) = parametrisation.start, parametrisation.preference
         for _ in range(8):  # the scale only falls, by 10 % or more
             # The preference counts as much as one of the values that this model itself leaves unexplained.
-            problem = replace(problem, residual_scale=max(fit.point.misfit, 1.0))
+            scale = max(fit.point.misfit, 1.0)
+            problem = replace(fit.point.problem, parametrisation=parametrisation, preference=(centre, width / scale))
             fit = fit_trajectory(problem, x, self.progress, fit.point.states)
             x = fit.point.x
-            if max(fit.point.misfit, 1.0) > 0.9 * problem.residual_scale:
+            if max(fit.point.misfit, 1.0) > 0.9 * scale:
                 break
         return fit
 

@@ -238,25 +238,7 @@ def _mode_to_excite(chain: Chain, link: int, index: int) -> str:
 ErrorKind = Literal["noise", "blocks"]
 
 
-@dataclass(frozen=True)
-class ProfileInterval:
-    """An interval of one parameter.
-
-    Attributes:
-        name: of the parameter.
-        value: the most likely one, in the parameter's unit.
-        low, high: ends of the interval; zero or infinite where the recordings set no limit on that side.
-        confidence: that the truth is inside.
-    """
-
-    name: str
-    value: float
-    low: float
-    high: float
-    confidence: float
-
-
-def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -> ProfileInterval:
+def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -> tuple[float, float]:
     """Find the values of a parameter that the recordings do not reject, all others being fitted anew at each.
 
     Unlike value +- standard errors it need not be symmetric, and knows of bounds. Where the residuals are no white
@@ -266,6 +248,9 @@ def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -
         fit: of method `trajectory`.
         name: of one of its parameters, such as `beam.bending_stiffness`.
         confidence: of the interval.
+
+    Returns:
+        Ends of the interval, in the parameter's unit; zero or infinite where the recordings set no limit on that side.
 
     Raises:
         ChoiceError: no such parameter.
@@ -281,7 +266,7 @@ def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -
     index = fit.parameters.index(estimate)
     quantile = float(stats.norm.ppf((1 + confidence) / 2))
     low, high = (_profile_end(best, index, sign * estimate.std, quantile) for sign in (-1.0, 1.0))
-    return ProfileInterval(name, estimate.value, max(low, 0.0), high, confidence)
+    return max(low, 0.0), high
 
 
 def _trajectory_fit(fit: Identification, what: str) -> TrajectoryFit:
@@ -345,16 +330,6 @@ class Resampled:
     def sample_std(self) -> Array:
         """(p,) standard deviation over the samples."""
         return np.asarray(np.std(self.values, axis=0, ddof=1))
-
-    @property
-    def bias(self) -> Array:
-        """(p,) mean over the samples less the truth."""
-        return np.asarray(np.mean(self.values, axis=0) - self.truth)
-
-    @property
-    def correlation(self) -> Array:
-        """(p, p) correlation over the samples."""
-        return np.asarray(np.corrcoef(self.values, rowvar=False)).reshape(len(self.names), len(self.names))
 
     def interval(self, confidence: float = 0.95) -> Array:
         """Return the basic bootstrap interval (p, 2): the samples' quantiles mirrored about their truth.

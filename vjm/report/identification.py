@@ -10,8 +10,7 @@ import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.identification.check import Check
-from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification, ModeComparison, Whiteness
+from vjm.identification.records import Comparison, Identification, ModeComparison, Whiteness
 from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import Grade, Page, Section, Table
 from vjm.report.result_json import model_object

@@ -8,8 +8,7 @@ from pathlib import Path
 from vjm.diagnosis.records import Diagnosis
 from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
-from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification
+from vjm.identification.records import Comparison, Identification
 from vjm.report.diagnosis import diagnosis_page
 from vjm.report.figures import diagnosis as diagnosis_figures
 from vjm.report.figures import identification as identification_figures

@@ -15,8 +15,7 @@ from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.effects.effect import Effect
 from vjm.files import plain
 from vjm.identification.check import Check
-from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification
+from vjm.identification.records import Comparison, Identification
 from vjm.records import Array, Estimate, RecordingComparison, SimulatedRecording
 from vjm.report.text import place
 from vjm.simulation.model import Model

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -92,22 +91,8 @@ class Model(Record):
 
     def replay(self, recording: Recording) -> SimulatedRecording:
         """Simulate a recording as `simulate` does, and keep it with its residuals."""
-        return self.replays([recording])[0]
-
-    def replays(
-        self, recordings: Sequence[Recording], states: Sequence[Array | None] | None = None, step_multiple: float = 1.0
-    ) -> list[SimulatedRecording]:
-        """Simulate several recordings together, each with the arm that moved in it.
-
-        Args:
-            recordings: T instants each.
-            states: (2 nv,) where to look for the most likely initial states [rad, rad/s]; None: from rest.
-            step_multiple: multiple of the integrator's default step.
-        """
-        arms = [self.arm_in(recording) for recording in recordings]
-        noise = self.marker_noise, self.encoder_noise
-        observed = [Observations.of(self.rig, recording, noise) for recording in recordings]
-        return [simulated_recording(*fit) for fit in fit_initial_states(arms, observed, states, step_multiple)]
+        observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
+        return simulated_recording(*fit_initial_states([self.arm_in(recording)], [observed])[0])
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""
