@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from vjm.identification.outliers import without_outliers
+from vjm.identification.outliers import _without_outliers
 from vjm.records import Recording
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ def missed(seed: int, size: float, dropped: float = 0.1) -> tuple[Recording, Arr
 
 
 def left_out(recording: Recording, simulated: Array) -> NDArray[np.bool_]:
-    found, count = without_outliers(recording, simulated, NOISE)
+    found, count = _without_outliers(recording, simulated, NOISE)
     wrong = np.isfinite(recording.markers) & ~np.isfinite(found.markers)
     assert count == wrong.sum()
     return wrong

@@ -29,7 +29,7 @@ from vjm.errors import InsufficientDataError
 from vjm.experiment.load import load_experiment
 from vjm.records import Experiment, Recording, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import fit_initial_states, simulated_recording
+from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import MarkerArcs, Observations
 
 Array = NDArray[np.float64]
@@ -40,7 +40,8 @@ DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
 
 def replay(arm: Arm, rig: Rig, recording: Recording, marker_noise: float, encoder_noise: float) -> SimulatedRecording:
     observed = Observations.of(rig, recording, (marker_noise, encoder_noise))
-    return simulated_recording(*fit_initial_states([arm], [observed])[0])
+    ((run, converged),) = fit_initial_states([arm], [observed])
+    return run.simulated_recording(converged)
 
 
 def seen(chain: Chain, recording: Recording, q: Array, v: Array, noise: float = 0.0, seed: int = 0) -> Recording:

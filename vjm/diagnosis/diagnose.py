@@ -33,7 +33,6 @@ from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
 from vjm.records import REFERENCE, Experiment, Progress, RecordingComparison, SimulatedRecording
-from vjm.simulation.initial_state import simulated_recording
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 
@@ -166,8 +165,8 @@ def _compare_recordings(
             return {}
         fitted = [(run, True) for run in without_feedback(model, reference).point.runs]
         others = by_best if model is best else replay_each(partial(simulate_open_loop, model), observed)
-        simulated = [simulated_recording(*result) for result in (*fitted, *others) if not isinstance(result, str)]
-        return {one.recording.file: one for one in simulated}
+        runs = [result for result in (*fitted, *others) if not isinstance(result, str)]
+        return {run.observed.recording.file: run.simulated_recording(converged) for run, converged in runs}
 
     after, before, alternative = by_file(best), by_file(reference), by_file(next_best)
     return tuple(

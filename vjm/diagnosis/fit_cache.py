@@ -29,7 +29,7 @@ from vjm.diagnosis.screen import Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 
@@ -479,7 +479,7 @@ def _truncated_fit(fit: CandidateFit) -> CandidateFit:
     point = fit.point
     nominal = point.problem.parametrisation.start
     plain = np.concatenate([nominal, point.x[nominal.size :]])
-    part = point.problem.until(min(first_horizon(point.problem, x) for x in (point.x, plain)))
+    part = point.problem.until(min(point.problem.first_horizon(x) for x in (point.x, plain)))
     fits: list[TrajectoryFit] = []
     for x, states in ((point.x, [run.state for run in point.runs]), (plain, None)):
         with contextlib.suppress(SimulationDivergedError, InsufficientDataError):
@@ -497,7 +497,7 @@ def _parameters_unreliable(fit: CandidateFit) -> bool:
 def _truncated_at_parameters(fit: CandidateFit) -> CandidateFit:
     """Same parameters beside the recordings' first periods, from their most likely initial states there."""
     point = fit.point
-    duration = _PERIODS * first_horizon(point.problem, point.x)
+    duration = _PERIODS * point.problem.first_horizon(point.x)
     return _at_first_periods(fit, point.x, duration, [run.state for run in point.runs])
 
 
@@ -506,7 +506,7 @@ def _restart_from_nominal(fit: CandidateFit) -> CandidateFit:
     nominal = fit.point.problem.parametrisation.start
     x = np.concatenate([nominal, fit.point.x[nominal.size :]])
     try:
-        return _at_first_periods(fit, x, first_horizon(fit.point.problem, x))
+        return _at_first_periods(fit, x, fit.point.problem.first_horizon(x))
     except (SimulationDivergedError, InsufficientDataError):
         return fit
 

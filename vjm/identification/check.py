@@ -12,7 +12,7 @@ from vjm.errors import InsufficientDataError
 from vjm.experiment.checks import overlapping_samples
 from vjm.identification.parameters import PARAMETRISATIONS
 from vjm.identification.records import ModeComparison, Whiteness
-from vjm.identification.torque_method import fit_uniform_torque
+from vjm.identification.torque_method import fit_torque
 from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData, read_training_data
 from vjm.identification.uncertainty import estimates, torque_information
 from vjm.model.modes import modes
@@ -67,7 +67,7 @@ def check(experiment: Experiment) -> Check:
 
 
 def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
-    fit = fit_uniform_torque(data)
+    fit = fit_torque(data)
     if data.parameters != "uniform":
         problem = fit.refined(data.parameters)
         fit = problem.evaluate(problem.parametrisation.start)

@@ -20,7 +20,7 @@ from vjm.records import (
     RecordingComparison,
     SimulatedRecording,
 )
-from vjm.simulation.initial_state import fit_initial_states, simulated_recording
+from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
@@ -105,7 +105,7 @@ def _replay(
 
 
 def _simulated(result: tuple[Run, bool] | str) -> SimulatedRecording | None:
-    return None if isinstance(result, str) else simulated_recording(*result)
+    return None if isinstance(result, str) else result[0].simulated_recording(result[1])
 
 
 def replay_each(

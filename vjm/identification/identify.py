@@ -85,7 +85,7 @@ def identify(
         raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
     data = read_training_data(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
     if method != "trajectory":
-        torque = fit_torque(data, method == "torque+frequency", progress)
+        torque = fit_torque(data, data.parameters, method == "torque+frequency", progress)
         parametrisation, information = torque.problem.parametrisation, torque_information(torque)
         solution = _Solution(parametrisation, torque.x, information, torque.converged)
         return _result(experiment, method, data, solution, progress)

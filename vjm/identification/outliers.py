@@ -18,7 +18,7 @@ _MAX_SHARE = 0.02  # of a recording's values; more are no outliers but something
 _PREDICTORS = ((-3, -2, -1), (-2, -1)), ((1, 2, 3), (1, 2)), ((-2, -1, 1, 2),)
 
 
-def without_outliers(recording: Recording, markers: Array, noise: float) -> tuple[Recording, int]:
+def _without_outliers(recording: Recording, markers: Array, noise: float) -> tuple[Recording, int]:
     """Leave out marker coordinates whose residual stands out from those of the frames around them.
 
     What a model gets wrong changes smoothly with time and is no outlier, however large.
@@ -48,7 +48,7 @@ def trimmed(run: Run) -> Observations:
     """Return a run's observations without outliers; the same object where there are none."""
     observed = run.observed
     markers = observed.arcs.frames(run.arm, run.trajectory, observed.recording.time)
-    recording, count = without_outliers(observed.recording, markers, observed.noise[0])
+    recording, count = _without_outliers(observed.recording, markers, observed.noise[0])
     return observed.of_recording(recording) if count else observed
 
 

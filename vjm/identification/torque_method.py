@@ -155,29 +155,19 @@ class TorqueFit:
         return replace(self.problem, targets=targets).fit(progress, self.x)
 
 
-def fit_torque(data: TrainingData, frequencies: bool = False, progress: Progress | None = None) -> TorqueFit:
-    """Identify by torque errors and, if `frequencies`, by the recordings' natural frequencies as well.
+def fit_torque(
+    data: TrainingData, parameters: str = "uniform", frequencies: bool = False, progress: Progress | None = None
+) -> TorqueFit:
+    """Fit a chain by its torque errors: uniform links from the nominal ones, other parameters from the uniform links.
+
+    Args:
+        data: the recordings.
+        parameters: the parametrisation.
+        frequencies: whether the recordings' natural frequencies are fitted as well (section 6.5).
+        progress: told (text, done, total) now and then.
 
     Raises:
         InsufficientDataError: no recording has what the method needs; or no measured frequency is the model's.
-    """
-    fit = fit_uniform_torque(data, progress)
-    if data.parameters != "uniform":
-        fit = fit.refined(data.parameters).fit(progress)
-        # The preference's weight follows from what this model itself leaves; it settles in two or three rounds.
-        for _ in range(5):
-            before, problem = fit.problem.residual_scale, fit.rescaled()
-            fit = problem.fit(progress, fit.x)
-            if abs(problem.residual_scale - before) < 0.1 * before:
-                break
-    return fit.with_frequencies(progress) if frequencies else fit
-
-
-def fit_uniform_torque(data: TrainingData, progress: Progress | None = None) -> TorqueFit:
-    """Fit uniform links by their torque errors, from the nominal ones.
-
-    Raises:
-        InsufficientDataError: no recording has what the method needs.
     """
     if not data.prepared:
         raise InsufficientDataError("the torque method", data.problems[0], "record more complete frames")
@@ -185,4 +175,13 @@ def fit_uniform_torque(data: TrainingData, progress: Progress | None = None) -> 
     hubs = data.driven_hubs([one.recording for one in data.prepared])
     fit = _TorqueProblem(data, Parametrisation(start, "uniform", hubs)).fit(progress)
     problem = fit.rescaled()
-    return replace(fit, problem=problem, jacobian=fit.jacobian / problem.residual_scale)
+    fit = replace(fit, problem=problem, jacobian=fit.jacobian / problem.residual_scale)
+    if parameters != "uniform":
+        fit = fit.refined(parameters).fit(progress)
+        # The preference's weight follows from what this model itself leaves; it settles in two or three rounds.
+        for _ in range(5):
+            before, problem = fit.problem.residual_scale, fit.rescaled()
+            fit = problem.fit(progress, fit.x)
+            if abs(problem.residual_scale - before) < 0.1 * before:
+                break
+    return fit.with_frequencies(progress) if frequencies else fit

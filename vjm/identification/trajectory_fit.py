@@ -96,6 +96,11 @@ class TrajectoryProblem(Record):
         parts = [each.truncated(float(each.recording.time[0]) + duration) for each in self.observed]
         return replace(self, observed=tuple(parts))
 
+    def first_horizon(self, x: Array) -> float:
+        """Return a few periods of the slowest vibration [s]: so short that a wrong frequency has not cost a cycle."""
+        chain = self.varied.chain(x)
+        return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in self.observed)
+
     def arms(self, x: Array) -> tuple[Arm, ...]:
         """Return the arm that moves in each recording, at coordinates x (p,)."""
         return self.varied.arms(x, [each.recording for each in self.observed])
@@ -106,13 +111,17 @@ class TrajectoryProblem(Record):
         Raises:
             SimulationDivergedError: one of them diverged.
         """
-        arms = self.arms(x)
         if states is None:
-            likely = fit_initial_states(arms, self.observed, step_multiple=self.step_multiple)
+            likely = fit_initial_states(self.arms(x), self.observed, step_multiple=self.step_multiple)
             return Point(self, x, tuple(run for run, _ in likely))
-        priors = [InitialStatePrior.of(arm, each.recording) for arm, each in zip(arms, self.observed, strict=True)]
-        runs = simulate_or_rest(arms, self.observed, priors, states, states, self.step_multiple)
-        return Point(self, x, tuple(runs)).with_scaled_prior()
+        return self.simulated(x, states, states, [1.0] * len(states)).with_scaled_prior()
+
+    def simulated(self, x: Array, states: Sequence[Array], known: Sequence[Array], scales: Sequence[float]) -> Point:
+        """Simulate every recording at x (p,) as `simulate_or_rest`, residuals of sizes `scales` beside its prior."""
+        arms = self.arms(x)
+        each = zip(arms, self.observed, scales, strict=True)
+        priors = [InitialStatePrior.of(arm, observed.recording, scale) for arm, observed, scale in each]
+        return Point(self, x, tuple(simulate_or_rest(arms, self.observed, priors, states, known, self.step_multiple)))
 
     def moved(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
         """Return, for each recording, its arm with each coordinate moved a little, for forward differences."""
@@ -275,15 +284,9 @@ def fit_trajectory(
     return TrajectoryFit(search.point, search.status == "converged", iterations, search.predicted_decrease)
 
 
-def first_horizon(problem: TrajectoryProblem, x: Array) -> float:
-    """Return a few periods of the slowest vibration [s]: so short that a wrong frequency has not yet cost a cycle."""
-    chain = problem.varied.chain(x)
-    return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in problem.observed)
-
-
 def _horizons(problem: TrajectoryProblem, x: Array, known_duration: float) -> list[float]:
     """Durations [s] of the recordings' parts to fit one after another, beyond what is known; the last is infinite."""
-    horizon, horizons = first_horizon(problem, x), []
+    horizon, horizons = problem.first_horizon(x), []
     while horizon < problem.longest / 1.5:  # or the whole would hardly be longer
         if horizon > _HORIZON_GROWTH / 2 * known_duration:
             horizons.append(horizon)
@@ -382,18 +385,12 @@ def _bounded(problem: SquareRootInformation, point: Point) -> Array:
 
 def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
     """The point a step further; None where a simulation diverges or the arm finds no rest under its load."""
-    problem, x = point.problem, point.x + step.change
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
-        arms = problem.arms(x)
-        priors = [
-            InitialStatePrior.of(arm, run.observed.recording, run.prior.scale)
-            for arm, run in zip(arms, point.runs, strict=True)
-        ]
-        runs = simulate_or_rest(arms, problem.observed, priors, states, point.states, problem.step_multiple)
+        scales = [run.prior.scale for run in point.runs]
+        trial = point.problem.simulated(point.x + step.change, states, point.states, scales)
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    trial = Point(problem, x, tuple(runs))
     with contextlib.suppress(SimulationDivergedError):
         return _backtracked(point, step, trial)
     return trial

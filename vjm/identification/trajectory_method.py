@@ -14,9 +14,9 @@ from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_uniform_torque
+from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_torque
 from vjm.identification.training_data import JointChoice, TrainingData, choose_virtual_joints
-from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, first_horizon, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import Loss
@@ -117,7 +117,7 @@ class TrajectoryMethod:
                 starts.append(self.torque.with_frequencies().x)
             starts.append(self.torque.x)
         starts.append(nominal)
-        horizon = first_horizon(problem, starts[0])
+        horizon = problem.first_horizon(starts[0])
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
         # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
@@ -161,7 +161,7 @@ def first_fit(
     """
     recordings, problems = _simulatable(data.recordings)
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
-    torque = fit_uniform_torque(data, progress) if data.prepared else None
+    torque = fit_torque(data, progress=progress) if data.prepared else None
     rough = rough or data.parameters != "uniform"
     search = TrajectoryMethod(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
     joints = search.candidates()[0]

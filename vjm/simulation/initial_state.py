@@ -10,10 +10,10 @@ from scipy.optimize import least_squares
 
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
-from vjm.records import Array, SimulatedRecording
+from vjm.records import Array
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import Search, Status, Step, minimise
-from vjm.simulation.measurement import Observations, sensor_readings
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
 
@@ -160,16 +160,3 @@ def _attempts(searches: Sequence[Search[Run, _StateStep]], step_multiple: float)
         if len(searches) == 1:
             return [None]
         return [_attempts([search], step_multiple)[0] for search in searches]
-
-
-def simulated_recording(run: Run, converged: bool) -> SimulatedRecording:
-    """Return the record of a run; `converged` says whether its initial state was found."""
-    observed = run.observed
-    return SimulatedRecording(
-        recording=observed.recording,
-        simulation=sensor_readings(run.arm, observed.arcs, observed.recording, run.trajectory),
-        noise=observed.noise,
-        chi2=run.chi2,
-        count=observed.count,
-        status="converged" if converged else "not converged",
-    )

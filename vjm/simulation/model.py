@@ -15,7 +15,7 @@ from vjm.model import dynamics
 from vjm.model.modes import Modes, modes
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import fit_initial_states, simulated_recording
+from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 
 if TYPE_CHECKING:
@@ -92,7 +92,8 @@ class Model(Record):
     def replay(self, recording: Recording) -> SimulatedRecording:
         """Simulate a recording as `simulate` does, and keep it with its residuals."""
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
-        return simulated_recording(*fit_initial_states([self.arm_in(recording)], [observed])[0])
+        ((run, converged),) = fit_initial_states([self.arm_in(recording)], [observed])
+        return run.simulated_recording(converged)
 
     def modes(self, payload: float = 0.0) -> Modes:
         """Return natural frequencies, damping ratios and shapes, with an extra point mass [kg] on the tip."""

@@ -11,11 +11,11 @@ import numpy as np
 from vjm.chain.virtual_links import Chain
 from vjm.errors import SimulationDivergedError
 from vjm.model.modes import linearise
-from vjm.records import Array, Indices, Recording
+from vjm.records import Array, Indices, Recording, SimulatedRecording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observations
+from vjm.simulation.measurement import Observations, sensor_readings
 from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm
 from vjm.simulation.system import Trajectory
 
@@ -184,6 +184,18 @@ class Run:
     def residual_series(self) -> list[Array]:
         """Return weighted residuals of each kind of sensor, (F, 2 k) and (T, n_a); NaN where nothing was measured."""
         return [series for series in self.observed.on_grid(self.residual) if np.isfinite(series).any()]
+
+    def simulated_recording(self, converged: bool) -> SimulatedRecording:
+        """Return the record of the run; `converged` says whether its initial state was found."""
+        observed = self.observed
+        return SimulatedRecording(
+            recording=observed.recording,
+            simulation=sensor_readings(self.arm, observed.arcs, observed.recording, self.trajectory),
+            noise=observed.noise,
+            chi2=self.chi2,
+            count=observed.count,
+            status="converged" if converged else "not converged",
+        )
 
 
 def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
