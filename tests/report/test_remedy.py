@@ -7,8 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.report.fits import hub_chain
+from vjm.identification.check import estimates
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.uncertainty import Information, estimates
+from vjm.identification.uncertainty import Information
 from vjm.records import Estimate
 
 Array = NDArray[np.float64]

@@ -17,9 +17,10 @@ from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.check import estimates
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
-from vjm.identification.uncertainty import Information, estimates, trajectory_information
+from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import REFERENCE, Array, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.model import Model

@@ -13,7 +13,7 @@ from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, chain_layouts,
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
-from vjm.identification.check import data_warnings, fit_warnings, identification_notes
+from vjm.identification.check import data_warnings, estimates, fit_warnings, identification_notes
 from vjm.identification.comparison import compare_recordings
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
@@ -21,7 +21,7 @@ from vjm.identification.torque_method import MODE_TOLERANCE, fit_torque
 from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData, read_training_data
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
-from vjm.identification.uncertainty import Information, estimates, torque_information, trajectory_information
+from vjm.identification.uncertainty import Information, torque_information, trajectory_information
 from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FamilyName
 from vjm.model.dynamics import objective
@@ -128,13 +128,9 @@ def _result(
     states = {run.observed.recording.file: run.state for run in runs}
     recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
     compared_modes = _compare_modes(chain, data)
-    prepared = data.prepared_for(chain)
-    factors = [one.noise_factor(chain) for one in prepared]  # the same weights for both models
+    # The same weights for both models.
     objectives = [
-        objective(one.weighted_errors(either, factor) for one, factor in zip(prepared, factors, strict=True))
-        if prepared
-        else None
-        for either in (chain, nominal.chain)
+        objective(data.weighted_errors(either, chain)) if data.prepared else None for either in (chain, nominal.chain)
     ]
     return Identification(
         experiment=experiment,
@@ -151,7 +147,7 @@ def _result(
         objective_nominal=objectives[1],
         trajectory=solution.trajectory,
         whiteness=solution.whiteness,
-        torque_data=prepared,
+        torque_data=data.prepared_for(chain),
         recordings=recordings,
         status="converged" if solution.converged else "not converged",
         remedy=""

@@ -40,8 +40,7 @@ class _TorqueProblem:
 
     def torque_residuals(self, x: Array) -> list[Array]:
         """Return the noise-weighted torque errors (S, r) of each recording at x (p,), weights belonging to x."""
-        chain = self.parametrisation.chain(x)
-        return [one.weighted_errors(chain, one.noise_factor(chain)) for one in self.data.prepared_for(chain)]
+        return self.data.weighted_errors(self.parametrisation.chain(x))
 
     def vector(self, x: Array) -> Array:
         """Return all residuals to minimise: torque errors, frequencies (section 6.5), and the preference."""
@@ -88,14 +87,11 @@ class _TorqueProblem:
 
     def _linear_solution(self) -> Array:
         """Coordinates of uniform links under the template's weights, in which their torque errors are linear."""
-        parametrisation, prepared = self.parametrisation, self.data.prepared
-        factors = [one.noise_factor(parametrisation.template) for one in prepared]
+        parametrisation = self.parametrisation
 
         def vector(x: Array) -> Array:
-            chain = parametrisation.chain(x)
-            return np.concatenate(
-                [one.weighted_errors(chain, factor).ravel() for one, factor in zip(prepared, factors, strict=True)]
-            )
+            errors = self.data.weighted_errors(parametrisation.chain(x), parametrisation.template)
+            return np.concatenate([part.ravel() for part in errors])
 
         count = len(parametrisation.coordinates)
         constant = vector(np.zeros(count))

@@ -55,8 +55,11 @@ class PreparedRecording(Record):
         state = d.value[at], d.rate[at], d.acceleration[at]
         return torque_errors(chain, *state, self.torque[at], recording.payload, recording.gravity)
 
-    def weighted_errors(self, chain: Chain, noise_factor: Array) -> Array:
-        """Return torque errors (S, r) in units of their noise, away from the ends, in the rows determined."""
+    def weighted_errors(self, chain: Chain, weighting: Chain) -> Array:
+        """Return torque errors (S, r), away from the ends, in the rows determined, in units of `weighting`'s noise."""
+        covariance = self.rows.T @ self.noise_covariance(weighting) @ self.rows
+        ridge = 1e-12 * np.trace(covariance)  # keeps exact data's covariance invertible
+        noise_factor = cholesky(covariance + ridge * np.eye(len(covariance)), lower=True)
         errors = np.nan_to_num(self.errors(chain, self.derivatives.interior)) @ self.rows
         return np.asarray(solve_triangular(noise_factor, errors.T, lower=True).T)
 
@@ -69,12 +72,6 @@ class PreparedRecording(Record):
         pairs = [(i, j) for i in range(3) for j in range(3)]
         covariance = np.asarray(sum(d.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
         return np.asarray((covariance + covariance.T) / 2)
-
-    def noise_factor(self, chain: Chain) -> Array:
-        """Return the Cholesky factor (r, r) of the noise covariance of a chain's torque errors [N m]."""
-        covariance = self.rows.T @ self.noise_covariance(chain) @ self.rows
-        ridge = 1e-12 * np.trace(covariance)  # keeps exact data's covariance invertible
-        return cholesky(covariance + ridge * np.eye(len(covariance)), lower=True)
 
     @property
     def driving_torque(self) -> tuple[Array, Array] | None:
@@ -177,6 +174,13 @@ class TrainingData:
         ):
             return self.prepared
         return tuple(_prepare(self, cuts, one.recording, one) for one in self.prepared)
+
+    def weighted_errors(self, chain: Chain, weighting: Chain | None = None) -> list[Array]:
+        """Return the torque errors (S, r) of each prepared recording over their noise, in `weighting` if it is given.
+
+        Both chains have the same cuts.
+        """
+        return [one.weighted_errors(chain, weighting or chain) for one in self.prepared_for(chain)]
 
 
 def read_training_data(

@@ -1,4 +1,4 @@
-"""Uncertainty of parameters: standard errors, what the data determine in words, profile intervals and the bootstrap."""
+"""Uncertainty of parameters: information and whiteness of the residuals, profile intervals and the bootstrap."""
 
 from __future__ import annotations
 
@@ -12,14 +12,11 @@ import numpy as np
 from scipy import stats
 from scipy.optimize import root_scalar
 
-from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.identification.parameters import Parametrisation
 from vjm.identification.records import Identification, Whiteness
 from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
-from vjm.model.modes import modes
-from vjm.records import Array, Estimate, Mask, Progress
+from vjm.records import Array, Mask, Progress
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
@@ -156,83 +153,6 @@ def _whiteness(run: Run) -> Whiteness:
     correlated = freedom > 0 and statistic > stats.chi2.isf(1e-3, freedom)
     large = freedom > 0 and run.chi2 > stats.chi2.isf(1e-3, count)
     return Whiteness(run.observed.recording.file, run.chi2 / count, largest, bool(correlated or large))
-
-
-def estimates(
-    parametrisation: Parametrisation, x: Array, information: Information, physical: Array | None = None
-) -> tuple[Estimate, ...]:
-    """Return every parameter at coordinates x (p,) with its standard error and whether the data determine it, in words.
-
-    `physical` is the (p, p) covariance of the physical parameters; that of the information when None.
-    """
-    if physical is None:
-        physical = parametrisation.physical_covariance(x, information.covariance)
-    values = parametrisation.physical(x)
-    std = np.sqrt(np.maximum(np.diag(physical), 0))
-    correlation = physical / np.maximum(np.outer(std, std), 1e-300)
-    lower, upper = parametrisation.bounds
-    at_bound = np.minimum(x - lower, upper - x) < 1e-6  # searches start no nearer
-    visible = information.visible
-    result = []
-    for k, coordinate in enumerate(parametrisation.coordinates):
-        reason = remedy = ""
-        if not visible[k]:
-            reason = "the recordings do not respond to it"
-        elif at_bound[k]:
-            reason = "at its bound: the data do not hold it away from there"
-        elif not std[k] <= 0.5 * max(abs(values[k]), 1e-300):  # within two standard errors it may be zero
-            reason = _uncertain(k, parametrisation, std[k] / max(abs(values[k]), 1e-300), correlation[k])
-        if reason:
-            remedy = _remedy(parametrisation, k, x)
-            if parametrisation.kind != "uniform" and at_bound[k]:
-                remedy += "; or fewer parameters (--parameters uniform)"
-        error = float(std[k]) if np.isfinite(std[k]) and visible[k] else None
-        result.append(Estimate(coordinate.name, float(values[k]), error, coordinate.unit, not reason, reason, remedy))
-    return tuple(result)
-
-
-def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, correlation: Array) -> str:
-    """Explain why parameter k has so large a standard error."""
-    others = np.abs(correlation)
-    others[k] = 0.0
-    partner = int(np.argmax(others))
-    reason = f"its standard error is {100 * relative_std:.0f} % of its value"
-    if relative_std > 100:  # the number itself says nothing
-        reason = "the recordings see it only together with other parameters"
-    if others[partner] > 0.9:  # the partner alone explains more than 80 % of the variance
-        name = parametrisation.coordinates[partner].name
-        reason += f"; it moves together with {name} (correlation {correlation[partner]:+.2f})"
-    elif parametrisation.coordinates[k].group == "damping":
-        reason += "; the motion decays too little to show it"
-    return reason
-
-
-def _remedy(parametrisation: Parametrisation, k: int, x: Array) -> str:
-    """Name the recording that would determine parameter k."""
-    coordinate = parametrisation.coordinates[k]
-    group, shared = coordinate.group, coordinate.index < 0
-    if group == "hub":
-        return "a driven recording whose torque changes faster, so that the hub's own inertia takes more of it"
-    if group not in ("stiffness", "damping"):
-        return "a recording with a known payload on the tip, or with another one, or one that excites higher modes"
-    if group == "stiffness" and shared:
-        return "a recording in which the link bends farther beyond the camera's noise, or one with more markers on it"
-    mode = _mode_to_excite(parametrisation.chain(x), coordinate.link, coordinate.index)
-    if group == "stiffness":
-        return f"markers nearer to this joint, or a recording that excites {mode}, which bends it most"
-    more = "faster modes lose more in a period" if shared else "it bends this joint most"
-    return f"a longer free decay, or one that excites {mode}: {more}"
-
-
-def _mode_to_excite(chain: Chain, link: int, index: int) -> str:
-    """The one of the four slowest modes with most of its elastic energy in a joint; for a whole link, the second."""
-    found = modes(chain, gravity=(0.0, 0.0))
-    count = min(4, found.frequencies.size)  # faster ones are hard to excite
-    energy = chain.stiffness[:, None] * found.shapes[:, :count] ** 2
-    share = energy / np.maximum(energy.sum(axis=0), 1e-300)
-    joint = chain.passive_slices[link].start + index
-    mode = min(1, count - 1) if index < 0 else int(np.argmax(share[joint]))
-    return f"mode {mode + 1} (about {found.frequencies[mode]:.2g} Hz)"
 
 
 ErrorKind = Literal["noise", "blocks"]
