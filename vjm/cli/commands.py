@@ -24,7 +24,7 @@ from vjm.identification import Identification, identify
 from vjm.identification.check import Check, check
 from vjm.identification.comparison import compare
 from vjm.identification.records import Comparison
-from vjm.identification.training_data import choose_virtual_joints
+from vjm.identification.training_data import JointChoice
 from vjm.records import Progress
 from vjm.report.model_json import load_model, read_model
 from vjm.report.output import REPORT, result_page, save
@@ -155,7 +155,7 @@ def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:
         return model.chain, model.effects
     rig = load_experiment(source).rig
     joints = [  # right for as many modes as there are markers to show them (eq. 1)
-        choose_virtual_joints(link, max(len(link.markers), 1), link.virtual_joints).joints for link in rig.links
+        JointChoice.of(link, max(len(link.markers), 1), link.virtual_joints).joints for link in rig.links
     ]
     return nominal_chain(rig, rig_layouts(rig, joints)), ()
 

@@ -2,7 +2,7 @@
 
 from vjm.identification.identify import identify
 from vjm.identification.parameters import PARAMETRISATIONS
-from vjm.identification.records import METHODS, Identification, ModeComparison, VirtualJointAngles
+from vjm.identification.records import METHODS, Identification, ModeComparison
 from vjm.identification.uncertainty import Resampled, bootstrap, profile_interval
 
 __all__ = [
@@ -11,7 +11,6 @@ __all__ = [
     "Identification",
     "ModeComparison",
     "Resampled",
-    "VirtualJointAngles",
     "bootstrap",
     "identify",
     "profile_interval",

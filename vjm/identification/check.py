@@ -15,7 +15,7 @@ from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
 from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_torque
 from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData, read_training_data
-from vjm.identification.uncertainty import Information, torque_information
+from vjm.identification.uncertainty import Information
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment, Link, Recording, RecordingComparison, Result
 
@@ -72,7 +72,7 @@ def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
     if data.parameters != "uniform":
         problem = fit.refined(data.parameters)
         fit = problem.evaluate(problem.parametrisation.start)
-    return estimates(fit.problem.parametrisation, fit.x, torque_information(fit))
+    return estimates(fit.problem.parametrisation, fit.x, Information.of_torque_errors(fit))
 
 
 def estimates(

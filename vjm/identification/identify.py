@@ -21,7 +21,7 @@ from vjm.identification.torque_method import MODE_TOLERANCE, fit_torque
 from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData, read_training_data
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
-from vjm.identification.uncertainty import Information, torque_information, trajectory_information
+from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FamilyName
 from vjm.model.dynamics import objective
@@ -86,7 +86,7 @@ def identify(
     data = read_training_data(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
     if method != "trajectory":
         torque = fit_torque(data, data.parameters, method == "torque+frequency", progress)
-        parametrisation, information = torque.problem.parametrisation, torque_information(torque)
+        parametrisation, information = torque.problem.parametrisation, Information.of_torque_errors(torque)
         solution = _Solution(parametrisation, torque.x, information, torque.converged)
         return _result(experiment, method, data, solution, progress)
     search, first = first_fit(data, loss, progress)

@@ -12,7 +12,7 @@ from vjm.errors import ChoiceError
 from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.markers.angles import ShapeSettings, estimate_angles
-from vjm.records import Array, Estimate, Experiment, Record, Recording, RecordingComparison, SimulatedResult
+from vjm.records import Array, Estimate, Experiment, Recording, RecordingComparison, SimulatedResult
 from vjm.simulation.model import Model
 
 Method = Literal["torque", "torque+frequency", "trajectory"]
@@ -38,21 +38,6 @@ class ModeComparison:
     damping_model: float
     damping_measured: float | None
     mac: float | None = None
-
-
-@dataclass(frozen=True, repr=False)
-class VirtualJointAngles(Record):
-    """Angles phi of the virtual joints in one recording, all links' one after another from the base outwards.
-
-    Attributes:
-        time: (T,) the recording's instants [s].
-        measured: (T, n) from the markers [rad]; NaN where the camera did not show them.
-        simulated: (T, n) of the identified model, open loop [rad]; NaN if it cannot be simulated.
-    """
-
-    time: Array
-    measured: Array
-    simulated: Array
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,11 +109,15 @@ class Identification(Comparison):
             raise ChoiceError("parameter", name, by_name)
         return by_name[name]
 
-    def phi(self, recording: Recording | str) -> VirtualJointAngles:
-        """Return the virtual joints' angles in a recording, measured and simulated.
+    def phi(self, recording: Recording | str) -> tuple[Array, Array]:
+        """Return the angles of all links' virtual joints in a recording, from the base outwards.
 
         Args:
             recording: one of the experiment's, or its file name.
+
+        Returns:
+            (T, n) angles from the markers [rad], NaN where the camera did not show them; and (T, n) those of the
+            identified model, open loop [rad], NaN if it cannot be simulated.
 
         Raises:
             ChoiceError: no recording of that name; the message lists those there are.
@@ -139,12 +128,11 @@ class Identification(Comparison):
             raise ChoiceError("recording", name, by_name)
         comparison, chain, rig = by_name[name], self.model.chain, self.model.rig
         angles = estimate_angles(rig, chain_layouts(chain), comparison.recording, self.shape, *comparison.noise)
-        time = comparison.recording.time
-        measured, simulated = np.full((2, time.size, chain.passive.size), np.nan)
+        measured, simulated = np.full((2, comparison.recording.time.size, chain.passive.size), np.nan)
         measured[comparison.recording.frames] = angles.q[:, chain.passive]
         if comparison.simulated is not None:
             simulated = comparison.simulated.simulation.q[:, chain.passive]
-        return VirtualJointAngles(time, measured, simulated)
+        return measured, simulated
 
 
 @dataclass(frozen=True)

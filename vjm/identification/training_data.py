@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from scipy.linalg import block_diag, cholesky, solve_triangular
@@ -102,25 +102,25 @@ class JointChoice:
     error: float
     requested: bool = False
 
+    @classmethod
+    def of(cls, link: Link, visible: int, joints: int | None = None) -> Self:
+        """Choose the smallest n whose chain has the frequencies of the `visible` slowest modes right to 0.1 %.
 
-def choose_virtual_joints(link: Link, visible: int, joints: int | None = None) -> JointChoice:
-    """Choose the smallest n whose chain has the frequencies of the `visible` slowest modes right to 0.1 %.
+        The link has its nominal values, is the only one and its active joint is free. Of given `joints` only the error
+        is found.
+        """
 
-    The link has its nominal values, is the only one and its active joint is free. Of given `joints` only the error is
-    found.
-    """
+        def frequencies(n: int) -> Array:
+            return modes(Chain(link.name, (uniform_chain(link, layout(link.length, n)),))).frequencies[:visible]
 
-    def frequencies(n: int) -> Array:
-        return modes(Chain(link.name, (uniform_chain(link, layout(link.length, n)),))).frequencies[:visible]
-
-    exact = frequencies(2 * _MOST_JOINTS)
-    choice = JointChoice(joints or _MOST_JOINTS, np.inf)
-    for n in range(visible + 1, _MOST_JOINTS + 1) if joints is None else [joints]:
-        found = frequencies(n)
-        choice = JointChoice(n, float(np.max(np.abs(found / exact[: found.size] - 1))))
-        if choice.error < FREQUENCY_TOLERANCE:
-            break
-    return choice
+        exact = frequencies(2 * _MOST_JOINTS)
+        choice = cls(joints or _MOST_JOINTS, np.inf)
+        for n in range(visible + 1, _MOST_JOINTS + 1) if joints is None else [joints]:
+            found = frequencies(n)
+            choice = cls(n, float(np.max(np.abs(found / exact[: found.size] - 1))))
+            if choice.error < FREQUENCY_TOLERANCE:
+                break
+        return choice
 
 
 @dataclass(frozen=True)
@@ -301,7 +301,7 @@ def _choose_joints(link: Link, order: int, parameters: str, requested: int | Non
     Fixed lengths need two joints more than there are modes to carry those modes well; free lengths need none.
     """
     distinct = min(order + 2 if parameters == "joints" else order, len(link.markers))
-    choice = choose_virtual_joints(link, order, requested or (None if parameters == "uniform" else distinct))
+    choice = JointChoice.of(link, order, requested or (None if parameters == "uniform" else distinct))
     return replace(choice, requested=requested is not None)
 
 

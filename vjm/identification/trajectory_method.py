@@ -15,7 +15,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_torque
-from vjm.identification.training_data import JointChoice, TrainingData, choose_virtual_joints
+from vjm.identification.training_data import JointChoice, TrainingData
 from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
@@ -94,7 +94,7 @@ class TrajectoryMethod:
     def joint_choices(self, fit: TrajectoryFit) -> tuple[JointChoice, ...]:
         """Return a fit's numbers of joints with their discretisation errors."""
         links = zip(self.data.rig.links, self.data.shape.orders, fit.point.chain.links, strict=True)
-        choices = [choose_virtual_joints(link, order, own.virtual_joints) for link, order, own in links]
+        choices = [JointChoice.of(link, order, own.virtual_joints) for link, order, own in links]
         requested = all(choice.requested for choice in self.data.joints)
         return tuple(replace(choice, requested=requested) for choice in choices)
 
@@ -199,12 +199,6 @@ def _fit_first_periods(
     The first start (p,) is tried first, then all by how well they follow, then `others` where none leads anywhere.
     """
 
-    def expected(x: Array) -> float:
-        """Return the RMS weighted residual before a fit; infinite where nothing runs."""
-        with contextlib.suppress(SimulationDivergedError):
-            return problem.point(x).misfit
-        return np.inf
-
     def best_of(candidates: Sequence[Array]) -> TrajectoryFit | None:
         """Fit from the start that follows best; from the next ones too, until one misses by little."""
         best: TrajectoryFit | None = None
@@ -217,8 +211,12 @@ def _fit_first_periods(
         return best
 
     def by_misfit(candidates: Sequence[Array]) -> list[Array]:
-        ranked = sorted((expected(x), k) for k, x in enumerate(candidates))
-        return [candidates[k] for misfit, k in ranked if np.isfinite(misfit)]
+        """Return the candidates that can be simulated, the one that follows best first."""
+        points = []
+        for x in candidates:
+            with contextlib.suppress(SimulationDivergedError):
+                points.append(problem.point(x))
+        return [point.x for point in sorted(points, key=lambda point: point.misfit) if np.isfinite(point.misfit)]
 
     fit = best_of(starts[:1])
     if fit is None or fit.point.misfit > _DIVERGED_MISFIT:

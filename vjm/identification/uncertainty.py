@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from scipy import stats
@@ -36,6 +36,26 @@ class Information:
     normal: Array
     score_covariance: Array
 
+    @classmethod
+    def of_torque_errors(cls, fit: TorqueFit) -> Self:
+        """Return the information in torque errors, whose noise is correlated in time, not only by the smoothing filter.
+
+        Scores are summed over lags up to the filter's length (Newey and West 1987).
+        """
+        problem, start = fit.problem, 0
+        score_covariance = np.zeros((fit.x.size, fit.x.size))
+        for residual, prepared in zip(problem.torque_residuals(fit.x), problem.data.prepared, strict=True):
+            jacobian = fit.jacobian[start : start + residual.size].reshape(*residual.shape, fit.x.size)
+            scores = np.einsum("srp,sr->sp", jacobian, residual / problem.residual_scale)
+            start += residual.size
+            time, inside = prepared.derivatives.time, prepared.derivatives.interior
+            edge = float(time[inside][0] - time[0]) if inside.any() else 0.0
+            lags = int(np.ceil(2 * edge / float(np.median(np.diff(time))))) + 1
+            score_covariance += _long_run_covariance(scores, lags)
+        errors, frequencies = fit.jacobian[:start], fit.jacobian[start : start + len(problem.targets)]
+        known = frequencies.T @ frequencies
+        return cls(errors.T @ errors + known, score_covariance + known)
+
     @property
     def covariance(self) -> Array:
         """(p, p) covariance of the coordinates (sandwich); huge along directions that the data do not respond to."""
@@ -52,26 +72,6 @@ class Information:
         """(p,) True where the residuals respond to a coordinate at all."""
         response = np.sqrt(np.maximum(np.diag(self.normal), 0))
         return response > _SINGULAR * max(float(response.max()), 1e-300)
-
-
-def torque_information(fit: TorqueFit) -> Information:
-    """Return the information in torque errors, whose noise is correlated in time, by the smoothing filter among others.
-
-    Scores are summed over lags up to the filter's length (Newey and West 1987).
-    """
-    problem, start = fit.problem, 0
-    score_covariance = np.zeros((fit.x.size, fit.x.size))
-    for residual, prepared in zip(problem.torque_residuals(fit.x), problem.data.prepared, strict=True):
-        jacobian = fit.jacobian[start : start + residual.size].reshape(*residual.shape, fit.x.size)
-        scores = np.einsum("srp,sr->sp", jacobian, residual / problem.residual_scale)
-        start += residual.size
-        time, inside = prepared.derivatives.time, prepared.derivatives.interior
-        edge = float(time[inside][0] - time[0]) if inside.any() else 0.0
-        lags = int(np.ceil(2 * edge / float(np.median(np.diff(time))))) + 1
-        score_covariance += _long_run_covariance(scores, lags)
-    errors, frequencies = fit.jacobian[:start], fit.jacobian[start : start + len(problem.targets)]
-    known = frequencies.T @ frequencies
-    return Information(errors.T @ errors + known, score_covariance + known)
 
 
 def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, tuple[Whiteness, ...]]:
