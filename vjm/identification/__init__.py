@@ -3,14 +3,13 @@
 from vjm.identification.identify import identify
 from vjm.identification.parameters import PARAMETRISATIONS
 from vjm.identification.records import METHODS, Identification, ModeComparison
-from vjm.identification.uncertainty import Resampled, bootstrap, profile_interval
+from vjm.identification.uncertainty import bootstrap, profile_interval
 
 __all__ = [
     "METHODS",
     "PARAMETRISATIONS",
     "Identification",
     "ModeComparison",
-    "Resampled",
     "bootstrap",
     "identify",
     "profile_interval",

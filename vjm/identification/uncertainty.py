@@ -228,41 +228,6 @@ def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -
     return value + std * float(root_scalar(excess, bracket=(inside, outside), xtol=0.02).root)
 
 
-@dataclass(frozen=True)
-class Resampled:
-    """Estimates from B simulated data sets.
-
-    Attributes:
-        names: of the p parameters.
-        truth: (p,) their values in the model that made the data.
-        values: (B, p) estimated from each sample.
-        std: (B, p) standard errors that each sample's fit gives itself.
-        failed: number of samples whose fit did not converge; they are not among the values.
-    """
-
-    names: tuple[str, ...]
-    truth: Array
-    values: Array
-    std: Array
-    failed: int
-
-    @property
-    def sample_std(self) -> Array:
-        """(p,) standard deviation over the samples."""
-        return np.asarray(np.std(self.values, axis=0, ddof=1))
-
-    def interval(self, confidence: float = 0.95) -> Array:
-        """Return the basic bootstrap interval (p, 2): the samples' quantiles mirrored about their truth.
-
-        Raises:
-            ShapeError: a confidence outside (0, 1).
-        """
-        if not 0 < confidence < 1:
-            raise ShapeError("confidence", confidence, "a number between 0 and 1")
-        tails = [(1 + confidence) / 2, (1 - confidence) / 2]
-        return np.asarray(2 * self.truth - np.quantile(self.values, tails, axis=0)).T
-
-
 def bootstrap(
     fit: Identification,
     samples: int = 100,
@@ -271,7 +236,7 @@ def bootstrap(
     executor: Executor | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-) -> Resampled:
+) -> tuple[Array, Array]:
     """Fit simulated data like those recorded again and again, to see how far the parameters scatter.
 
     The data are the fitted trajectories with errors put back on: white noise of the sensors' standard deviation (a
@@ -279,12 +244,16 @@ def bootstrap(
 
     Args:
         fit: of method `trajectory`.
-        samples: number B of data sets.
+        samples: number of data sets.
         kind: of the errors: `blocks` or `noise`.
         executor: runs the fits; any `concurrent.futures.Executor`, such as a process pool's or
             `dask.distributed.Client.get_executor()`. None: one after another, here.
         seed: of the errors; the same seed gives the same samples on every executor.
         progress: told (text, done, total) after every fit.
+
+    Returns:
+        (B, p) values of `fit.parameters` estimated from each sample, and (B, p) the standard errors that each fit
+        gives itself; B is smaller where fits did not converge.
 
     Raises:
         ChoiceError: an unknown kind.
@@ -300,7 +269,7 @@ def bootstrap(
 
 def _resampled(
     point: Point, samples: int, kind: ErrorKind, executor: Executor | None, seed: int, progress: Progress | None = None
-) -> Resampled:
+) -> tuple[Array, Array]:
     """The bootstrap at any point, which need not be a minimum: with kind `noise`, data from a known truth."""
     seeds = np.random.SeedSequence(seed).spawn(samples)
     bare = replace(point, runs=tuple(replace(run) for run in point.runs))  # without what can be worked out again
@@ -314,9 +283,7 @@ def _resampled(
         reason = f"{samples - len(fits)} of {samples} fits failed"
         raise InsufficientDataError("bootstrap", reason, "identify fewer parameters")
     values, std = (np.stack(arrays) for arrays in zip(*fits, strict=True))
-    parametrisation = point.problem.parametrisation
-    names = tuple(coordinate.name for coordinate in parametrisation.coordinates)
-    return Resampled(names, parametrisation.physical(point.x), values, std, samples - len(fits))
+    return values, std
 
 
 def _refit(point: Point, kind: ErrorKind, seed: np.random.SeedSequence) -> tuple[Array, Array] | None:
