@@ -101,7 +101,7 @@ LINK = ["chain", "links", 1]
         ([*LINK, "masses"], ..., r"key 'chain\.links\[1\]\.masses': missing"),
         ([*LINK, "masses"], [1.0, "2", 3.0, 4.0], r"key 'chain\.links\[1\]\.masses\[1\]': got '2'"),
         ([*LINK, "masses"], [1.0, True, 3.0, 4.0], r"masses\[1\]': got True"),
-        ([*LINK, "masses"], [1.0], r"key 'chain': fore\.masses: shape \(1,\); expected shape \(4,\)"),
+        ([*LINK, "masses"], [1.0], r"key 'fore\.masses': shape \(1,\); expected shape \(4,\)"),
         ([*LINK, "lengths"], [1.0, 1.0, 0.0, 1.0], r"fore\.lengths"),
         ([*LINK, "damping"], [1.0, -1.0, 0.0], r"fore\.damping"),
         ([*LINK, "payload"], -0.1, r"payload': got -0.1"),

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field, GetPydanticSchema
 
 from vjm.errors import ShapeError
 from vjm.records import Array, Indices, Record
 
 Distal = Literal["free", "joined"]
+_Values = Annotated[Array, GetPydanticSchema(lambda _, handler: handler(list[float]))]  # as model.json holds them
+_NotNegative = Annotated[float, Field(ge=0)]
+_Positive = Annotated[float, Field(gt=0)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,24 +53,24 @@ class LinkChain(Record):
 
     name: str
     joint: Literal["revolute", "clamped"]
-    lengths: Array
-    masses: Array
-    mass_centers: Array
-    inertias: Array
-    stiffness: Array
-    damping: Array
-    cells: Array
-    hub_inertia: float = 0.0
-    payload: float = 0.0
+    lengths: _Values
+    masses: _Values
+    mass_centers: _Values
+    inertias: _Values
+    stiffness: _Values
+    damping: _Values
+    cells: _Values
+    hub_inertia: _NotNegative = 0.0
+    payload: _NotNegative = 0.0
     distal: Distal = "free"
-    joint_stiffness: float = 0.0
-    joint_damping: float = 0.0
-    root_stiffness: float | None = None
-    root_damping: float = 0.0
-    root_inertia: float = 0.0
+    joint_stiffness: _NotNegative = 0.0
+    joint_damping: _NotNegative = 0.0
+    root_stiffness: _NotNegative | None = None
+    root_damping: _NotNegative = 0.0
+    root_inertia: _NotNegative = 0.0
     rest_curvature: float = 0.0
-    width: float | None = None
-    thickness: float | None = None
+    width: _Positive | None = None
+    thickness: _Positive | None = None
 
     def __post_init__(self) -> None:
         n = np.size(self.stiffness)
@@ -147,7 +151,7 @@ class Chain(Record):
     """
 
     name: str
-    links: tuple[LinkChain, ...]
+    links: Annotated[tuple[LinkChain, ...], Field(min_length=1)]
     gravity: tuple[float, float] = (0.0, 0.0)
 
     @property

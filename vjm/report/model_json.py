@@ -11,78 +11,43 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
-from vjm.chain.virtual_links import Chain, Distal, LinkChain
+from vjm.chain.virtual_links import Chain
 from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import ExperimentError, ModelFileError, ShapeError, shown
+from vjm.experiment.schema import STRICT
 from vjm.experiment.spectrum import sensor_noise
 from vjm.files import json_text, plain
 from vjm.records import Array, Estimate, Experiment, Recording, Rig
 from vjm.report.text import place
 from vjm.simulation.model import Model
 
-_NotNegative = Annotated[float, Field(ge=0)]
 _Positive = Annotated[float, Field(gt=0)]
 
 
-class _Entry(BaseModel):
-    """A JSON object: no key but those listed, no type coercion, finite numbers."""
-
-    model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
-
-
-class _LinkEntry(_Entry):
-    """A `LinkChain`, which itself checks sizes and ranges of the arrays."""
-
-    name: str
-    joint: Literal["revolute", "clamped"]
-    lengths: list[float]
-    masses: list[float]
-    mass_centers: list[float]
-    inertias: list[float]
-    stiffness: list[float]
-    damping: list[float]
-    cells: list[float]
-    hub_inertia: _NotNegative
-    payload: _NotNegative
-    distal: Distal
-    joint_stiffness: _NotNegative
-    joint_damping: _NotNegative
-    root_stiffness: _NotNegative | None
-    root_damping: _NotNegative
-    root_inertia: _NotNegative
-    rest_curvature: float
-    width: _Positive | None
-    thickness: _Positive | None
-
-
-class _ChainEntry(_Entry):
-    name: str
-    gravity: tuple[float, float]
-    links: Annotated[tuple[_LinkEntry, ...], Field(min_length=1)]
-
-
-class _EffectEntry(_Entry):
+class _EffectEntry(BaseModel):
     """An effect by its id; `None` stands for an infinite value of a parameter."""
 
+    model_config = STRICT
     effect: str
     link: str | None
     parameters: dict[str, float | None]
     in_reference: bool  # it acts in recordings of condition "reference" too
 
 
-class _ModelEntry(_Entry):
+class _ModelEntry(BaseModel):
     """The whole file."""
 
+    model_config = STRICT
     schema_version: Literal[1] = Field(alias="schema")
     kind: Literal["vjm-model"]
     vjm: str
     rig: Rig
     marker_noise: _Positive
     encoder_noise: _Positive
-    chain: _ChainEntry
+    chain: Chain
     effects: tuple[_EffectEntry, ...]
     estimates: tuple[Estimate, ...]
     covariance: list[list[float]]
@@ -126,7 +91,7 @@ def model_text(model: Model, covariance: Array | None = None) -> str:
     except ValidationError as error:
         key, problem, expected = _fault(error)
         raise ShapeError(key, problem.removeprefix("got "), expected) from None
-    return json_text(entry.model_dump(by_alias=True))
+    return json_text(plain(entry.model_dump(by_alias=True, warnings=False)))  # which would be of the arrays
 
 
 def load_model(path: Path | str) -> Model:
@@ -161,11 +126,10 @@ def read_model(
     with _faults_of(path):
         entry = _ModelEntry.model_validate_json(Path(path).read_bytes())
         _check(entry)
-        chain = _chain(entry.chain)
     rig = experiment.rig if experiment else entry.rig
     recordings = experiment.cleaned_recordings if experiment else ()
     noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
-    model = Model(chain, rig, *noise, entry.estimates, (), sum(item.in_reference for item in entry.effects))
+    model = Model(entry.chain, rig, *noise, entry.estimates, (), sum(item.in_reference for item in entry.effects))
     ordered = sorted(enumerate(entry.effects), key=lambda item: not item[1].in_reference)
     catalogue = {effect.id: effect for effect in effects}
     with _faults_of(path):
@@ -201,13 +165,6 @@ def _check(entry: _ModelEntry) -> None:
     sizes = [len(row) for row in entry.covariance]
     if sizes and sizes != [count] * count:
         raise ShapeError("covariance", f"rows of {sizes}", f"{count} rows of {count}, or none")
-
-
-def _chain(entry: _ChainEntry) -> Chain:
-    try:
-        return Chain(entry.name, tuple(LinkChain(**link.model_dump()) for link in entry.links), entry.gravity)
-    except ShapeError as error:
-        raise ShapeError("chain", f"{error.name}: {error.given}", error.expected) from error
 
 
 def _fault(error: ValidationError) -> tuple[str, str, str]:
