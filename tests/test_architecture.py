@@ -303,7 +303,7 @@ def test_nothing_grows_too_long() -> None:
     "code",
     [
         "import vjm",
-        "from vjm.cli import parse; parse(['demo'])",
+        "from vjm.cli import _parse; _parse(['demo'])",
         "import vjm.errors, vjm.records",
     ],
 )

@@ -14,7 +14,7 @@ import pytest
 
 import vjm
 from tests.fine_beam.make_demo import NOMINAL_STIFFNESS, TRUE_BEAM
-from vjm.cli import parse
+from vjm.cli import _parse
 from vjm.errors import RecordingError
 from vjm.identification import identify
 
@@ -98,7 +98,7 @@ def test_every_vjm_command_is_one_that_vjm_takes() -> None:
     lines = [part for line in found for part in line.split(" && ") if part.startswith("vjm ")]
     assert {shlex.split(line)[1] for line in lines} == {"demo", "check", "identify", "diagnose", "simulate", "urdf"}
     for line in lines:
-        parse(shlex.split(line)[1:])
+        _parse(shlex.split(line)[1:])
 
 
 def test_installing_takes_one_line_and_testing_another() -> None:

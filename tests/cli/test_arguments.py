@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from vjm.cli import METHODS, PARAMETERS, parse
+from vjm.cli import METHODS, PARAMETERS, _parse
 from vjm.diagnosis import diagnose
 from vjm.identification import METHODS as KNOWN_METHODS
 from vjm.identification import PARAMETRISATIONS, identify
@@ -19,18 +19,18 @@ def test_choices_are_those_of_the_identification() -> None:
     assert METHODS == KNOWN_METHODS
     assert PARAMETERS == PARAMETRISATIONS
     signature = inspect.signature(identify)
-    assert signature.parameters["method"].default == parse(["identify", "x.toml"]).method
-    assert signature.parameters["parameters"].default == parse(["identify", "x.toml"]).parameters
+    assert signature.parameters["method"].default == _parse(["identify", "x.toml"]).method
+    assert signature.parameters["parameters"].default == _parse(["identify", "x.toml"]).parameters
 
 
 def test_defaults_are_those_of_the_diagnosis() -> None:
-    arguments, signature = parse(["diagnose", "x.toml"]), inspect.signature(diagnose)
+    arguments, signature = _parse(["diagnose", "x.toml"]), inspect.signature(diagnose)
     for name in ("effects", "max_effects", "jobs", "seed"):
         assert getattr(arguments, name) == signature.parameters[name].default
 
 
 def test_effects_are_a_list_of_names() -> None:
-    arguments = parse(["diagnose", "x.toml", "--effects", "tip_payload, linear_drag", "--seed", "0"])
+    arguments = _parse(["diagnose", "x.toml", "--effects", "tip_payload, linear_drag", "--seed", "0"])
     assert arguments.effects == ("tip_payload", "linear_drag")
     assert arguments.seed == 0
 
@@ -56,7 +56,7 @@ def test_help_is_quick() -> None:
 @pytest.mark.parametrize("command", ["demo", "check", "identify", "simulate", "diagnose", "urdf"])
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        parse([command, "--help"])
+        _parse([command, "--help"])
     assert stop.value.code == 0
     text = capsys.readouterr().out
     for option in ("--out", "--json", "--quiet", "--no-progress", "Exit status"):
@@ -85,7 +85,7 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
 )
 def test_senseless_arguments_end_with_status_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        parse(arguments)
+        _parse(arguments)
     assert stop.value.code == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -93,9 +93,9 @@ def test_senseless_arguments_end_with_status_2(arguments: list[str], capsys: pyt
 
 
 def test_common_options() -> None:
-    arguments = parse(["identify", "x.toml", "-o", "here", "--json", "-q", "--no-progress", "--virtual-joints", "4"])
+    arguments = _parse(["identify", "x.toml", "-o", "here", "--json", "-q", "--no-progress", "--virtual-joints", "4"])
     assert (str(arguments.out), arguments.json, arguments.quiet, arguments.no_progress) == ("here", True, True, True)
     assert arguments.virtual_joints == 4
-    assert str(parse(["demo"]).out) == "vjm-out"
-    assert parse(["check", "x.toml"]).out is None
-    assert parse(["urdf", "x.toml"]).out is None
+    assert str(_parse(["demo"]).out) == "vjm-out"
+    assert _parse(["check", "x.toml"]).out is None
+    assert _parse(["urdf", "x.toml"]).out is None

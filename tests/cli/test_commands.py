@@ -43,7 +43,6 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "identify", identify)
     monkeypatch.setattr(commands, "compare", compare)
     monkeypatch.setattr(output, "identification_pictures", lambda fit: [])
-    monkeypatch.setattr(output, "replay_pictures", lambda *_: [])
     monkeypatch.setattr(output, "diagnosis_pictures", lambda _: [])
     monkeypatch.setattr(commands, "diagnose", lambda *_, **__: undecided())
     checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})

@@ -33,7 +33,6 @@ from vjm.files import json_text
 from vjm.records import Estimate
 from vjm.report import output
 from vjm.report.diagnosis import _alternative_points, _candidate_table, _cause_table
-from vjm.report.figures import diagnosis as drawing
 from vjm.report.figures.diagnosis import _evidence, diagnosis_pictures
 from vjm.report.figures.panels import Picture
 from vjm.report.model_json import read_model
@@ -261,4 +260,3 @@ def test_folder_holds_a_model_that_comes_back(name: str, tmp_path: Path, monkeyp
 
 def test_names_of_pictures_differ() -> None:
     assert len(set(output._PICTURES)) == len(output._PICTURES)
-    assert set(drawing.NAMES) <= set(output._PICTURES)

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from tests.report.fits import SHARED, demo_fit, elbow_fit, hub_fit, pictures_of, torque_fit
 from vjm.identification.records import Identification
 from vjm.records import RecordingComparison, SimulatedRecording
-from vjm.report.figures.identification import NAMES, identification_pictures, replay_pictures
+from vjm.report.figures.identification import _replay_pictures, identification_pictures
 from vjm.report.figures.measurements import data_pictures
 from vjm.report.figures.panels import Picture, Spectrum, spectrum_panel
 from vjm.report.figures.signals import Signal, liveliest_window, motion_panel, residual_panel
+from vjm.report.output import _PICTURES
 
 Array = NDArray[np.float64]
 # Axes that hold names, not quantities.
@@ -34,7 +35,7 @@ def figure_of(pictures: list[Picture], name: str) -> Figure:
 
 
 def replayed(fit: Identification, name: str) -> Figure:
-    return figure_of(replay_pictures(fit.recordings, fit.model, "identified"), name)
+    return figure_of(_replay_pictures(fit.recordings, fit.model, "identified"), name)
 
 
 def legend_labels(figure: Figure) -> list[str]:
@@ -89,12 +90,12 @@ def assert_nothing_overlaps(figure: Figure) -> None:
 @pytest.mark.parametrize("fit", ["demo", "hub"], indirect=True)
 def test_names_and_number_of_pictures(fit: Identification) -> None:
     names = [picture.name for picture in pictures_of(fit)]
-    assert set(names) <= set(NAMES)
+    assert set(names) <= set(_PICTURES)
     assert len(names) == len(set(names)) <= 12
 
 
 def test_residuals_are_shown_for_whole_trajectories_only() -> None:
-    shown = {name for name in NAMES if name.startswith("residual")}
+    shown = {name for name in _PICTURES if name.startswith("residual")}
     assert shown <= {picture.name for picture in pictures_of(demo_fit())}
     assert not shown & {picture.name for picture in pictures_of(torque_fit())}
 
@@ -252,7 +253,7 @@ def test_raw_markers_show_every_kind_of_recording() -> None:
 
 def test_comparison_pictures_name_the_given_model() -> None:
     fit = demo_fit()
-    pictures = replay_pictures(fit.recordings, fit.model)
+    pictures = _replay_pictures(fit.recordings, fit.model, "given")
     assert "given model" in pictures[1].alternative
 
 
@@ -268,7 +269,7 @@ def test_pictures_do_not_depend_on_the_users_settings_and_leave_them_alone() -> 
 
 
 def figure_png(fit: Identification) -> bytes:
-    return replay_pictures(fit.recordings[:1], fit.model)[0].png
+    return _replay_pictures(fit.recordings[:1], fit.model, "given")[0].png
 
 
 def test_strange_file_names_are_printed_as_they_are() -> None:
@@ -280,7 +281,7 @@ def test_strange_file_names_are_printed_as_they_are() -> None:
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pictures = replay_pictures(strange, fit.model)
+        pictures = _replay_pictures(strange, fit.model, "given")
         assert [picture.png[:4] for picture in pictures] == [b"\x89PNG"] * len(pictures)
         assert pictures[0].figure.axes[0].get_yticklabels()[0].get_text() == "$x^2$ \\alpha_$.csv (train)"
         warnings.filterwarnings("ignore", "Glyph")

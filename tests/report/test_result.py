@@ -18,7 +18,7 @@ from vjm.identification.records import Identification
 from vjm.model.urdf import chain_to_urdf
 from vjm.records import Estimate
 from vjm.report.result_json import (
-    model_object,
+    _model_object,
     result_object,
     urdf_result,
 )
@@ -112,11 +112,11 @@ def test_bending_stiffness_of_free_joints_is_their_mean() -> None:
     joints = tuple(Estimate(f"beam.stiffness_{j + 1}", k, 0.1, "N m/rad") for j, k in enumerate(link.stiffness))
     covariance = 0.01 * (0.5 * np.eye(n) + 0.5)
     chain = demo_fit().model.chain
-    value, std = model_object(chain, joints, covariance)["links"][0]["bending_stiffness"].values()
+    value, std = _model_object(chain, joints, covariance)["links"][0]["bending_stiffness"].values()
     drawn = np.random.default_rng(1).multivariate_normal(link.stiffness, covariance, 200_000)
     assert value == pytest.approx(float(np.mean(link.stiffness * link.cells)))
     assert std == pytest.approx(np.std(np.mean(drawn * link.cells, axis=1)), rel=0.01)
-    assert model_object(chain, ())["links"][0]["bending_stiffness"]["std"] is None
+    assert _model_object(chain, ())["links"][0]["bending_stiffness"]["std"] is None
 
 
 def test_results_of_the_other_commands() -> None:

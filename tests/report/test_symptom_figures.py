@@ -14,7 +14,10 @@ from matplotlib.figure import Figure
 from tests.diagnosis.trajectories import MOTION, STILL, found, simulated
 from tests.report.test_figures import assert_readable
 from vjm.diagnosis.symptoms import Symptoms
-from vjm.report.figures.symptoms import NAMES, symptom_pictures
+from vjm.report.figures.symptoms import symptom_pictures
+from vjm.report.output import _PICTURES
+
+NAMES = tuple(name for name in _PICTURES if name.startswith("symptom"))
 
 
 @cache

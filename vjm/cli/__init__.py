@@ -13,6 +13,7 @@ from pathlib import Path
 METHODS = ("torque", "torque+frequency", "trajectory")
 PARAMETERS = ("uniform", "joints", "lengths", "full")
 _DIRECTORY = Path("vjm-out")
+_OUT = f"folder for the results (default: {_DIRECTORY}); made if need be"
 _FILES = "DIR gets result.json, model.json, model.urdf, report.html and figures/*.png."
 _STATUS = "Exit status: 0 done, 2 the input is unusable, 130 interrupted, 1 anything else."
 
@@ -27,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit status: 0 done, 2 the input is unusable, 130 interrupted, 1 anything else.
     """
     try:
-        arguments = parse(argv)
+        arguments = _parse(argv)
         if not sys.warnoptions:
             warnings.simplefilter("ignore")  # a user can do nothing about a library's warnings
         # The matrices are small: BLAS threads would only wait for each other. Read when NumPy is first imported.
@@ -58,7 +59,7 @@ def _failed(message: str, status: int) -> int:
     return status
 
 
-def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
+def _parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     """Return the arguments; end the program on --help, --version and arguments that make no sense (status 2)."""
     description = (
         "Identify a flexible robot arm from camera markers as a chain of rigid links and springs, and say what the "
@@ -70,39 +71,41 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    def add(name: str, text: str, more: str, experiment: bool = True) -> argparse.ArgumentParser:
+    def add(
+        name: str, text: str, more: str, out: str = _OUT, folder: Path | None = _DIRECTORY, metavar: str = "DIR",
+        experiment: bool = True,
+    ) -> argparse.ArgumentParser:  # fmt: skip
         command = commands.add_parser(
             name, help=text, description=f"{text[0].upper()}{text[1:]}. {more}", epilog=_STATUS
         )
         command.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
         command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
         command.add_argument("--no-progress", action="store_true", help="no progress bar on the terminal")
+        command.add_argument("-o", "--out", metavar=metavar, type=Path, default=folder, help=out)
         if experiment:
             command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
         return command
 
     more = f"Identifies a steel beam from simulated markers, then diagnoses it. {_FILES} DIR/diagnosis gets the same."
-    _add_out(add("demo", "a worked example on the data that comes with the package", more, experiment=False))
+    add("demo", "a worked example on the data that comes with the package", more, experiment=False)
 
     more = "Also says what the recordings can identify, and what they cannot tell apart."
-    check = add("check", "read an experiment and say what is wrong with it", more)
-    _add_out(check, "folder for result.json; without it nothing is written", None)
+    text = "folder for result.json; without it nothing is written"
+    add("check", "read an experiment and say what is wrong with it", more, text, None)
 
     _add_identification(add("identify", "identify the virtual-joint model of an arm", _FILES))
 
     simulate = add("simulate", "replay every recording with an identified model, and compare", _FILES)
     text = "the model.json of an identification or a diagnosis"
     simulate.add_argument("model", metavar="MODEL", type=Path, help=text)
-    _add_out(simulate)
 
     more = f"{_FILES} model.json holds the model with what was found."
     _add_diagnosis(add("diagnose", "find what a model of the arm lacks, why, and what adding it gains", more))
 
     more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
-    urdf = add("urdf", "write the virtual-joint chain as URDF", more, experiment=False)
-    urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
     text = "the URDF file (default: standard output; with --json, inside the result object)"
-    _add_out(urdf, text, None, "FILE")
+    urdf = add("urdf", "write the virtual-joint chain as URDF", more, text, None, "FILE", experiment=False)
+    urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
     return parser.parse_args(argv)
 
 
@@ -116,17 +119,7 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _add_out(
-    command: argparse.ArgumentParser,
-    text: str = f"folder for the results (default: {_DIRECTORY}); made if need be",
-    default: Path | None = _DIRECTORY,
-    metavar: str = "DIR",
-) -> None:
-    command.add_argument("-o", "--out", metavar=metavar, type=Path, default=default, help=text)
-
-
 def _add_identification(command: argparse.ArgumentParser) -> None:
-    _add_out(command)
     text = (
         "trajectory: whole simulated trajectories against everything measured; torque: torque errors alone, as in the "
         "paper; torque+frequency: with the natural frequencies (default: trajectory)"
@@ -142,7 +135,6 @@ def _add_identification(command: argparse.ArgumentParser) -> None:
 
 
 def _add_diagnosis(command: argparse.ArgumentParser) -> None:
-    _add_out(command)
     text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
     command.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
     for option, metavar, least, default, words in (

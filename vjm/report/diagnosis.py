@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.records import RecordingComparison
-from vjm.report.identification import carried_points, parameter_table, pictures_named, recording_table
+from vjm.report.identification import carried_points, parameter_table, recording_table
 from vjm.report.page import Grade, Page, Section, Table
 from vjm.report.text import (
     UNKNOWN,
@@ -60,7 +60,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
             Section(points=carried),
         ]
     else:
-        wrong, evidence = pictures_named(pictures, "symptom"), pictures_named(pictures, "cause")
+        wrong, evidence = ([each for each in pictures if each.name.startswith(kind)] for kind in ("symptom", "cause"))
         gained = [picture for picture in pictures if not picture.name.startswith(("symptom", "cause"))]
         nothing_wrong = ["The model without effects follows every recording to within the noise."]
         symptoms = _symptom_points(diagnosis, 8) or (nothing_wrong if diagnosis.symptoms else [])

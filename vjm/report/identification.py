@@ -13,7 +13,7 @@ from vjm.identification.check import Check
 from vjm.identification.records import Comparison, Identification, ModeComparison, Whiteness
 from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import Grade, Page, Section, Table
-from vjm.report.result_json import model_object
+from vjm.report.result_json import result_object
 from vjm.report.text import (
     UNKNOWN,
     counted,
@@ -50,8 +50,14 @@ _TRAJECTORY_METHOD = (
 )
 
 
-def identification_page(fit: Identification, pictures: Sequence[Picture] | None = None) -> Page:
-    """Return the page of an identification: the report with its pictures, or without any a summary."""
+def identification_page(result: Identification | Comparison | Check, pictures: Sequence[Picture] | None = None) -> Page:
+    """Return the page of an identification, a comparison or a check: with pictures the report, else a summary."""
+    if isinstance(result, Check):
+        return _check_page(result)
+    return _fit_page(result, pictures) if isinstance(result, Identification) else _comparison_page(result, pictures)
+
+
+def _fit_page(fit: Identification, pictures: Sequence[Picture] | None) -> Page:
     headline, grade = _closeness(fit.recordings, "identified")
     if fit.status != "converged":
         headline, grade = f"The search has not converged: {fit.remedy or 'do not use this model'}.", "poor"
@@ -67,24 +73,22 @@ def identification_page(fit: Identification, pictures: Sequence[Picture] | None 
         notes = [note for note in fit.notes if note not in fit.warnings]
         sections = [Section(tables=[parameters, modes, comparisons]), Section("Notes", notes)]
     else:
-        simulated, residual, correlated = ("fit", "tip"), ("residual",), ("correlations",)
-        data = [picture for picture in pictures if not picture.name.startswith((*simulated, *residual, *correlated))]
+        kinds = ("fit", "tip"), ("residual",), ("correlations",)
+        simulated, residual, correlated = ([each for each in pictures if each.name.startswith(kind)] for kind in kinds)
+        data = [each for each in pictures if each not in (*simulated, *residual, *correlated)]
         method = _TRAJECTORY_METHOD if fit.trajectory else _TORQUE_METHOD
         sections = [
             Section("Parameters", tables=[parameters, modes]),
-            Section("Fit per recording", tables=[comparisons], pictures=pictures_named(pictures, *simulated)),
-            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=pictures_named(pictures, *residual)),
-            Section(
-                "Identifiability", fit.notes, _remedy_tables(fit.parameters), pictures_named(pictures, *correlated)
-            ),
+            Section("Fit per recording", tables=[comparisons], pictures=simulated),
+            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=residual),
+            Section("Identifiability", fit.notes, _remedy_tables(fit.parameters), correlated),
             Section("Data", pictures=data),
             Section("Settings", terms=_settings(fit), text=method),
         ]
     return Page(fit.experiment.rig.name, "identification", headline, grade, points, fit.warnings, sections)
 
 
-def comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None = None) -> Page:
-    """Return the page of a given model beside recordings: the report with its pictures, or without any a summary."""
+def _comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None) -> Page:
     recordings = comparison.recordings
     headline, grade = _closeness(recordings, "given")
     points = [*_recording_points(recordings), *_not_simulated_points(recordings)]
@@ -96,8 +100,7 @@ def comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None =
     return Page(comparison.experiment.rig.name, "simulation", headline, grade, points, comparison.warnings, sections)
 
 
-def check_page(check: Check) -> Page:
-    """Return the page of an experiment's check."""
+def _check_page(check: Check) -> Page:
     trained, held_out = (len(check.experiment.with_role(role)) for role in ("train", "holdout"))
     links = zip(check.experiment.rig.links, check.virtual_joints, strict=False)
     joints = ", ".join(f"{link.name} {count}" for link, count in links)
@@ -109,11 +112,6 @@ def check_page(check: Check) -> Page:
     headline = f"{counted(trained, 'recording')} to train on, {held_out} held out."
     grade: Grade = "poor" if check.problem else "fair" if check.warnings else "good"
     return Page(check.experiment.rig.name, "check", headline, grade, points, check.warnings, ())
-
-
-def pictures_named(pictures: Sequence[Picture], *beginnings: str) -> list[Picture]:
-    """Return the pictures whose names begin with one of several words."""
-    return [picture for picture in pictures if picture.name.startswith(beginnings)]
 
 
 def _ratio(comparison: RecordingComparison) -> float:
@@ -160,7 +158,7 @@ def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
 
 def _stiffness_points(fit: Identification) -> list[str]:
     points = []
-    links = model_object(fit.model.chain, fit.parameters, fit.covariance)["links"]
+    links = result_object(fit)["model"]["links"]
     for link, identified, nominal in zip(fit.model.chain.links, links, fit.nominal.chain.links, strict=True):
         bending = identified["bending_stiffness"]
         change = 100 * (bending["value"] / nominal.bending_stiffness - 1)

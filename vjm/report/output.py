@@ -10,30 +10,41 @@ from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison, Identification
 from vjm.report.diagnosis import diagnosis_page
-from vjm.report.figures import diagnosis as diagnosis_figures
-from vjm.report.figures import identification as identification_figures
-from vjm.report.figures import symptoms as symptom_figures
 from vjm.report.figures.diagnosis import diagnosis_pictures
-from vjm.report.figures.identification import identification_pictures, replay_pictures
+from vjm.report.figures.identification import identification_pictures
 from vjm.report.figures.panels import Picture
-from vjm.report.identification import check_page, comparison_page, identification_page
+from vjm.report.identification import identification_page
 from vjm.report.model_json import model_text
 from vjm.report.page import Page
 from vjm.report.result_json import result_object
 
 REPORT = "report.html"
-_PICTURES = (*identification_figures.NAMES, *symptom_figures.NAMES, *diagnosis_figures.NAMES)
+# Every name that a picture may have: what an earlier run left of them is out of date.
+_PICTURES = (
+    *(
+        "fit",
+        "gain",
+        "residual_map",
+        "residual_spectra",
+        "correlations",
+        "shapes",
+        "angles",
+        "torque_errors",
+        "markers",
+    ),
+    "gain",
+    *(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet")),
+    *(f"{name}_{k}" for name in ("tip", "cause", "held_out") for k in range(1, 5)),
+)
 
 
 def result_page(
     result: Check | Identification | Comparison | Diagnosis, pictures: Sequence[Picture] | None = None
 ) -> Page:
     """Return a result's page: the report with its pictures, or without any the summary."""
-    if isinstance(result, Identification):
-        return identification_page(result, pictures)
-    if isinstance(result, Comparison):
-        return comparison_page(result, pictures)
-    return check_page(result) if isinstance(result, Check) else diagnosis_page(result, pictures)
+    if isinstance(result, Diagnosis):
+        return diagnosis_page(result, pictures)
+    return identification_page(result, pictures)
 
 
 def save(result: Identification | Comparison | Diagnosis, directory: Path | str) -> Path:
@@ -50,13 +61,10 @@ def save(result: Identification | Comparison | Diagnosis, directory: Path | str)
         FolderError: the folder cannot be written to.
     """
     folder = check_folder(directory)
-    if isinstance(result, Identification):
-        pictures = identification_pictures(result)
-    elif isinstance(result, Comparison):
-        pictures = replay_pictures(result.recordings, result.model)
+    if isinstance(result, Diagnosis):
+        pictures, covariance = diagnosis_pictures(result), None
     else:
-        pictures = diagnosis_pictures(result)
-    covariance = None if isinstance(result, Diagnosis) else result.covariance
+        pictures, covariance = identification_pictures(result), result.covariance
     texts = {
         REPORT: result_page(result, pictures).html(),
         "model.urdf": result.model.arm.urdf(),

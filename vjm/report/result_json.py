@@ -26,7 +26,7 @@ _IDENTIFIABLE = ("identifiable", "reason", "remedy")  # fields of an Estimate
 _ESTIMATED = ("value", "std", "unit")
 
 
-def model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
+def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
     """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'.
 
     A link's bending stiffness EI is the estimate `LINK.bending_stiffness` where there is one; else the mean over the
@@ -119,7 +119,7 @@ def _identification(fit: Identification) -> Result:
         "notes": fit.notes,
         "method": fit.method,
         "parameters": fit.parametrisation,
-        "model": model_object(fit.model.chain, fit.parameters, fit.covariance),
+        "model": _model_object(fit.model.chain, fit.parameters, fit.covariance),
         "frequencies_hz": [
             {"model": mode.frequency_model, "measured": mode.frequency_measured, "measured_std": mode.frequency_std}
             for mode in fit.modes
@@ -143,7 +143,7 @@ def _identification(fit: Identification) -> Result:
 def _comparison(comparison: Comparison) -> Result:
     model = comparison.model
     return {
-        "model": model_object(model.chain, model.estimates, comparison.covariance),
+        "model": _model_object(model.chain, model.estimates, comparison.covariance),
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in model.modes().frequencies],
         "effects": [{**_place(effect, model), "parameters": effect.values} for effect in model.effects],
         "recordings": [_recording(item) for item in comparison.recordings],
@@ -218,7 +218,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
         "next_experiment": diagnosis.next_experiment,
         "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
         "noise": diagnosis.noise,
-        "model": model_object(model.chain, diagnosis.parameters),
+        "model": _model_object(model.chain, diagnosis.parameters),
         "estimates": _estimates(diagnosis.parameters, *_ESTIMATED),
     }
 

@@ -34,12 +34,6 @@ from vjm.simulation.model import Model
 
 _MOST_CAUSES = 4
 _MOST_HELD_OUT = 3
-# Every file name that these pictures may have.
-NAMES = (
-    *(f"cause_{k + 1}" for k in range(_MOST_CAUSES)),
-    "gain",
-    *(f"held_out_{k + 1}" for k in range(_MOST_HELD_OUT)),
-)
 _LABELS = {
     "reference": "without the causes",
     "alternative": "next best explanation",

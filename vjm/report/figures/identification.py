@@ -11,6 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from scipy import stats
 
+from vjm.identification.comparison import Comparison
 from vjm.identification.records import Identification
 from vjm.records import Array, Estimate, RecordingComparison, Rig
 from vjm.report.figures.measurements import data_pictures
@@ -31,31 +32,22 @@ from vjm.simulation.model import Model
 _MOST_TIPS = 4
 _MOST_ROWS = 40  # recordings in the RMS figure
 _MOST_MAP_ROWS, _MOST_MAP_COLUMNS = 24, 14
-# Every file name that these pictures may have: what an earlier run left of them is out of date.
-NAMES = ("fit", *(f"tip_{k + 1}" for k in range(_MOST_TIPS)), "residual_map", "residual_spectra", "correlations",
-         "shapes", "angles", "torque_errors", "markers")  # fmt: skip
 
 
-def identification_pictures(fit: Identification) -> list[Picture]:
-    """Return all pictures of an identification."""
+def identification_pictures(result: Identification | Comparison) -> list[Picture]:
+    """Return all pictures of an identification, or of a comparison of a given model with recordings."""
+    if isinstance(result, Comparison):
+        return _replay_pictures(result.recordings, result.model, "given")
     return [
-        *replay_pictures(fit.recordings, fit.model, "identified"),
-        *(_residual_pictures(fit) if fit.trajectory is not None else ()),
-        *_correlation_pictures(fit.parameters, fit.covariance),
-        *data_pictures(fit),
+        *_replay_pictures(result.recordings, result.model, "identified"),
+        *(_residual_pictures(result) if result.trajectory is not None else ()),
+        *_correlation_pictures(result.parameters, result.covariance),
+        *data_pictures(result),
     ]
 
 
-def replay_pictures(comparisons: Sequence[RecordingComparison], model: Model, name: str = "given") -> list[Picture]:
-    """Return the pictures of a comparison of a model with recordings.
-
-    Args:
-        comparisons: the recordings.
-        model: by which they are simulated.
-        name: what to call the model.
-    """
-    labels: dict[str, str] = {"reference": "nominal model", "alternative": "torque method"}
-    labels["simulated"] = f"{name} model"
+def _replay_pictures(comparisons: Sequence[RecordingComparison], model: Model, name: str) -> list[Picture]:
+    labels = {"reference": "nominal model", "alternative": "torque method", "simulated": f"{name} model"}
     caption = (
         "Open-loop simulation of each whole recording: only its initial state is estimated from it. "
         f"A complete model lies on the noise mark.{_first_of(comparisons, _MOST_ROWS)}"

@@ -32,8 +32,6 @@ from vjm.report.figures.panels import (
 from vjm.report.figures.signals import Signal, liveliest_window, motion_panel, one_of_each_repeat, residual_panel
 from vjm.report.text import number, short
 
-# Every file name that these pictures may have.
-NAMES = tuple(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet"))
 _MOST_ROWS = 24  # recordings on a page: more could not be read
 _DOTS, _POOLED = "#cfcfcf", "#c9d6e6"
 _UNITS = {"m": (1e3, "mm"), "rad": (float(np.degrees(1.0)), "deg"), "N m": (1e3, "mN m")}
