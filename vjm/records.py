@@ -97,18 +97,18 @@ class SimulatedResult(Result):
             ChoiceError: a recording that is not among the result's.
             InsufficientDataError: nothing that could be simulated.
         """
-        from vjm.report.figures.signals import motion_panel, plot_recordings
+        from vjm.report.figures.signals import plot_recordings
 
-        return plot_recordings(self.experiment.rig, self.recordings, motion_panel, recording, ax)
+        return plot_recordings(self.experiment.rig, self.recordings, False, recording, ax)
 
     def plot_residuals(self, recording: Recording | str | None = None, ax: Axes | None = None) -> NDArray[Any]:
         """Plot for each recording its outermost marker's residual [mm], and the noise, against time [s].
 
         Arguments, axes and errors are those of `plot_fit`.
         """
-        from vjm.report.figures.signals import plot_recordings, residual_panel
+        from vjm.report.figures.signals import plot_recordings
 
-        return plot_recordings(self.experiment.rig, self.recordings, residual_panel, recording, ax)
+        return plot_recordings(self.experiment.rig, self.recordings, True, recording, ax)
 
 
 @dataclass(frozen=True)

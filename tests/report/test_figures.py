@@ -21,7 +21,7 @@ from vjm.records import RecordingComparison, SimulatedRecording
 from vjm.report.figures.identification import _replay_pictures, identification_pictures
 from vjm.report.figures.measurements import data_pictures
 from vjm.report.figures.panels import Picture, Spectrum, spectrum_panel
-from vjm.report.figures.signals import Signal, liveliest_window, motion_panel, residual_panel
+from vjm.report.figures.signals import Signal, _motion_panel, _residual_panel, liveliest_window
 from vjm.report.output import _PICTURES
 
 Array = NDArray[np.float64]
@@ -122,7 +122,7 @@ def test_tip_shows_the_measured_motion_and_the_simulated_one_between_frames() ->
         figure = Figure()
         axes = figure.subplots()
         assert comparison.simulated is not None
-        motion_panel(axes, signal, comparison, {"simulated": "model"})
+        _motion_panel(axes, signal, comparison, {"simulated": "model"})
         measured, simulated = axes.lines
         assert (measured.get_label(), simulated.get_label()) == ("measured", "model")
         assert np.asarray(measured.get_ydata()) == pytest.approx(1e3 * signal.value)
@@ -138,7 +138,7 @@ def test_residual_is_measured_minus_simulated_over_the_whole_recording() -> None
     assert signal is not None
     assert comparison.simulated is not None
     axes = Figure().subplots()
-    residual_panel(axes, signal, comparison, {"simulated": "model"})
+    _residual_panel(axes, signal, comparison, {"simulated": "model"})
     (line,) = [line for line in axes.lines if line.get_label() == "model"]
     marker, axis = signal.index
     expected = comparison.recording.markers - comparison.simulated.simulation.markers
@@ -156,7 +156,7 @@ def test_an_arm_without_markers_shows_its_joint_angle() -> None:
     assert signal.name == "fore.theta"
     assert signal.residual(comparison.simulated) == pytest.approx(comparison.simulated.theta_residual[:, 1])
     axes = Figure().subplots()
-    motion_panel(axes, signal, comparison, {"simulated": "model"})
+    _motion_panel(axes, signal, comparison, {"simulated": "model"})
     assert axes.get_ylabel() == "fore.theta [°]"
     line, simulation = axes.lines[1], comparison.simulated.simulation
     at_samples = np.interp(simulation.time, np.asarray(line.get_xdata()), np.asarray(line.get_ydata()))

@@ -215,12 +215,9 @@ def carried_points(model: Model) -> list[str]:
 
 
 def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str = "nominal") -> Table:
-    """Return every parameter beside its nominal value (the paper's Table 1), with standard error and 95 % interval.
+    """Return every parameter beside its value in another chain, with standard error and 95 % interval.
 
-    Args:
-        estimates: the parameters.
-        nominal: the chain they are compared with.
-        beside: name of that chain.
+    It is the paper's Table 1; `beside` names the other chain.
     """
     rows, compared = [], _values_by_name(nominal)
     for estimate in estimates:
@@ -236,20 +233,14 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str =
 
 def _values_by_name(chain: Chain) -> dict[str, float]:
     """Return a chain's values by the names of parameters; virtual joints count from 1, virtual links from 0."""
+    arrays = {"length": "lengths", "mass": "masses", "mass_center": "mass_centers", "inertia": "inertias"}
     values: dict[str, float] = {}
     for link in chain.links:
-        joints = {"stiffness": link.stiffness, "damping": link.damping}
-        body = {
-            "length": link.lengths,
-            "mass": link.masses,
-            "mass_center": link.mass_centers,
-            "inertia": link.inertias,
-        }
-        for first, arrays in ((1, joints), (0, body)):
-            for name, array in arrays.items():
-                values |= {f"{link.name}.{name}_{k}": float(value) for k, value in enumerate(array, first)}
         for name in ("bending_stiffness", "kelvin_voigt_time", "hub_inertia"):
             values[f"{link.name}.{name}"] = float(getattr(link, name))
+        for name in ("stiffness", "damping", *arrays):
+            numbers = enumerate(getattr(link, arrays.get(name, name)), 0 if name in arrays else 1)
+            values |= {f"{link.name}.{name}_{k}": float(value) for k, value in numbers}
     return values
 
 
@@ -297,9 +288,7 @@ def recording_table(
 ) -> Table:
     """Return how closely each recording is followed, open loop over its whole length.
 
-    Args:
-        comparisons: the recordings beside their simulations.
-        model, reference, alternative: names of the columns of `simulated`, `reference` and `alternative`.
+    The names are those of the columns of its comparison's `simulated`, `reference` and `alternative`.
     """
     rows, notes = [], []
     for item in comparisons:

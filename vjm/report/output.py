@@ -21,18 +21,8 @@ from vjm.report.result_json import result_object
 REPORT = "report.html"
 # Every name that a picture may have: what an earlier run left of them is out of date.
 _PICTURES = (
-    *(
-        "fit",
-        "gain",
-        "residual_map",
-        "residual_spectra",
-        "correlations",
-        "shapes",
-        "angles",
-        "torque_errors",
-        "markers",
-    ),
-    "gain",
+    *("fit", "gain", "correlations", "shapes", "angles", "torque_errors", "markers"),
+    *(f"residual_{name}" for name in ("map", "spectra")),
     *(f"symptom_{name}" for name in ("overview", "bands", "amplitude", "profiles", "lag", "quiet")),
     *(f"{name}_{k}" for name in ("tip", "cause", "held_out") for k in range(1, 5)),
 )

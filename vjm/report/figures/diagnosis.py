@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from scipy.ndimage import uniform_filter1d
 
 from vjm.diagnosis.records import Cause, Diagnosis
@@ -39,6 +38,7 @@ _LABELS = {
     "alternative": "next best explanation",
     "simulated": "with the causes",
 }
+_WITHOUT_AND_WITH = ("without the cause", "with it")
 _Points = tuple[Array, Array]  # abscissa and residual (P,)
 
 
@@ -102,7 +102,7 @@ def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure
     title = f"{recording_label(comparison.recording)}, {signal.name}: residual {sizes}"
     window = liveliest_window(signal.time, np.nan_to_num(signal.residual(before)))
     heading = "" if signal.is_whole(window) else "Where the model without the causes is off most"
-    return motion_figure(title, signal, comparison, _LABELS, [(window, heading)])
+    return motion_figure(title, [(signal, comparison, [(window, heading)])], _LABELS)
 
 
 @dataclass(frozen=True)
@@ -123,22 +123,16 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
     left, right = page.axes[0]
     before, after = comparisons[0].reference, comparisons[0].simulated
     if before is not None and after is not None:
-        spectra = Spectrum.of(before), Spectrum.of(after)
-        if cause.effect.abscissa == "frequency" and spectra[0] and spectra[1]:
-            spectrum_panel(left, [(spectra[0], "", Color.NOMINAL), (spectra[1], "", Color.IDENTIFIED)])
-            left.set_title("Spectrum of the residual; dashed: limit of noise")
+        without, with_it = Spectrum.of(before), Spectrum.of(after)
+        if cause.effect.abscissa == "frequency" and without and with_it:
+            labelled = zip((without, with_it), _WITHOUT_AND_WITH, (Color.NOMINAL, Color.IDENTIFIED), strict=True)
+            spectrum_panel(left, [*labelled])
+            left.set_title("Spectrum of the residual")
         else:
             torque = _torque_evidence(cause.effect, model, comparisons)
             _draw_evidence(left, torque or _marker_evidence(cause.effect, before, after))
         _draw_added(right, before, after)
-    return page.finish(
-        [
-            Line2D([], [], label="without the cause", **MARKS["reference"]),
-            Line2D([], [], label="with it", **MARKS["simulated"]),
-            Patch(color=Color.BAND, label="noise"),
-            Line2D([], [], color=Color.MEASURED, linestyle="--", label="residual equals what the cause adds"),
-        ]
-    )
+    return page.finish()
 
 
 def _marker_evidence(effect: Effect, before: SimulatedRecording, after: SimulatedRecording) -> _Evidence:
@@ -191,14 +185,14 @@ def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
     band = (0.0, noise) if evidence.rms else (-2 * noise, 2 * noise)
     axes.axhspan(*band, color=Color.BAND, linewidth=0)
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
-    for (x, values), role in zip(evidence.points, ("reference", "simulated"), strict=True):
+    for (x, values), role, label in zip(evidence.points, ("reference", "simulated"), _WITHOUT_AND_WITH, strict=True):
         if not evidence.rms:
             some = _some(x.size)
             axes.plot(x[some], values[some], ".", color=MARKS[role]["color"], alpha=0.3, markersize=2, zorder=1)
         most = 24 if x.size > 1000 else 10
         centres, means, _ = binned_means(x, values**2 if evidence.rms else values, most)
         means = np.sqrt(means) if evidence.rms else means
-        axes.plot(centres, means, linestyle="-", linewidth=1.1, **MARKS[role])
+        axes.plot(centres, means, linestyle="-", linewidth=1.1, label=label, **MARKS[role])
         largest = max(largest, 1.5 * float(np.max(np.abs(means), initial=0.0)))
     axes.set_ylim(0.0 if evidence.rms else -largest, None if evidence.rms else largest)
     axes.set(xlabel=evidence.labels[0], ylabel=evidence.labels[1], title=evidence.title)
@@ -218,8 +212,9 @@ def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecordin
     x, y, noise = 1e3 * added[known], 1e3 * residual[known], 1e3 * before.noise[0]
     most = max(float(np.percentile(np.abs(x), 99.5)), 3 * noise) * 1.15
     ends = np.array([-most, most])
-    axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=Color.BAND, linewidth=0)
-    axes.plot(ends, ends, color=Color.MEASURED, linestyle="--", linewidth=1.2, zorder=2)
+    axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=Color.BAND, linewidth=0, label="noise")
+    equal: dict[str, Any] = {"linestyle": "--", "label": "residual equals what the cause adds"}
+    axes.plot(ends, ends, color=Color.MEASURED, linewidth=1.2, zorder=2, **equal)
     some = _some(x.size)
     axes.plot(x[some], y[some], ".", color=Color.IDENTIFIED, markersize=2.2, zorder=3)
     axes.set(xlim=ends, ylim=1.15 * ends)

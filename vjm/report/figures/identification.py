@@ -104,7 +104,7 @@ def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[st
     sizes = [f"{labels[role]} {signal.rms_text(simulations[role])}" for role in reversed(simulations)]
     title = f"{recording_label(comparison.recording)}, {signal.name}: residual of {', '.join(sizes)} RMS"
     hidden = {"alternative", "reference"} - {*second}
-    return motion_figure(title, signal, comparison, labels, signal.windows(), hidden)
+    return motion_figure(title, [(signal, comparison, signal.windows())], labels, hidden)
 
 
 def _residual_pictures(fit: Identification) -> Iterator[Picture]:

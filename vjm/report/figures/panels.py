@@ -259,13 +259,9 @@ class Spectrum:
 def spectrum_panel(
     axes: Axes, spectra: Sequence[tuple[Spectrum, str, str]], modes: Array | Sequence[float] = (), unit: str = "µm"
 ) -> None:
-    """Draw residual spectra of one recording, each with label and colour, beside white noise.
+    """Draw residual spectra of one recording, with labels and colours, and the white noise of the last one.
 
-    Args:
-        axes: to draw into.
-        spectra: with labels and colours; the last one's noise is drawn.
-        modes: frequencies to mark [Hz].
-        unit: of a millionth of an amplitude.
+    `modes` are frequencies to mark [Hz]; `unit` is that of a millionth of an amplitude.
     """
     for spectrum, label, color in spectra:
         axes.plot(spectrum.frequency, 1e6 * spectrum.amplitude, color=color, linestyle="-", linewidth=1.0, label=label)
@@ -290,13 +286,10 @@ def marks_panel(
     axes: Axes, names: Sequence[str], marks: Sequence[tuple[str, Array, Array | None, Mapping[str, Any]]],
     apart: float = 0.0,
 ) -> None:  # fmt: skip
-    """Draw marks in a row for each name, from the top.
+    """Draw marks in a row for each of R names, from the top.
 
-    Args:
-        axes: to draw into.
-        names: of the R rows.
-        marks: label, values (R,), their errors (R,) if known, and the mark's look; drawn one upon another.
-        apart: distance at which the marks of a row stand below each other, in rows.
+    Each kind of mark has a label, values (R,), their errors (R,) if known, and a look; those of a row stand `apart`
+    rows below each other.
     """
     places = np.arange(len(names))
     for k, (label, values, errors, look) in enumerate(marks):

@@ -160,20 +160,11 @@ def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Reco
     return list(kept.values())
 
 
-def motion_panel(
+def _motion_panel(
     axes: Axes, signal: Signal, comparison: RecordingComparison, labels: Mapping[str, str],
     window: Window | None = None, most_circles: int = 170,
 ) -> None:  # fmt: skip
-    """Draw a measured signal and simulations of it against time.
-
-    Args:
-        axes: to draw into.
-        signal: as measured.
-        comparison: its recording, with the simulations.
-        labels: of the simulations that are drawn.
-        window: first and last instant [s]; None: all.
-        most_circles: so many frames at most are drawn as circles; more of them as a broad grey line.
-    """
+    """Draw a measured signal and labelled simulations of it in a window; with many frames as a broad grey line."""
     start, stop = window or (float(signal.time[0]), float(signal.time[-1]))
     inside = (signal.time >= start) & (signal.time <= stop)
     scale, unit = signal.unit
@@ -196,16 +187,11 @@ def _simulations(comparison: RecordingComparison, labels: Mapping[str, str]) -> 
     return [(role, simulated) for role, simulated in pairs if simulated is not None]
 
 
-def residual_panel(
+def _residual_panel(
     axes: Axes, signal: Signal, comparison: RecordingComparison, labels: Mapping[str, str],
     windows: Sequence[Window] = (),
 ) -> None:  # fmt: skip
-    """Draw measured minus simulated values of a signal over the whole recording, beside the noise.
-
-    Args:
-        axes, signal, comparison, labels: as of `motion_panel`.
-        windows: of the motion panels, shaded where they are not the whole recording.
-    """
+    """Draw measured minus simulated values over the whole recording, beside the noise; the windows are shaded."""
     scale, unit = signal.unit
     sigma = scale * comparison.noise[0 if signal.is_marker else 1]
     for window in windows:
@@ -224,34 +210,39 @@ def residual_panel(
 
 
 def motion_figure(
-    title: str, signal: Signal, comparison: RecordingComparison, labels: Mapping[str, str],
-    windows: Sequence[tuple[Window, str]], hidden: Collection[str] = (),
+    title: str, shown: Sequence[tuple[Signal, RecordingComparison, Sequence[tuple[Window, str]]]],
+    labels: Mapping[str, str], hidden: Collection[str] = (),
+    headings: Sequence[str] = ("Measured minus simulated, whole recording",),
 ) -> Figure:  # fmt: skip
-    """Draw a measured signal and simulations of it in one or two windows [s] with headings; below, the residuals.
+    """Draw measured signals and simulations of them in one or two windows [s] with headings; below, the residuals.
 
     The motion by the alternative model is not drawn, nor are the residuals of the simulations named in `hidden`.
+    `headings` are the residuals', one a signal.
     """
-    page = Page.of(title, [(2.6, len(windows)), (1.75, 1)])
-    panels, (lowest,) = page.axes
+    page = Page.of(title, [(2.6, sum(len(windows) for *_, windows in shown)), (1.75, len(shown))])
+    upper, lower = page.axes
     motion = {role: label for role, label in labels.items() if role != "alternative"}
-    for axes, (window, heading) in zip(panels, windows, strict=True):
-        motion_panel(axes, signal, comparison, motion, window, 170 // len(windows))
-        axes.set_title(heading)
-    limits = np.array([axes.get_ylim() for axes in panels])
-    for axes in panels:
-        axes.set_ylim(limits.min(), limits.max())
     residuals = {role: label for role, label in labels.items() if role not in hidden}
-    residual_panel(lowest, signal, comparison, residuals, [window for window, _ in windows])
+    for (signal, comparison, windows), axes, heading in zip(shown, lower, headings, strict=True):
+        panels, upper = upper[: len(windows)], upper[len(windows) :]
+        for panel, (window, text) in zip(panels, windows, strict=True):
+            _motion_panel(panel, signal, comparison, motion, window, 170 // len(page.axes[0]))
+            panel.set_title(text)
+        limits = np.array([panel.get_ylim() for panel in panels])
+        for panel in panels:
+            panel.set_ylim(limits.min(), limits.max())
+        _residual_panel(axes, signal, comparison, residuals, [window for window, _ in windows])
+        axes.set_title(heading)
     return page.finish()
 
 
 def plot_recordings(
-    rig: Rig, comparisons: Sequence[RecordingComparison], panel: Callable[..., None],
-    recording: Recording | str | None, ax: Axes | None,
+    rig: Rig, comparisons: Sequence[RecordingComparison], residual: bool, recording: Recording | str | None,
+    ax: Axes | None,
 ) -> NDArray[Any]:  # fmt: skip
-    """Plot the outermost measured signal of each recording, as `motion_panel` or `residual_panel` draws it.
+    """Plot the outermost measured signal of each recording and its simulation, or their `residual`.
 
-    Its other arguments, its result and its errors are those of `SimulatedResult.plot_fit`.
+    The other arguments, the result and the errors are those of `SimulatedResult.plot_fit`.
     """
     name = recording.file if isinstance(recording, Recording) else recording
     files = [item.recording.file for item in comparisons]
@@ -269,7 +260,7 @@ def plot_recordings(
         _, grid = pyplot.subplots(len(chosen), figsize=size, squeeze=False, layout="constrained")
         plotted = grid[:, 0]
     for axes, (item, signal) in zip(plotted, chosen, strict=False):
-        panel(axes, signal, item, {"simulated": "simulated"})
+        (_residual_panel if residual else _motion_panel)(axes, signal, item, {"simulated": "simulated"})
         axes.set_title(recording_label(item.recording))
         axes.legend(loc="upper right")
     return plotted

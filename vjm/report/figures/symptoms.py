@@ -29,7 +29,7 @@ from vjm.report.figures.panels import (
     marks_panel,
     spectrum_panel,
 )
-from vjm.report.figures.signals import Signal, liveliest_window, motion_panel, one_of_each_repeat, residual_panel
+from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, one_of_each_repeat
 from vjm.report.text import number, short
 
 _MOST_ROWS = 24  # recordings on a page: more could not be read
@@ -94,18 +94,18 @@ def _file(one: RecordingSymptoms, most: int) -> str:
 
 def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
     """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below."""
-    page = Page.of(title, [(2.4, len(shown)), (1.8, len(shown))])
-    for upper, lower, one in zip(*page.axes, shown, strict=True):
-        signal = Signal.of(found.rig, one.simulated.recording)
+    drawn, headings = [], []
+    for one in shown:
+        simulated = one.simulated
+        signal = Signal.of(found.rig, simulated.recording)
         assert signal is not None  # a recording that moves was measured
-        comparison = RecordingComparison(one.simulated.recording, one.simulated.noise, one.simulated)
-        window = liveliest_window(signal.time, np.nan_to_num(signal.residual(one.simulated)))
-        motion_panel(upper, signal, comparison, {"simulated": "model"}, window, most_circles=0)
-        upper.set_title(f"{_file(one, 18)}{'' if signal.is_whole(window) else ', worst stretch'}")
-        residual_panel(lower, signal, comparison, {"simulated": "model"}, [window])
-        size = signal.rms(one.simulated) / one.simulated.noise[0 if signal.is_marker else 1]
-        lower.set_title(f"{number(size, 2)} times the noise")
-    return page.finish()
+        window = liveliest_window(signal.time, np.nan_to_num(signal.residual(simulated)))
+        heading = f"{_file(one, 18)}{'' if signal.is_whole(window) else ', worst stretch'}"
+        comparison = RecordingComparison(simulated.recording, simulated.noise, simulated)
+        drawn.append((signal, comparison, [(window, heading)]))
+        size = signal.rms(simulated) / simulated.noise[0 if signal.is_marker else 1]
+        headings.append(f"{number(size, 2)} times the noise")
+    return motion_figure(title, drawn, {"simulated": "model"}, headings=headings)
 
 
 def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
@@ -249,9 +249,7 @@ def _profiles(title: str, found: Symptoms, shown: Sequence[JointProfile]) -> Fig
         several = np.unique(profile.recording).size > 1
         where = "all recordings" if several else _file(found.recordings[int(profile.recording[0])], 16)
         row[0].set_title(f"{short(profile.sensor, 18)}, {where}")
-    dots = Line2D([], [], linestyle="", marker=".", color=_DOTS, label="single values")
-    means = Line2D([], [], linestyle="", marker="o", color=Color.IDENTIFIED, label="means, two standard errors")
-    return page.finish([dots, means, Line2D([], [], color=Color.NOMINAL, label="trend, or jump")])
+    return page.finish()
 
 
 def _draw_profile(row: Sequence[Axes], profile: JointProfile) -> None:
@@ -261,7 +259,7 @@ def _draw_profile(row: Sequence[Axes], profile: JointProfile) -> None:
     factor, motion_unit = _UNITS[profile.motion_unit]
     parts = scale * (profile.fit.parts - profile.fit.parts.mean(axis=0))
     values = scale * profile.fit.remaining[:, None] + parts
-    trend: Any = {"color": Color.NOMINAL, "linestyle": "-", "zorder": 2}
+    trend: Any = {"color": Color.NOMINAL, "linestyle": "-", "zorder": 2, "label": "trend, or jump"}
     quantity = "missing torque" if profile.quantity == "torque" else profile.quantity
     for k, (x, label) in enumerate((
         (factor * profile.position, f"{short(profile.motion, 16)} [{motion_unit}]"),
@@ -285,11 +283,11 @@ def _draw_means(axes: Axes, x: Array, values: Array, spread: float = 0.0) -> Non
     """Draw single values, scattered sideways by so much, and their means with two standard errors."""
     thin = slice(None, None, max(1, x.size // 600))
     scattered = x + spread * np.random.default_rng(0).uniform(-1, 1, x.size)
-    axes.plot(scattered[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1)
+    axes.plot(scattered[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1, label="single values")
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6, zorder=1)
     centres, means, errors = binned_means(x, values, min(24 if x.size > 1000 else 10, x.size // 6))
     bars: Any = {"linestyle": "", "marker": "o", "markersize": 4, "color": Color.IDENTIFIED, "elinewidth": 1.1}
-    axes.errorbar(centres, means, yerr=2 * errors, **bars)
+    axes.errorbar(centres, means, yerr=2 * errors, label="means, two standard errors", **bars)
     # The means are shown well; of the single values, those at the far ends may be cut off.
     farthest = float((np.abs(means) + 2 * errors).max(initial=0.0))
     largest = max(1.25 * farthest, 1.3 * float(np.percentile(np.abs(values), 80)), 1e-12)
