@@ -93,14 +93,35 @@ def _parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     text = "folder for result.json; without it nothing is written"
     add("check", "read an experiment and say what is wrong with it", more, text, None)
 
-    _add_identification(add("identify", "identify the virtual-joint model of an arm", _FILES))
+    identify = add("identify", "identify the virtual-joint model of an arm", _FILES)
+    text = (
+        "trajectory: whole simulated trajectories against everything measured; torque: torque errors alone, as in the "
+        "paper; torque+frequency: with the natural frequencies (default: trajectory)"
+    )
+    identify.add_argument("--method", choices=METHODS, default="trajectory", help=text)
+    text = "number of virtual joints of each link (default: the experiment file's, else chosen from the data)"
+    identify.add_argument("--virtual-joints", metavar="N", type=_at_least(1), default=None, help=text)
+    text = (
+        "uniform: one bending stiffness and Kelvin-Voigt time per link (default); joints: every joint's stiffness and "
+        "damping; lengths: those and the virtual links' lengths; full: masses and inertias too"
+    )
+    identify.add_argument("--parameters", choices=PARAMETERS, default=PARAMETERS[0], help=text)
 
     simulate = add("simulate", "replay every recording with an identified model, and compare", _FILES)
     text = "the model.json of an identification or a diagnosis"
     simulate.add_argument("model", metavar="MODEL", type=Path, help=text)
 
     more = f"{_FILES} model.json holds the model with what was found."
-    _add_diagnosis(add("diagnose", "find what a model of the arm lacks, why, and what adding it gains", more))
+    diagnose = add("diagnose", "find what a model of the arm lacks, why, and what adding it gains", more)
+    text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
+    diagnose.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
+    for option, metavar, least, default, words in (
+        ("--max-effects", "M", 1, 3, "number of causes at most"),
+        ("--jobs", "J", 1, 1, "number of processes"),
+        ("--seed", "S", 0, 0, "seed of all random numbers"),
+    ):
+        text = f"{words} (default: {default})"
+        diagnose.add_argument(option, metavar=metavar, type=_at_least(least), default=default, help=text)
 
     more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
     text = "the URDF file (default: standard output; with --json, inside the result object)"
@@ -117,33 +138,6 @@ class _Version(argparse.Action):
 
         print(f"vjm {version('vjm')}")
         parser.exit()
-
-
-def _add_identification(command: argparse.ArgumentParser) -> None:
-    text = (
-        "trajectory: whole simulated trajectories against everything measured; torque: torque errors alone, as in the "
-        "paper; torque+frequency: with the natural frequencies (default: trajectory)"
-    )
-    command.add_argument("--method", choices=METHODS, default="trajectory", help=text)
-    text = "number of virtual joints of each link (default: the experiment file's, else chosen from the data)"
-    command.add_argument("--virtual-joints", metavar="N", type=_at_least(1), default=None, help=text)
-    text = (
-        "uniform: one bending stiffness and Kelvin-Voigt time per link (default); joints: every joint's stiffness and "
-        "damping; lengths: those and the virtual links' lengths; full: masses and inertias too"
-    )
-    command.add_argument("--parameters", choices=PARAMETERS, default=PARAMETERS[0], help=text)
-
-
-def _add_diagnosis(command: argparse.ArgumentParser) -> None:
-    text = "ids of the effects to look for, as tip_payload,coulomb_friction (default: all that are built in)"
-    command.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
-    for option, metavar, least, default, words in (
-        ("--max-effects", "M", 1, 3, "number of causes at most"),
-        ("--jobs", "J", 1, 1, "number of processes"),
-        ("--seed", "S", 0, 0, "seed of all random numbers"),
-    ):
-        text = f"{words} (default: {default})"
-        command.add_argument(option, metavar=metavar, type=_at_least(least), default=default, help=text)
 
 
 def _at_least(least: int) -> Callable[[str], int]:

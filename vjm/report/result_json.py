@@ -31,8 +31,7 @@ def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array
 
     A link's bending stiffness EI is the estimate `LINK.bending_stiffness` where there is one; else the mean over the
     virtual joints of stiffness times cell, the cells being taken as known. A standard error is None where a value rests
-    on nothing that was estimated.
-    Estimates without a covariance (p, p) count as uncorrelated.
+    on nothing that was estimated. Without a covariance (p, p), the estimates count as uncorrelated.
     """
     known = _uncertain(estimates, covariance)
     return {"links": [_link(link, known) for link in chain.links]}

@@ -136,12 +136,10 @@ class Page:
             unused.remove()
         return cls(page.figure, [every[:count]])
 
-    def finish(self, handles: Sequence[Artist] = (), areas: Mapping[str, Any] = MappingProxyType({})) -> Figure:
+    def finish(self, areas: Mapping[str, Any] = MappingProxyType({})) -> Figure:
         """Return the figure, laid out, with one legend above the panels.
 
-        Args:
-            handles: of the legend; none: all labelled ones in the panels, areas last.
-            areas: labels and colours of areas, instead of handles.
+        It tells the colours of `areas`, by label; without any, all that has a label in the panels, areas last.
         """
         labelled: dict[str, Artist] = {}
         for axes in self.figure.axes:
@@ -149,7 +147,7 @@ class Page:
                 labelled.setdefault(label, handle)
         patches = [Patch(facecolor=color, edgecolor="#bbbbbb", label=label) for label, color in areas.items()]
         is_area = {handle: isinstance(handle, (Patch, Collection)) for handle in labelled.values()}
-        shown: list[Artist] = [*patches] or [*handles] or sorted(is_area, key=is_area.__getitem__)
+        shown: list[Artist] = [*patches] or sorted(is_area, key=is_area.__getitem__)
         self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(6, len(shown)))
         engine = self.figure.get_layout_engine()
         assert engine is not None

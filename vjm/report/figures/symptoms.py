@@ -11,7 +11,6 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import FuncNorm
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms
 from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
@@ -184,11 +183,8 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
     page = Page.of(title, [(2.1, len(modes)), (2.35, len(modes))])
     for upper, lower, (mode, groups) in zip(*page.axes, modes.items(), strict=True):
         scale, unit = _UNITS[next(iter(groups.values()))[0].unit]
-        amplitudes = {
-            condition: scale * np.concatenate([f.amplitude for f in own]) for condition, own in groups.items()
-        }
         for condition, own in groups.items():
-            amplitude, look = amplitudes[condition], looks[condition]
+            amplitude, look = scale * np.concatenate([f.amplitude for f in own]), looks[condition]
             rates, std = np.concatenate([f.rates for f in own]), np.concatenate([f.std for f in own])
             first = rates[np.argmin(amplitude), 1, 0]  # relative to the model's there, conditions lie on one axis
             _draw_trend(upper, amplitude, 100 * (rates[..., 0] / first - 1), 100 * std[:, 0] / first, 2, look)
@@ -203,14 +199,13 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
         upper.set(ylabel="frequency, off the model's [%]", title=f"mode at {_frequency(found, mode, 3)} Hz")
         upper.tick_params(labelbottom=False)
         lower.set(ylabel="damping ratio [1]", xlabel=f"amplitude [{unit}]")
-    hollow: Any = {"markerfacecolor": "white"}
-    handles = [
-        Line2D([], [], color=Color.MEASURED, linestyle="", marker="o", label="measured, with error", **hollow),
-        Line2D([], [], color=Color.MEASURED, label="model"),
-    ]
-    for condition in conditions if len(conditions) > 1 else ():
-        handles.append(Line2D([], [], label=short(condition or "other recordings", 24), **looks[condition], **hollow))
-    return page.finish(handles)
+    marks: Any = {"linestyle": "", "marker": "o"}
+    legend = [("measured, with error", marks | {"color": Color.MEASURED}), ("model", {"color": Color.MEASURED})]
+    if len(conditions) > 1:
+        legend += [(short(condition or "other recordings", 24), looks[condition]) for condition in conditions]
+    for label, look in legend:
+        page.axes[0][0].plot([], [], label=label, **look, markerfacecolor="white")
+    return page.finish()
 
 
 def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: int, look: dict[str, Any]) -> None:
