@@ -20,7 +20,7 @@ from vjm.effects.effect import Effect
 from vjm.errors import InputError, ModelFileError
 from vjm.experiment.load import load_experiment
 from vjm.files import check_folder, json_text, write_folder, write_text
-from vjm.identification import Identification, identify
+from vjm.identification import identify
 from vjm.identification.check import Check, check
 from vjm.identification.comparison import compare
 from vjm.identification.records import Comparison
@@ -32,7 +32,7 @@ from vjm.report.result_json import result_object, urdf_result
 from vjm.report.text import counted
 from vjm.simulation.arm import Arm
 
-Saved = Identification | Comparison | Diagnosis
+Saved = Comparison | Diagnosis
 
 
 @contextmanager

@@ -50,7 +50,7 @@ _TRAJECTORY_METHOD = (
 )
 
 
-def identification_page(result: Identification | Comparison | Check, pictures: Sequence[Picture] | None = None) -> Page:
+def identification_page(result: Comparison | Check, pictures: Sequence[Picture] | None = None) -> Page:
     """Return the page of an identification, a comparison or a check: with pictures the report, else a summary."""
     if isinstance(result, Check):
         return _check_page(result)

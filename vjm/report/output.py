@@ -8,7 +8,7 @@ from pathlib import Path
 from vjm.diagnosis.records import Diagnosis
 from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
-from vjm.identification.records import Comparison, Identification
+from vjm.identification.records import Comparison
 from vjm.report.diagnosis import diagnosis_page
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.identification import identification_pictures
@@ -28,16 +28,14 @@ _PICTURES = (
 )
 
 
-def result_page(
-    result: Check | Identification | Comparison | Diagnosis, pictures: Sequence[Picture] | None = None
-) -> Page:
+def result_page(result: Check | Comparison | Diagnosis, pictures: Sequence[Picture] | None = None) -> Page:
     """Return a result's page: the report with its pictures, or without any the summary."""
     if isinstance(result, Diagnosis):
         return diagnosis_page(result, pictures)
     return identification_page(result, pictures)
 
 
-def save(result: Identification | Comparison | Diagnosis, directory: Path | str) -> Path:
+def save(result: Comparison | Diagnosis, directory: Path | str) -> Path:
     """Write a result as a folder; all of it or, if anything fails, nothing.
 
     Args:

@@ -79,7 +79,7 @@ def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
     }
 
 
-def result_object(result: Check | Identification | Comparison | Diagnosis) -> Result:
+def result_object(result: Check | Comparison | Diagnosis) -> Result:
     """Return the result object of a command, as result.json holds it: every number finite or None."""
     if isinstance(result, Identification):
         command, content = "identify", _identification(result)

@@ -11,8 +11,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from scipy import stats
 
-from vjm.identification.comparison import Comparison
-from vjm.identification.records import Identification
+from vjm.identification.records import Comparison, Identification
 from vjm.records import Array, Estimate, RecordingComparison, Rig
 from vjm.report.figures.measurements import data_pictures
 from vjm.report.figures.panels import (
@@ -34,9 +33,9 @@ _MOST_ROWS = 40  # recordings in the RMS figure
 _MOST_MAP_ROWS, _MOST_MAP_COLUMNS = 24, 14
 
 
-def identification_pictures(result: Identification | Comparison) -> list[Picture]:
+def identification_pictures(result: Comparison) -> list[Picture]:
     """Return all pictures of an identification, or of a comparison of a given model with recordings."""
-    if isinstance(result, Comparison):
+    if not isinstance(result, Identification):
         return _replay_pictures(result.recordings, result.model, "given")
     return [
         *_replay_pictures(result.recordings, result.model, "identified"),
