@@ -50,15 +50,15 @@ def _indented(value: object, newline: str) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)
 
 
-def plain(value: Any) -> Any:
-    """Return a value in JSON's own types; arrays become lists, and numbers that are not finite None."""
+def plain(value: Any, finite: bool = True) -> Any:
+    """Return a value in JSON's own types; arrays become lists, and numbers that are not `finite`, if so asked, None."""
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: plain(item, finite) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, finite) for item in value]
     if hasattr(value, "tolist"):  # an array, or a scalar of NumPy's
-        return plain(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return plain(value.tolist(), finite)
+    return None if finite and isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _encoded(content: str | bytes) -> bytes:

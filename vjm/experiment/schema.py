@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Annotated, Any, get_origin, get_type_hints
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, create_model
 from pydantic_core import ErrorDetails
 
 from vjm.errors import ExperimentError, shown, suggestion
+from vjm.files import plain
 
 # No key but those listed, no conversion of types, no infinities.
 STRICT = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False, frozen=True)
@@ -55,11 +55,11 @@ def check_fields(record: Any, name: object) -> None:
     """
     kind: type = type(record)
     model = table_model(kind)
-    values = {key: getattr(record, key) for key in model.model_fields}
+    defaults = {key: field.default for key, field in model.model_fields.items()}
     # A default may be what no table can say, as the rig's gravity.
-    given = {key: _plain(value) for key, value in values.items() if value is not model.model_fields[key].default}
+    given = {key: value for key, default in defaults.items() if (value := getattr(record, key)) is not default}
     try:
-        valid = model.model_validate(given)
+        valid = model.model_validate(plain(given, finite=False))
     except ValidationError as error:
         detail = error.errors(include_url=False)[0]
         key, *items = detail["loc"]
@@ -87,12 +87,3 @@ def explain(detail: ErrorDetails, model: type[BaseModel], key: str, items: Seque
         return f"got {shown(detail['input'])}" if items else "missing", expected
     position = f"item {items[0] + 1} is " if items and isinstance(items[0], int) else "got "
     return position + shown(detail["input"]), expected
-
-
-def _plain(value: Any) -> Any:
-    """Return NumPy's arrays and numbers as Python's."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    return value.item() if isinstance(value, np.generic) else value
