@@ -19,7 +19,7 @@ from vjm.experiment.load import load_experiment
 from vjm.identification import Identification, identify
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import fit_torque
-from vjm.identification.training_data import read_training_data
+from vjm.identification.training_data import TrainingData
 from vjm.records import Experiment, Link, Recording, Rig
 
 ROOT = Path(__file__).parents[2]
@@ -77,7 +77,7 @@ def chain_recordings(joint: str, n: int, seed: int, free: bool = False) -> tuple
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_free_chain_gives_its_stiffness_and_damping_from_a_far_start(joint: str, n: int, seed: int) -> None:
     experiment, truth = chain_recordings(joint, n, seed)
-    fit = fit_torque(read_training_data(experiment, "joints"), "joints")
+    fit = fit_torque(TrainingData.of(experiment, "joints"), "joints")
     problem = fit.problem
     found, true = problem.parametrisation.chain(fit.x).links[0], truth.links[0]
     assert fit.converged
@@ -134,13 +134,13 @@ def test_standard_errors_hold_for_fresh_noise(seed: int) -> None:
         if recording.kind == "decay" and recording.role == "train":
             kept.append(replace(recording, markers=recording.markers + 3e-4 * rng.normal(size=recording.markers.shape)))
     noisier = Experiment(replace(experiment.rig, marker_noise=3e-4 * np.sqrt(2)), tuple(kept))
-    fit = fit_torque(read_training_data(noisier))
+    fit = fit_torque(TrainingData.of(noisier))
     found = fit.problem.parametrisation.physical(fit.x)[0]
     assert found == pytest.approx(TRUTH["bending_stiffness"], rel=0.006)
 
 
 def test_evaluate_agrees_with_the_search() -> None:
-    fit = fit_torque(read_training_data(demo()))
+    fit = fit_torque(TrainingData.of(demo()))
     again = fit.problem.evaluate(fit.x)
     assert fit.jacobian == pytest.approx(again.jacobian, rel=1e-3, abs=1e-3 * np.abs(again.jacobian).max())
 

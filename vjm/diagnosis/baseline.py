@@ -24,7 +24,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT
-from vjm.identification.training_data import read_training_data
+from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
 from vjm.identification.trajectory_method import TrajectoryMethod, first_fit
 from vjm.model import dynamics
@@ -69,7 +69,7 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
         InsufficientDataError: recordings that cannot determine a model.
         SimulationDivergedError: no start can be simulated.
     """
-    data = read_training_data(experiment)
+    data = TrainingData.of(experiment)
     search, fit = first_fit(data, progress=progress, rough=True)
     resting, changed, unused = _further_recordings(experiment, search)
     runs = [*fit.point.runs, *_simulated(fit.point, resting)]
@@ -86,7 +86,7 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     bias = DiscretizationBias.of(fit.point, experiment.rig) if model.misfit < CLOSE else None
     outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
     others = tuple(_prepared(one, size, noise) for one in outlier_free)
-    return Baseline(bias.corrected(model) if bias else model, noise, others, (*search.problems, *unused))
+    return Baseline(bias.corrected(model) if bias else model, noise, others, (*search.data.problems, *unused))
 
 
 def _further_recordings(

@@ -14,7 +14,7 @@ from vjm.experiment.checks import overlapping_samples
 from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
 from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_torque
-from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData, read_training_data
+from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData
 from vjm.identification.uncertainty import Information
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment, Link, Recording, RecordingComparison, Result
@@ -56,7 +56,7 @@ def check(experiment: Experiment) -> Check:
     joints = [link.virtual_joints or 6 for link in rig.links]  # enough for the slowest few frequencies
     expected = modes(nominal_chain(rig, rig_layouts(rig, joints))).frequencies
     try:
-        data = {kind: read_training_data(experiment, kind) for kind in PARAMETRISATIONS}
+        data = {kind: TrainingData.of(experiment, kind) for kind in PARAMETRISATIONS}
         identifiable = {kind: _identifiable(each) for kind, each in data.items()}
     except InsufficientDataError as error:
         problem = str(error)

@@ -18,7 +18,7 @@ from vjm.identification.comparison import compare_recordings
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
 from vjm.identification.torque_method import MODE_TOLERANCE, fit_torque
-from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData, read_training_data
+from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
 from vjm.identification.uncertainty import Information, trajectory_information
@@ -83,7 +83,7 @@ def identify(
             raise ChoiceError(option, given, choices)
     if virtual_joints is not None and not 1 <= virtual_joints <= 60:
         raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
-    data = read_training_data(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
+    data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
     if method != "trajectory":
         torque = fit_torque(data, data.parameters, method == "torque+frequency", progress)
         parametrisation, information = torque.problem.parametrisation, Information.of_torque_errors(torque)
@@ -95,7 +95,7 @@ def identify(
     torque_chain = None if search.torque is None else search.torque.chain
     parametrisation, x = fit.point.problem.parametrisation, fit.point.x
     solution = _Solution(parametrisation, x, information, fit.converged, notes, fit, whiteness, torque_chain)
-    data = replace(data, joints=search.joint_choices(fit), problems=search.problems)
+    data = replace(search.data, joints=search.joint_choices(fit))
     return _result(experiment, method, data, solution, progress)
 
 

@@ -157,6 +157,71 @@ class TrainingData:
     modes: tuple[MeasuredModes, ...] = ()
     payload: float = 0.0
 
+    @classmethod
+    def of(
+        cls,
+        experiment: Experiment,
+        parameters: str = "uniform",
+        virtual_joints: int | None = None,
+        layout: str = DEFAULT_LAYOUT,
+        family: str = "cantilever",
+        angles: AngleMethod | None = None,
+        derivatives: str = "smoothing",
+    ) -> Self:
+        """Choose the recordings, the shape functions' orders and the numbers of joints, and prepare the recordings.
+
+        Args:
+            experiment: the rig and its recordings.
+            parameters: parametrisation; with parameters of their own, there are no more joints than can be told apart.
+            virtual_joints: n of every link where it is given.
+            layout: where the links are cut.
+            family: of the shape functions.
+            angles: how angles are read off them; None: for uniform links by the curvature of the shape functions, for
+                joints with parameters of their own by the chain's own curve, where there are markers enough.
+            derivatives: `smoothing` or `interpolating`.
+
+        Raises:
+            InsufficientDataError: nothing to fit, or a link without markers.
+        """
+        rig = experiment.rig
+        recordings = _training_recordings(experiment.cleaned_recordings)
+        noise = sensor_noise(rig, experiment.cleaned_recordings)
+        if max(_relative_motion(recording, noise) for recording in recordings) < 2.0:  # pure noise reaches one
+            raise InsufficientDataError(
+                "identification",
+                "in no training recording does the arm move by more than its sensors' noise",
+                "record it swinging or driven",
+            )
+        orders = _choose_orders(rig, rig_layouts(rig, [3] * len(rig.links), layout), recordings, family)
+        joints = tuple(
+            _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
+            for link, order in zip(rig.links, orders, strict=True)
+        )
+        if angles is None:
+            enough = all(len(link.markers) >= choice.joints for link, choice in zip(rig.links, joints, strict=True))
+            angles = "curve" if parameters != "uniform" and enough else "curvature"
+        robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
+        cuts = tuple(rig_layouts(rig, [choice.joints for choice in joints], layout))
+        shape = ShapeSettings(family, orders, angles, robust)
+        return cls(rig, parameters, layout, cuts, joints, shape, derivatives, noise, recordings)._with_prepared()
+
+    def _with_prepared(self) -> Self:
+        """The data with their recordings prepared, and the modes of those with the commonest payload.
+
+        Frequencies are compared among recordings with the same payload only.
+        """
+        prepared, problems = [], []
+        for recording in self.recordings:
+            try:
+                prepared.append(_prepare(self, self.cuts, recording))
+            except InsufficientDataError as error:
+                problems.append(str(error))
+        payloads = [one.recording.payload for one in prepared] or [recording.payload for recording in self.recordings]
+        payload = max(sorted(set(payloads)), key=payloads.count)
+        most = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
+        modes = tuple(one.modes(self.noise[0], most) for one in prepared if one.recording.payload == payload)
+        return replace(self, prepared=tuple(prepared), problems=tuple(problems), modes=modes, payload=payload)
+
     def driven_hubs(self, recordings: Sequence[Recording]) -> tuple[int, ...]:
         """Return the links whose hub inertia shows: their active joint's torque was measured in a recording."""
         return tuple(
@@ -181,71 +246,6 @@ class TrainingData:
         Both chains have the same cuts.
         """
         return [one.weighted_errors(chain, weighting or chain) for one in self.prepared_for(chain)]
-
-
-def read_training_data(
-    experiment: Experiment,
-    parameters: str = "uniform",
-    virtual_joints: int | None = None,
-    layout: str = DEFAULT_LAYOUT,
-    family: str = "cantilever",
-    angles: AngleMethod | None = None,
-    derivatives: str = "smoothing",
-) -> TrainingData:
-    """Choose the recordings, the shape functions' orders and the numbers of joints, and prepare the recordings.
-
-    Args:
-        experiment: the rig and its recordings.
-        parameters: parametrisation; with parameters of their own, there are no more joints than can be told apart.
-        virtual_joints: n of every link where it is given.
-        layout: where the links are cut.
-        family: of the shape functions.
-        angles: how angles are read off them; None: for uniform links by the curvature of the shape functions, for
-            joints with parameters of their own by the chain's own curve, where there are markers enough.
-        derivatives: `smoothing` or `interpolating`.
-
-    Raises:
-        InsufficientDataError: nothing to fit, or a link without markers.
-    """
-    rig = experiment.rig
-    recordings = _training_recordings(experiment.cleaned_recordings)
-    noise = sensor_noise(rig, experiment.cleaned_recordings)
-    if max(_relative_motion(recording, noise) for recording in recordings) < 2.0:  # pure noise reaches one
-        raise InsufficientDataError(
-            "identification",
-            "in no training recording does the arm move by more than its sensors' noise",
-            "record it swinging or driven",
-        )
-    orders = _choose_orders(rig, rig_layouts(rig, [3] * len(rig.links), layout), recordings, family)
-    joints = tuple(
-        _choose_joints(link, order, parameters, virtual_joints or link.virtual_joints)
-        for link, order in zip(rig.links, orders, strict=True)
-    )
-    if angles is None:
-        enough = all(len(link.markers) >= choice.joints for link, choice in zip(rig.links, joints, strict=True))
-        angles = "curve" if parameters != "uniform" and enough else "curvature"
-    robust = all(len(link.markers) >= order + 2 for link, order in zip(rig.links, orders, strict=True))
-    cuts = tuple(rig_layouts(rig, [choice.joints for choice in joints], layout))
-    shape = ShapeSettings(family, orders, angles, robust)
-    return _with_prepared(TrainingData(rig, parameters, layout, cuts, joints, shape, derivatives, noise, recordings))
-
-
-def _with_prepared(data: TrainingData) -> TrainingData:
-    """The data with their recordings prepared, and the modes of those with the commonest payload.
-
-    Frequencies are compared among recordings with the same payload only.
-    """
-    prepared, problems = [], []
-    for recording in data.recordings:
-        try:
-            prepared.append(_prepare(data, data.cuts, recording))
-        except InsufficientDataError as error:
-            problems.append(str(error))
-    payloads = [one.recording.payload for one in prepared] or [recording.payload for recording in data.recordings]
-    payload = max(sorted(set(payloads)), key=payloads.count)
-    most = max(data.shape.orders) + 2  # faster ones may be too faint for shapes
-    modes = tuple(one.modes(data.noise[0], most) for one in prepared if one.recording.payload == payload)
-    return replace(data, prepared=tuple(prepared), problems=tuple(problems), modes=modes, payload=payload)
 
 
 def _training_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:

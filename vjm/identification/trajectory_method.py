@@ -38,7 +38,6 @@ class TrajectoryMethod:
         data: what is fitted.
         observed: the recordings that can be simulated, without their outliers once a first fit has shown them.
         hubs: indices of the links whose hub inertia is identified.
-        problems: why recordings are not used, a sentence each.
         torque: what the torque method finds; None where there is nothing for it to find.
         progress: told (text, done, total) now and then.
         rough: whether minima of uniform links are only a start for other searches.
@@ -47,7 +46,6 @@ class TrajectoryMethod:
     data: TrainingData
     observed: tuple[Observations, ...]
     hubs: tuple[int, ...]
-    problems: tuple[str, ...]
     torque: TorqueFit | None
     progress: Progress | None
     rough: bool = False
@@ -163,7 +161,8 @@ def first_fit(
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_torque(data, progress=progress) if data.prepared else None
     rough = rough or data.parameters != "uniform"
-    search = TrajectoryMethod(data, observed, data.driven_hubs(recordings), problems, torque, progress, rough)
+    used = replace(data, problems=problems)
+    search = TrajectoryMethod(used, observed, data.driven_hubs(recordings), torque, progress, rough)
     joints = search.candidates()[0]
     fit = search._far(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)
