@@ -74,7 +74,7 @@ def test_two_causes_are_found(plant: Plant) -> None:
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
     first, second = diagnosis.causes  # each with what is lost without it alone
-    assert first.gain > 1.2 * second.gain
+    assert first.decrease > 1.2 * second.decrease
     assert diagnosis.gain is not None
     assert diagnosis.gain.next_best is not None  # what the next best would have gained
     assert diagnosis.gain.next_best > 1.03 * diagnosis.gain.after
