@@ -23,7 +23,7 @@ from matplotlib.collections import Collection
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import AutoLocator, LogLocator, NullLocator
 from scipy import stats
 from scipy.signal import periodogram
 
@@ -151,6 +151,13 @@ class Page:
         self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(6, len(shown)))
         engine = self.figure.get_layout_engine()
         assert engine is not None
+        engine.execute(self.figure)
+        # As many ticks as the panels have room for now: where their number followed the layout, and the layout the width
+        # of their labels, the two need not settle.
+        for axes in self.figure.axes:
+            for axis in (axes.xaxis, axes.yaxis):
+                if isinstance(locator := axis.get_major_locator(), AutoLocator):
+                    locator.set_params(nbins=max(1, min(axis.get_tick_space(), 9)))
         engine.execute(self.figure)
         self.figure.set_layout_engine(None)  # with an engine, saving would draw everything twice
         return self.figure
