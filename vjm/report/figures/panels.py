@@ -152,8 +152,8 @@ class Page:
         engine = self.figure.get_layout_engine()
         assert engine is not None
         engine.execute(self.figure)
-        # As many ticks as the panels have room for now: where their number followed the layout, and the layout the width
-        # of their labels, the two need not settle.
+        # As many ticks as the panels have room for now: where their number followed the layout, and the layout their
+        # labels' width, the two need not settle.
         for axes in self.figure.axes:
             for axis in (axes.xaxis, axes.yaxis):
                 if isinstance(locator := axis.get_major_locator(), AutoLocator):
