@@ -264,6 +264,14 @@ class TakesDampingAway(JointEffect):
 
 
 @dataclass(frozen=True)
+class TakesDampingAwayBehindAJoint(TakesDampingAway):
+    """The same, with a joint of its own at the link's root."""
+
+    def chain(self, chain: Chain) -> Chain:
+        return chain if self.is_null else self.with_link(super().chain(chain), root_stiffness=100.0 / self.share)
+
+
+@dataclass(frozen=True)
 class HiddenMotor(CubicFriction):
     """Called dissipative, and drives the joint behind the torque sensor's back."""
 

@@ -47,6 +47,7 @@ BROKEN = [
     (broken.Motor(), "energy", "at a random state its forces give the arm"),
     (broken.Spring(), "energy", "at a random state its forces give the arm"),
     (broken.TakesDampingAway(), "energy", "at a random state its forces give the arm"),
+    (broken.TakesDampingAwayBehindAJoint(), "energy", "at a random state its forces give the arm"),
     (broken.HiddenMotor(), "energy", "at a random state its forces give the arm"),
     (broken.Constant(), "recovery", "nothing that is measured depends on `coefficient`"),
     (broken.Folded(), "recovery", "with coefficient 0.004 .* finds coefficient 0.001"),

@@ -381,8 +381,9 @@ def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
     torque = np.zeros_like(q) if force is None else force(time, q, v, z)
     for joint, change in zip(arm.chain.active, (arm.inputs(recording).tau - recording.tau).T, strict=True):
         torque[:, joint] += np.interp(time, recording.time, change)
-    if n == bench.chain.size:
-        torque = torque - (arm.chain.damping - bench.chain.damping) * v
+    damping, joints = arm.chain.damping.copy(), np.arange(n)
+    damping[joints if n == bench.chain.size else np.setdiff1d(joints, arm.chain.roots)] -= bench.chain.damping
+    torque = torque - damping * v
     power, size = (torque * v).sum(axis=1), np.abs(torque * v).sum(axis=1)
     if not stateful:
         return power, size
