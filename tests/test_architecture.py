@@ -131,6 +131,12 @@ def turning_back(path: Path, package: Path = PACKAGE) -> list[str]:
     return found
 
 
+def test_every_class_has_a_name_of_its_own() -> None:
+    """Two records of one name are two words for one thing, or one word for two."""
+    public = [node.name for _, node in nodes(ast.ClassDef) if not node.name.startswith("_")]
+    assert sorted({name for name in public if public.count(name) > 1}) == []
+
+
 def test_every_stage_has_its_place() -> None:
     parts = {path.relative_to(PACKAGE).with_suffix("").parts[0] for path in MODULES} - {"__init__"}
     assert parts == set(LEVEL)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from vjm.simulation.least_squares import Search, SquareRootInformation, Status, Step, minimise
+from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 
 Array = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class Change(Step):
     change: Array
 
 
-class ValleySearch(Search[Valley, Change]):
+class ValleySearch(LevenbergMarquardt[Valley, Change]):
     rough = False
 
     def step_at(self, damping: float) -> Change:

@@ -24,7 +24,7 @@ from vjm.model.modes import modes
 from vjm.records import Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
-from vjm.simulation.least_squares import Search, SquareRootInformation, Status, Step, minimise
+from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run
 from vjm.simulation.sensitivity import PerturbedArm
@@ -311,7 +311,7 @@ class _TrajectoryStep(Step):
     gains: list[float]
 
 
-class _TrajectorySearch(Search[Point, _TrajectoryStep]):
+class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
     """Levenberg-Marquardt search over coordinates, with each recording's initial state eliminated.
 
     Attributes:

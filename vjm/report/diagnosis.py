@@ -10,6 +10,7 @@ from vjm.records import RecordingComparison
 from vjm.report.identification import carried_points, parameter_table, recording_table
 from vjm.report.page import Grade, Page, Section, Table
 from vjm.report.text import (
+    MOST_NAMED,
     UNKNOWN,
     capital,
     clause,
@@ -28,8 +29,6 @@ from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
     from vjm.report.figures.panels import Picture
-
-_MOST_NAMED = 3  # of a list in a sentence; the tables have all
 
 _METHOD = (
     "The model without effects is fitted to all training recordings at once. The error of its few virtual joints is "
@@ -177,11 +176,11 @@ def _residual_points(diagnosis: Diagnosis) -> list[str]:
 
 def _small_effect_points(diagnosis: Diagnosis) -> list[str]:
     """Return what else would have been detected, and what is significant but too small to matter."""
-    more = _detectable(diagnosis)[2 : 2 + _MOST_NAMED]
+    more = _detectable(diagnosis)[2 : 2 + MOST_NAMED]
     points = [f"Also, {listed(more)} would have been detected."] if more else []
     # Each p-value is of the whole search, of all candidates: one in a hundred of such searches is wrong.
     certain = [item.effect.id for item in diagnosis.candidates if item.p_value is not None and item.p_value < 0.01]
-    names = [named(name).lower() for name in dict.fromkeys(certain)][:_MOST_NAMED]
+    names = [named(name).lower() for name in dict.fromkeys(certain)][:MOST_NAMED]
     return points + ([f"Significant by their p-values, but too small to matter: {listed(names)}."] if names else [])
 
 

@@ -15,6 +15,7 @@ from vjm.records import Estimate, RecordingComparison
 from vjm.report.page import Grade, Page, Section, Table
 from vjm.report.result_json import result_object
 from vjm.report.text import (
+    MOST_NAMED,
     UNKNOWN,
     counted,
     interval,
@@ -31,8 +32,6 @@ from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
     from vjm.report.figures.panels import Picture
-
-_MOST_NAMED = 3  # of a list in a sentence; the tables have all
 
 _TORQUE_METHOD = (
     "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
@@ -141,7 +140,7 @@ def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[s
 def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     """Return a sentence on each of the worst held-out recordings, then one on the worst of the others."""
     points = []
-    for role, words, most in (("holdout", "held out", _MOST_NAMED), ("train", "train", 1)):
+    for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "train", 1)):
         group = sorted((item for item in comparisons if item.recording.role == role), key=_ratio, reverse=True)
         shown = [(item, item.simulated) for item in group if item.simulated is not None]
         name = words if len(shown) == 1 or role == "holdout" else f"worst of {words}"
@@ -170,7 +169,7 @@ def _stiffness_points(fit: Identification) -> list[str]:
 
 def _not_simulated_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     missing = [f"{short(item.recording.file)} ({item.problem})" for item in comparisons if item.simulated is None]
-    return [f"Not simulated: {listed(missing[:_MOST_NAMED])}."] if missing else []
+    return [f"Not simulated: {listed(missing[:MOST_NAMED])}."] if missing else []
 
 
 def _undetermined(estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -179,8 +178,8 @@ def _undetermined(estimates: Sequence[Estimate]) -> list[Estimate]:
 
 def _undetermined_points(estimates: Sequence[Estimate]) -> list[str]:
     missing = _undetermined(estimates)
-    if len(missing) > _MOST_NAMED:
-        names = listed([estimate.name for estimate in missing[:_MOST_NAMED]])
+    if len(missing) > MOST_NAMED:
+        names = listed([estimate.name for estimate in missing[:MOST_NAMED]])
         return [f"{len(missing)} of {len(estimates)} parameters are not determined by these recordings: {names} …"]
     return [f"Not determined by these recordings: {_explained(estimate)}." for estimate in missing]
 
@@ -191,7 +190,7 @@ def _share(estimates: Sequence[Estimate]) -> str:
     text = f"{len(estimates) - len(missing)} of {len(estimates)} parameters determined"
     if not missing:
         return text
-    few, most = len(missing) <= 2, 2 * _MOST_NAMED
+    few, most = len(missing) <= 2, 2 * MOST_NAMED
     names = [_explained(estimate) if few else estimate.name for estimate in missing[:most]]
     return f"{text}; not {', '.join(names)}{' …' if len(missing) > most else ''}"
 

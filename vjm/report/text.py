@@ -12,6 +12,7 @@ from vjm.records import Estimate, Recording
 from vjm.simulation.model import Model
 
 UNKNOWN = "–"
+MOST_NAMED = 3  # of a list in a sentence; the tables have all
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _PLAIN_EXPONENTS = range(-3, 5)  # decimal exponents written without a power of ten
 

@@ -12,7 +12,7 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.records import Array
 from vjm.simulation.arm import Arm
-from vjm.simulation.least_squares import Search, Status, Step, minimise
+from vjm.simulation.least_squares import LevenbergMarquardt, Status, Step, minimise
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
@@ -103,7 +103,7 @@ class _StateStep(Step):
     state: Array
 
 
-class _InitialStateSearch(Search[Run, _StateStep]):
+class _InitialStateSearch(LevenbergMarquardt[Run, _StateStep]):
     """Search for one recording's most likely initial state."""
 
     def step_at(self, damping: float) -> _StateStep:
@@ -151,7 +151,7 @@ def fit_initial_states(
     return [(search.point, search.status == "converged") for search in searches]
 
 
-def _attempts(searches: Sequence[Search[Run, _StateStep]], step_multiple: float) -> list[Run | None]:
+def _attempts(searches: Sequence[LevenbergMarquardt[Run, _StateStep]], step_multiple: float) -> list[Run | None]:
     """Runs from the states that steps lead to; None where one diverges."""
     try:
         runs, states = [search.point for search in searches], [search.step.state for search in searches]

@@ -113,7 +113,7 @@ P = TypeVar("P", bound=_Iterate)
 S = TypeVar("S", bound=Step)
 
 
-class Search(ABC, Generic[P, S]):
+class LevenbergMarquardt(ABC, Generic[P, S]):
     """State of a Levenberg-Marquardt search.
 
     Source: J. J. More, The Levenberg-Marquardt algorithm: implementation and theory, 1978; J. Nocedal and S. J. Wright,
@@ -174,7 +174,9 @@ class Search(ABC, Generic[P, S]):
 
 
 def minimise(
-    searches: Sequence[Search[P, S]], simulate: Callable[[Sequence[Search[P, S]]], Iterable[P | None]], most: int
+    searches: Sequence[LevenbergMarquardt[P, S]],
+    simulate: Callable[[Sequence[LevenbergMarquardt[P, S]]], Iterable[P | None]],
+    most: int,
 ) -> None:
     """Advance searches side by side until each has converged or stopped.
 

@@ -12,7 +12,7 @@ from scipy import stats
 
 from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, Tone, channels_of, explained, regress
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
-from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeComparison, ModeDifference
+from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeDifference, MotionComparison
 from vjm.records import Array, Record, Rig, SimulatedRecording
 
 _FALSE_ALARM = 0.01  # probability that clean recordings show any symptom at all, shared by all that is looked for
@@ -76,7 +76,7 @@ class RecordingSymptoms:
     simulated: SimulatedRecording
     sensors: tuple[Channels, ...]  # the camera and the encoders, as far as they measured anything
     misfit: float  # squared residuals, in units of the noise
-    modes: ModeComparison = field(default_factory=ModeComparison)  # empty where nothing moves or was measured
+    modes: MotionComparison = field(default_factory=MotionComparison)  # empty where nothing moves or was measured
     profiles: tuple[JointProfile, ...] = ()  # residuals against the joints' motion
     at_rest: tuple[SensorAtRest, ...] = ()  # each sensor, where nothing moves
 
@@ -133,11 +133,11 @@ def symptoms(
     for one in simulated:
         sensors = channels_of(rig, one)
         misfit = float(sum(np.sum(sensor.residual**2) for sensor in sensors))
-        modes, at_rest = ModeComparison(), list[SensorAtRest]()
+        modes, at_rest = MotionComparison(), list[SensorAtRest]()
         if one.recording.kind in ("quiet", "static"):
             at_rest = [quiet for quiet in map(SensorAtRest.of, sensors) if quiet is not None]
         elif sensors:
-            modes = ModeComparison.of(one.recording, sensors, frequencies[one.recording.payload])
+            modes = MotionComparison.of(one.recording, sensors, frequencies[one.recording.payload])
         recordings.append(RecordingSymptoms(one, sensors, misfit, modes, at_rest=tuple(at_rest)))
     own, together = joint_profiles(
         rig, [(one.simulated, one.sensors * bool(one.modes.remaining)) for one in recordings]

@@ -77,7 +77,7 @@ class FreeMotion(NamedTuple):
         return 0.5 * float(np.sum((rate * turned * self.envelope) ** 2))
 
 
-class ModeComparison(NamedTuple):
+class MotionComparison(NamedTuple):
     """All modes of one recording, and the slow motion outside them."""
 
     modes: tuple[ModeDifference, ...] = ()  # those that move
@@ -89,7 +89,7 @@ class ModeComparison(NamedTuple):
     remaining: tuple[Array, ...] = ()  # of each sensor, (F, C) the residual without all of these, in units of the noise
 
     @classmethod
-    def of(cls, recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> ModeComparison:
+    def of(cls, recording: Recording, sensors: Sequence[Channels], natural: Sequence[float]) -> MotionComparison:
         """Compare the modes of a recording in its sensors, at least one, near the model's natural frequencies [Hz]."""
         fit = _Fit.to_simulation(recording, sensors, natural)
         residual = np.concatenate([sensor.centred(sensor.residual).ravel() for sensor in sensors])

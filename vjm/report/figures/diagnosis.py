@@ -19,7 +19,7 @@ from vjm.records import REFERENCE, Array, RecordingComparison, SimulatedRecordin
 from vjm.report.figures.panels import (
     MARKS,
     Color,
-    Page,
+    PanelFigure,
     Picture,
     Spectrum,
     binned_means,
@@ -119,7 +119,7 @@ class _Evidence:
 def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingComparison]) -> Figure:
     """Draw residuals of the first recording without and with a cause, and against what the cause adds."""
     clause_text = capital(clause(cause.effect, model, cause.parameters))
-    page = Page.of(f"{clause_text}: {short(comparisons[0].recording.file)} without and with it", [(3.4, 2)])
+    page = PanelFigure.of(f"{clause_text}: {short(comparisons[0].recording.file)} without and with it", [(3.4, 2)])
     left, right = page.axes[0]
     before, after = comparisons[0].reference, comparisons[0].simulated
     if before is not None and after is not None:

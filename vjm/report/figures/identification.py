@@ -17,7 +17,7 @@ from vjm.report.figures.measurements import data_pictures
 from vjm.report.figures.panels import (
     FALSE_ALARM,
     Color,
-    Page,
+    PanelFigure,
     Picture,
     Spectrum,
     heat_map,
@@ -136,7 +136,7 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     white = bool(np.nanmax(table / np.maximum(limit, 1.1)) <= 1)
     title = "Every marker is followed to within the noise" if white else "Residual marker by marker"
     title = f"{title}: {worst}, {names[column]} in {short(comparisons[row].recording.file)}"
-    page = Page.of(title, [(0.65 + 0.28 * max(len(comparisons), 2), 1)])
+    page = PanelFigure.of(title, [(0.65 + 0.28 * max(len(comparisons), 2), 1)])
     axes = page.axes[0][0]
     scales = ((1.0, 1.5, 3.0, 10.0), (1.0, 3.0, 10.0, 100.0), (1.0, 10.0, 100.0, 1000.0))
     levels = next((each for each in scales if np.nanmax(table) <= each[-1]), scales[-1])
@@ -179,7 +179,7 @@ def _residual_spectra(model: Model, spectra: Sequence[tuple[RecordingComparison,
     if (where := _peak(model, comparison, spectrum)) is not None:
         times = f"{float(f'{spectrum.amplitude.max() / spectrum.white:.2g}'):g} times white noise"
         title = f"Spectrum of the residual: largest {where}, in {short(comparison.recording.file)}: {times}"
-    page = Page.grid(title, len(spectra), (2.8, 2.3))
+    page = PanelFigure.grid(title, len(spectra), (2.8, 2.3))
     for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
         other = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
         drawn = [(other, "torque method", Color.TORQUE)] if other is not None else []
@@ -227,7 +227,7 @@ def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
     """Draw a correlation matrix; the title tells its strongest pair."""
     count = min(len(names), 48)
     roomy = count <= 16
-    page = Page.of(_correlation_title(names, matrix), [(0.6 + max(2, count) * min(0.28, 6.25 / count), 1)])
+    page = PanelFigure.of(_correlation_title(names, matrix), [(0.6 + max(2, count) * min(0.28, 6.25 / count), 1)])
     axes = page.axes[0][0]
     if count < 8:
         axes.set_box_aspect(0.35)

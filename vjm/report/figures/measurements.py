@@ -16,7 +16,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.identification.records import Identification
 from vjm.identification.training_data import PreparedRecording
 from vjm.records import Array, Indices, Recording, Rig
-from vjm.report.figures.panels import LINES, MARKS, Color, Page, Picture, log_scale, marks_panel
+from vjm.report.figures.panels import LINES, MARKS, Color, PanelFigure, Picture, log_scale, marks_panel
 from vjm.report.figures.signals import Signal, liveliest_window, moving_axis, one_of_each_repeat
 from vjm.report.text import counted, listed, millimetres, number, short
 
@@ -73,7 +73,7 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
     panels = [(recording, link) for recording in recordings for link in links]
     count = sum(len(link.markers) for link in rig.links)
     title = f"Markers as measured: {counted(len(recordings), 'recording')}, {counted(count, 'marker')}"
-    page = Page.grid(title, len(panels), (2.8, 1.9), max(len(links), 2))
+    page = PanelFigure.grid(title, len(panels), (2.8, 1.9), max(len(links), 2))
     for axes, (recording, link) in zip(page.axes[0], panels, strict=True):
         signal = Signal.of(rig, recording)
         start, stop = whole = float(recording.time[0]), float(recording.time[-1])
@@ -104,7 +104,7 @@ def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]
     title = f"Shape functions pass the markers of all links within {millimetres(rms)} RMS"
     if all(fit.order == fit.residuals.shape[1] for fit in recordings[0].angles.shapes):
         title = "Shape of the link: as many functions as markers, so the curve passes through them and is not tested"
-    page = Page.of(title, [(3.1, len(recordings))] * len(rig.links))
+    page = PanelFigure.of(title, [(3.1, len(recordings))] * len(rig.links))
     for i, row in enumerate(page.axes):
         for axes, data in zip(row, recordings, strict=True):
             _draw_shapes(axes, rig, chain, data, i)
@@ -161,7 +161,7 @@ def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
     times = listed([f"{ratio:.0f}" if ratio >= 2 else f"{ratio:.1f}" for ratio in ratios])
     window = liveliest_window(derivatives.time[inside], known[0][:, int(np.argmax(std[0]))])
     title = f"Virtual joint angles of {short(data.recording.file)}: angle, rate and acceleration are {times} times "
-    page = Page.of(f"{title}their noise", [(1.75, len(links))] * 3)
+    page = PanelFigure.of(f"{title}their noise", [(1.75, len(links))] * 3)
     time = np.linspace(*window, 800)  # a camera may take no more than four frames a period
     lines = CubicSpline(derivatives.time, signals, axis=1)(time)
     frames = (data.angles.time >= window[0]) & (data.angles.time <= window[1])
@@ -205,7 +205,7 @@ def _torque_errors(fit: Identification) -> Figure:
     total = [f"{number(1e3 * float(np.sqrt(np.nansum(rms**2))), 2)} mN m" for rms in (before, after, noise)]
     title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, noise alone "
     rows = [(2.35, 1), (0.7 + 0.28 * chain.size, 1)] if chain.size > 1 else [(2.35, 1)]
-    page = Page.of(f"{title}would give {total[2]} (RMS, all joints)", rows)
+    page = PanelFigure.of(f"{title}would give {total[2]} (RMS, all joints)", rows)
     trace, time = page.axes[0][0], data.derivatives.time
     start, stop = liveliest_window(time, np.nan_to_num(data.derivatives.value[:, joint]))
     time = time[data.derivatives.interior]

@@ -100,7 +100,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Page:
+class PanelFigure:
     """A figure with a title, a legend and rows of panels, laid out by matplotlib's constrained layout.
 
     Attributes:
@@ -112,7 +112,7 @@ class Page:
     axes: list[list[Axes]]
 
     @classmethod
-    def of(cls, title: str, rows: Sequence[tuple[float, int]]) -> Page:
+    def of(cls, title: str, rows: Sequence[tuple[float, int]]) -> PanelFigure:
         """Make an empty page under a sentence; each row has a height with labels [inches] and a number of panels."""
         lines = textwrap.wrap(title, 98)  # so many characters of the title's size fit across the page
         height = 0.42 + 0.18 * len(lines) + sum(size for size, _ in rows)  # title and legend stand above the rows
@@ -126,7 +126,7 @@ class Page:
         return cls(figure, [[panels[f"{r}.{k}"] for k in range(count)] for r, (_, count) in enumerate(rows)])
 
     @classmethod
-    def grid(cls, title: str, count: int, heights: tuple[float, float], columns: int = 2) -> Page:
+    def grid(cls, title: str, count: int, heights: tuple[float, float], columns: int = 2) -> PanelFigure:
         """Make a page of so many panels in one row; the heights are those of a single row and of one of several."""
         columns = min(columns, count)
         rows = math.ceil(count / columns)
@@ -310,7 +310,7 @@ def rms_figure(
     title: str, comparisons: Sequence[RecordingComparison], labels: Mapping[str, str], in_noise: bool
 ) -> Figure:
     """Draw each recording's RMS marker residual by several models in units of the noise, or else in millimetres."""
-    page = Page.of(title, [(0.7 + 0.28 * max(len(comparisons), 2), 1)])
+    page = PanelFigure.of(title, [(0.7 + 0.28 * max(len(comparisons), 2), 1)])
     axes, noise = page.axes[0][0], np.array([each.noise[0] for each in comparisons])
     units = noise if in_noise else np.full(noise.shape, 1e-3)
     marks, names = [("noise", noise / units, None, MARKS["noise"])], []

@@ -16,7 +16,7 @@ from scipy.signal import detrend
 
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.records import Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording, Simulation
-from vjm.report.figures.panels import LINES, Color, Page
+from vjm.report.figures.panels import LINES, Color, PanelFigure
 from vjm.report.text import millimetres, number, recording_label, short
 
 Window = tuple[float, float]  # first and last instant [s]
@@ -219,7 +219,7 @@ def motion_figure(
     The motion by the alternative model is not drawn, nor are the residuals of the simulations named in `hidden`.
     `headings` are the residuals', one a signal.
     """
-    page = Page.of(title, [(2.6, sum(len(windows) for *_, windows in shown)), (1.75, len(shown))])
+    page = PanelFigure.of(title, [(2.6, sum(len(windows) for *_, windows in shown)), (1.75, len(shown))])
     upper, lower = page.axes
     motion = {role: label for role, label in labels.items() if role != "alternative"}
     residuals = {role: label for role, label in labels.items() if role not in hidden}

@@ -19,7 +19,7 @@ from vjm.diagnosis.symptoms.modes import FreeMotion, ModeDifference
 from vjm.records import Array, RecordingComparison
 from vjm.report.figures.panels import (
     Color,
-    Page,
+    PanelFigure,
     Picture,
     Spectrum,
     binned_means,
@@ -110,7 +110,7 @@ def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -
 def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
     """Draw frequency, damping, amplitude and phase of every mode and recording, measured against simulated."""
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
-    page, colors = Page.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), colormaps["PuOr_r"]
+    page, colors = PanelFigure.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), colormaps["PuOr_r"]
     values: Sequence[tuple[str, Callable[[ModeDifference], float]]] = (
         ("frequency [%]", lambda mode: 100 * _sure(mode.frequency)),
         ("damping ratio [10⁻³]", lambda mode: 1e3 * _sure(mode.damping)),
@@ -180,7 +180,7 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
     for k, (condition, marker) in enumerate(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)):
         color = f"C{round(5 * k / max(len(conditions) - 1, 1))}"  # of the cycle's six
         looks[condition] = {"color": color, "linestyle": ("-", "--", ":", "-.")[k % 4], "marker": marker}
-    page = Page.of(title, [(2.1, len(modes)), (2.35, len(modes))])
+    page = PanelFigure.of(title, [(2.1, len(modes)), (2.35, len(modes))])
     for upper, lower, (mode, groups) in zip(*page.axes, modes.items(), strict=True):
         scale, unit = _UNITS[next(iter(groups.values()))[0].unit]
         for condition, own in groups.items():
@@ -238,7 +238,7 @@ def _profiles_shown(found: Symptoms) -> list[JointProfile]:
 
 def _profiles(title: str, found: Symptoms, shown: Sequence[JointProfile]) -> Figure:
     """Draw residuals against position, velocity and direction, each without what the two others explain."""
-    page = Page.of(title, [(2.35, 3)] * len(shown))
+    page = PanelFigure.of(title, [(2.35, 3)] * len(shown))
     for row, profile in zip(page.axes, shown, strict=True):
         _draw_profile(row, profile)
         several = np.unique(profile.recording).size > 1
@@ -297,7 +297,7 @@ def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
 
 def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
     """Draw the delay of camera and encoders against the model, and of the one against the other."""
-    page, lag = Page.of(title, [(0.6 + 0.34 * max(len(shown), 2), 1)]), found.lag
+    page, lag = PanelFigure.of(title, [(0.6 + 0.34 * max(len(shown), 2), 1)]), found.lag
     axes = page.axes[0][0]
     interval = 1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std)
     axes.axvspan(*interval, color=_POOLED, linewidth=0, label="all recordings together")
@@ -325,7 +325,7 @@ def _at_rest(found: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest, Spe
 
 def _quiet(title: str, _: Symptoms, shown: Sequence[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]) -> Figure:
     """Draw amplitude spectra of the sensors at rest, beside the noise that was supposed."""
-    page = Page.grid(title, len(shown), (2.5, 2.5))
+    page = PanelFigure.grid(title, len(shown), (2.5, 2.5))
     for axes, (one, rest, spectrum) in zip(page.axes[0], shown, strict=True):
         unit = "µm" if rest.channels.unit == "m" else "µrad"
         spectrum_panel(axes, [(spectrum, "residual at rest", Color.IDENTIFIED)], unit=unit)
