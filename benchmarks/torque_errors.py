@@ -19,7 +19,7 @@ def main() -> None:
     random = np.random.default_rng(0)
     q, v, a = (size * random.standard_normal((SAMPLES, JOINTS)) for size in (0.05, 0.5, 10.0))
     no_torque, out = np.empty((SAMPLES, 0)), np.empty((SAMPLES, JOINTS))
-    pool = pin.ModelPool(dynamics.build(chain).model, THREADS)
+    pool = pin.ModelPool(dynamics.Mechanism(chain).model, THREADS)
 
     times = in_turns(
         {

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.chain.beams import beam_chain
-from vjm.chain.curve import curve_map, link_poses, marker_poses
+from vjm.chain.curve import curve_map, marker_poses
 from vjm.chain.virtual_links import Chain
 
 Array = NDArray[np.float64]
@@ -21,6 +21,7 @@ Joint = Literal["revolute", "clamped"]
 ARCS = (np.array([0.3, 0.8]), np.array([0.1, 0.2, 0.5]), np.array([0.4]))
 LENGTHS = (0.8, 0.5, 0.4)
 BASE, OWN = (False, False, False), (True, True, True)
+PROXIMAL = (np.zeros(1),) * 3  # where each link's frame is
 JOINTS = list(product(["revolute", "clamped"], repeat=3))
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -47,7 +48,7 @@ def test_each_frame_sits_on_the_tip_before_it(joints: tuple[Joint, ...], seed: i
     """Where the curve before it ends, along its tangent, turned by the active angle."""
     chain = arm(joints)
     q = posture(chain, seed)
-    origins, headings = link_poses(chain, q)
+    origins, headings = marker_poses(chain, q, PROXIMAL, BASE)
     tips = marker_poses(chain, q, tuple(np.array([length]) for length in LENGTHS), BASE)[0]
     np.testing.assert_array_equal(origins[0], 0.0)
     np.testing.assert_allclose(origins[1:], tips[:2], atol=1e-12)
@@ -63,7 +64,7 @@ def test_each_frame_sits_on_the_tip_before_it(joints: tuple[Joint, ...], seed: i
 def test_markers_in_the_link_frame_are_the_same_points(joints: tuple[Joint, ...], seed: int) -> None:
     chain = arm(joints)
     q = posture(chain, seed)
-    origins, headings = map(np.array, link_poses(chain, q))
+    origins, headings = marker_poses(chain, q, PROXIMAL, BASE)
     base, own = marker_poses(chain, q, ARCS, BASE)[0], marker_poses(chain, q, ARCS, OWN)[0]
     of_link = np.repeat([0, 1, 2], [2, 3, 1])
     carried = complex_of(origins)[of_link] + np.exp(1j * headings[of_link]) * complex_of(own)

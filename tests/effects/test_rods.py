@@ -11,7 +11,7 @@ from tests.model.arms import arms, random_motion
 from vjm.chain.virtual_links import Array, Chain
 from vjm.effects import ClampCompliance, RestCurvature
 from vjm.effects.loads import Rods
-from vjm.model.dynamics import build
+from vjm.model.dynamics import Mechanism
 
 STEP = 1e-6
 
@@ -25,11 +25,12 @@ def extended(chain: Chain, compliant: bool, curvature: float) -> Chain:
 
 def drawn(chain: Chain, q: Array, distances: Array) -> tuple[Array, Array]:
     """(B, 2) points at distances along the virtual links, and their headings (B,), as Pinocchio places them."""
-    mechanism = build(chain)
-    pin.forwardKinematics(mechanism.model, mechanism.data, q)
+    model = Mechanism(chain).model
+    data = model.createData()
+    pin.forwardKinematics(model, data, q)
     placed, points, headings, b = {}, [], [], 0
-    for joint, name in enumerate(mechanism.model.names):
-        placed[name] = mechanism.data.oMi[joint]
+    for joint, name in enumerate(model.names):
+        placed[name] = data.oMi[joint]
     pose = placed["universe"]
     for link in chain.links:
         for end in ("joint", "root"):

@@ -14,14 +14,14 @@ from tests.model.arms import GRAVITY, arms, one_joint_arm, random_motion
 from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InputError, ShapeError
-from vjm.model.dynamics import Mechanism, build, forward_dynamics, gravity_stiffness, inverse_dynamics, mass_matrix
+from vjm.model.dynamics import Mechanism
 
 Array = NDArray[np.float64]
 
 
 def bias(mechanism: Mechanism, q: Array, v: Array) -> Array:
     """h(q, v): torques without accelerations."""
-    return inverse_dynamics(mechanism, q, v, np.zeros_like(v))
+    return mechanism.inverse_dynamics(q, v, np.zeros_like(v))
 
 
 @pytest.mark.parametrize("payload", [0.0, 0.16])
@@ -31,11 +31,11 @@ def test_active_joint_and_virtual_joint_in_closed_form(payload: float, seed: int
     q, v, a = random_motion(chain, 7, seed)
     closed = TwoBodies.of(chain.links[0], payload, GRAVITY)
     M, h = closed.mass_matrix(q[:, 1]), closed.bias(*q.T, *v.T)
-    mechanism = build(chain, payload)
-    np.testing.assert_allclose(mass_matrix(mechanism, q), M, rtol=1e-12)
+    mechanism = Mechanism(chain, payload)
+    np.testing.assert_allclose(mechanism.mass_matrix(q), M, rtol=1e-12)
     np.testing.assert_allclose(bias(mechanism, q, v), h, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(
-        inverse_dynamics(mechanism, q, v, a), np.einsum("tij,tj->ti", M, a) + h, rtol=1e-11, atol=1e-12
+        mechanism.inverse_dynamics(q, v, a), np.einsum("tij,tj->ti", M, a) + h, rtol=1e-11, atol=1e-12
     )
 
 
@@ -45,9 +45,9 @@ def test_clamped_link_has_one_moving_body(payload: float) -> None:
     q, v, a = random_motion(chain, 6, 5)
     closed = TwoBodies.of(chain.links[0], payload, GRAVITY)
     gravity_torque = closed.mu1 * (GRAVITY[0] * np.sin(q) - GRAVITY[1] * np.cos(q))
-    mechanism = build(chain, payload)
-    np.testing.assert_allclose(inverse_dynamics(mechanism, q, v, a), closed.beta * a + gravity_torque, rtol=1e-12)
-    np.testing.assert_allclose(mass_matrix(mechanism, q)[:, 0], closed.beta + 0 * q, rtol=1e-12)
+    mechanism = Mechanism(chain, payload)
+    np.testing.assert_allclose(mechanism.inverse_dynamics(q, v, a), closed.beta * a + gravity_torque, rtol=1e-12)
+    np.testing.assert_allclose(mechanism.mass_matrix(q)[:, 0], closed.beta + 0 * q, rtol=1e-12)
     np.testing.assert_allclose(bias(mechanism, q, v), gravity_torque, rtol=1e-12)
 
 
@@ -63,13 +63,13 @@ def test_closed_form_is_the_lagrangian_s() -> None:
 @settings(max_examples=60, deadline=None)
 def test_any_arm_obeys_lagrange(chain: Chain, seed: int) -> None:
     q, v, a = random_motion(chain, 3, seed)
-    mechanism = build(chain)
-    M, h = mass_matrix(mechanism, q), bias(mechanism, q, v)
+    mechanism = Mechanism(chain)
+    M, h = mechanism.mass_matrix(q), bias(mechanism, q, v)
     for t in range(3):
         np.testing.assert_allclose(M[t], lagrange_mass_matrix(chain, q[t]), rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(h[t], lagrange_bias(chain, q[t], v[t]), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(
-        inverse_dynamics(mechanism, q, v, a), np.einsum("tij,tj->ti", M, a) + h, rtol=1e-9, atol=1e-9
+        mechanism.inverse_dynamics(q, v, a), np.einsum("tij,tj->ti", M, a) + h, rtol=1e-9, atol=1e-9
     )
 
 
@@ -77,20 +77,20 @@ def test_any_arm_obeys_lagrange(chain: Chain, seed: int) -> None:
 @settings(max_examples=30, deadline=None)
 def test_forward_dynamics_undoes_inverse_dynamics(chain: Chain, seed: int) -> None:
     q, v, a = random_motion(chain, 1, seed)
-    mechanism = build(chain)
-    torque = inverse_dynamics(mechanism, q, v, a)
-    np.testing.assert_allclose(forward_dynamics(mechanism, q[0], v[0], torque[0]), a[0], rtol=1e-6, atol=1e-6)
+    mechanism = Mechanism(chain)
+    torque = mechanism.inverse_dynamics(q, v, a)
+    np.testing.assert_allclose(mechanism.forward_dynamics(q[0], v[0], torque[0]), a[0], rtol=1e-6, atol=1e-6)
 
 
 def test_gravity_stiffness_is_the_slope_of_the_static_torque() -> None:
     chain = one_joint_arm("revolute")
-    mechanism = build(chain)
+    mechanism = Mechanism(chain)
     q, rest, step = np.array([0.4, -0.9]), np.zeros((1, 2)), 1e-6
     slopes = [
         (bias(mechanism, (q + e)[None], rest) - bias(mechanism, (q - e)[None], rest))[0] / (2 * step)
         for e in step * np.eye(2)
     ]
-    np.testing.assert_allclose(gravity_stiffness(mechanism, q), np.transpose(slopes), atol=1e-8)
+    np.testing.assert_allclose(mechanism.gravity_stiffness(q), np.transpose(slopes), atol=1e-8)
 
 
 # Batches
@@ -101,34 +101,34 @@ def test_gravity_stiffness_is_the_slope_of_the_static_torque() -> None:
 def test_a_batch_is_its_samples_one_by_one(joint: Literal["revolute", "clamped"], samples: int) -> None:
     """Two samples of two joints would hide samples and joints swapped from any check of shapes."""
     chain = one_joint_arm(joint)
-    mechanism = build(chain)
+    mechanism = Mechanism(chain)
     motion = random_motion(chain, samples, 7)
-    together = inverse_dynamics(mechanism, *motion)
+    together = mechanism.inverse_dynamics(*motion)
     assert together.shape == (samples, chain.size)
     for t in {0, samples // 2, samples - 1}:
-        alone = inverse_dynamics(mechanism, *(part[t : t + 1] for part in motion))
+        alone = mechanism.inverse_dynamics(*(part[t : t + 1] for part in motion))
         np.testing.assert_array_equal(together[t], alone[0])
 
 
 def test_memory_order_does_not_matter() -> None:
     chain = one_joint_arm("revolute")
-    mechanism = build(chain)
+    mechanism = Mechanism(chain)
     motion = random_motion(chain, 2, 8)
-    expected = inverse_dynamics(mechanism, *motion)
-    np.testing.assert_array_equal(inverse_dynamics(mechanism, *map(np.asfortranarray, motion)), expected)
-    np.testing.assert_array_equal(inverse_dynamics(mechanism, *(part.tolist() for part in motion)), expected)
-    reverse = inverse_dynamics(mechanism, *(part[::-1] for part in motion))
+    expected = mechanism.inverse_dynamics(*motion)
+    np.testing.assert_array_equal(mechanism.inverse_dynamics(*map(np.asfortranarray, motion)), expected)
+    np.testing.assert_array_equal(mechanism.inverse_dynamics(*(part.tolist() for part in motion)), expected)
+    reverse = mechanism.inverse_dynamics(*(part[::-1] for part in motion))
     np.testing.assert_array_equal(reverse, expected[::-1])
 
 
 def test_no_samples_no_torques() -> None:
-    assert inverse_dynamics(build(one_joint_arm("revolute")), *3 * [np.empty((0, 2))]).shape == (0, 2)
+    assert Mechanism(one_joint_arm("revolute")).inverse_dynamics(*3 * [np.empty((0, 2))]).shape == (0, 2)
 
 
 @pytest.mark.parametrize("shapes", [((3, 2), (3, 2), (4, 2)), ((3, 1), (3, 2), (3, 2)), ((2, 3), (2, 3), (2, 3))])
 def test_arrays_that_do_not_fit_are_refused(shapes: tuple[tuple[int, int], ...]) -> None:
     with pytest.raises(ShapeError) as caught:
-        inverse_dynamics(build(one_joint_arm("revolute")), *(np.zeros(shape) for shape in shapes))
+        Mechanism(one_joint_arm("revolute")).inverse_dynamics(*(np.zeros(shape) for shape in shapes))
     assert isinstance(caught.value, InputError)
 
 
@@ -139,23 +139,23 @@ def test_arrays_that_do_not_fit_are_refused(shapes: tuple[tuple[int, int], ...])
 @settings(max_examples=20, deadline=None)
 def test_copies_do_not_feel_each_other(seeds: list[int], chain: Chain) -> None:
     motions = [random_motion(chain, 4, seed) for seed in seeds]
-    together = inverse_dynamics(
-        build([chain] * len(seeds)), *(np.hstack([motion[k] for motion in motions]) for k in range(3))
+    together = Mechanism([chain] * len(seeds)).inverse_dynamics(
+        *(np.hstack([motion[k] for motion in motions]) for k in range(3))
     )
-    alone = np.hstack([inverse_dynamics(build(chain), *motion) for motion in motions])
+    alone = np.hstack([Mechanism(chain).inverse_dynamics(*motion) for motion in motions])
     np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-9)
 
 
 def test_copies_keep_their_own_parameters() -> None:
     chains = [one_joint_arm("revolute"), one_joint_arm("revolute", masses=[0.6, 0.1], payload=0.0)]
     motions = [random_motion(chains[0], 4, seed) for seed in (1, 2)]
-    together = inverse_dynamics(build(chains), *(np.hstack([motions[0][k], motions[1][k]]) for k in range(3)))
+    together = Mechanism(chains).inverse_dynamics(*(np.hstack([motions[0][k], motions[1][k]]) for k in range(3)))
     for c, chain in enumerate(chains):
         np.testing.assert_allclose(
-            together[:, 2 * c : 2 * c + 2], inverse_dynamics(build(chain), *motions[c]), rtol=1e-12
+            together[:, 2 * c : 2 * c + 2], Mechanism(chain).inverse_dynamics(*motions[c]), rtol=1e-12
         )
     with pytest.raises(ShapeError):
-        build([chains[0], one_joint_arm("clamped")])
+        Mechanism([chains[0], one_joint_arm("clamped")])
 
 
 # Gravity and payload
@@ -165,8 +165,8 @@ def test_gravity_given_replaces_the_chain_s() -> None:
     chain = one_joint_arm("revolute")
     q, rest, _ = random_motion(chain, 3, 9)
     other = TwoBodies.of(chain.links[0], 0.0, (0.5, 3.0)).bias(*q.T, *rest.T)
-    np.testing.assert_allclose(bias(build(chain, gravity=(0.5, 3.0)), q, rest), other, rtol=1e-11)
-    assert not bias(build(chain, gravity=(0.0, 0.0)), q, 0 * rest).any()
+    np.testing.assert_allclose(bias(Mechanism(chain, gravity=(0.5, 3.0)), q, rest), other, rtol=1e-11)
+    assert not bias(Mechanism(chain, gravity=(0.0, 0.0)), q, 0 * rest).any()
 
 
 def test_extra_payload_hangs_on_the_last_tip_only() -> None:
@@ -175,5 +175,5 @@ def test_extra_payload_hangs_on_the_last_tip_only() -> None:
     heavier = Chain("arm", (first, one_joint_arm("revolute", payload=0.11 + 0.2).links[0]), GRAVITY)
     motion = random_motion(chain, 3, 10)
     np.testing.assert_allclose(
-        inverse_dynamics(build(chain, 0.2), *motion), inverse_dynamics(build(heavier), *motion), rtol=1e-12
+        Mechanism(chain, 0.2).inverse_dynamics(*motion), Mechanism(heavier).inverse_dynamics(*motion), rtol=1e-12
     )

@@ -17,7 +17,7 @@ from tests.model.chains import HOSTILE, Plane, chains, extended_chain, plain_cha
 from tests.model.urdf_contents import NAMESPACE, extension_from, robot_from, springs_from
 from vjm.chain.virtual_links import Array, Chain
 from vjm.errors import ShapeError
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.model.urdf import chain_to_urdf
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -85,9 +85,9 @@ def test_pinocchio_finds_joints_frames_damping_and_mass(chain: Chain, seed: int)
 def test_pinocchio_makes_of_it_what_dynamics_makes_of_the_chain(chain: Chain, seed: int) -> None:
     q = posture(chain, seed)
     model, data, configuration = pinocchio_at(chain, q)
-    mechanism = dynamics.build(chain)
+    mechanism = Mechanism(chain)
     assert tuple(model.names) == tuple(mechanism.model.names)
-    expected = dynamics.mass_matrix(mechanism, q[None])[0]
+    expected = mechanism.mass_matrix(q[None])[0]
     upper = np.triu(pin.crba(model, data, configuration))
     np.testing.assert_allclose(upper, np.triu(expected), rtol=1e-9, atol=1e-12 * expected.max())
 
@@ -210,7 +210,7 @@ def test_mujoco_takes_it_and_finds_the_same_mass_matrix() -> None:
     full = np.zeros((model.nv, model.nv))
     for column, unit in zip(full, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, column, unit)
-    np.testing.assert_allclose(full, dynamics.mass_matrix(dynamics.build(chain), q[None])[0], rtol=1e-9)
+    np.testing.assert_allclose(full, Mechanism(chain).mass_matrix(q[None])[0], rtol=1e-9)
     assert tuple(model.joint(i).name for i in range(model.njnt)) == chain.joint_names
     assert model.dof_damping == pytest.approx(chain.damping)
     assert model.dof_frictionloss == pytest.approx([0.008, *[0.0] * (model.nv - 1)])

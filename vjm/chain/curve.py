@@ -98,32 +98,6 @@ def _curve_map(
     )
 
 
-def link_poses(chain: Chain, q: ArrayLike) -> tuple[Array, Array]:
-    """Return the links' frames Sigma_i in the base frame (eq. 9), active angles included.
-
-    They are origins (..., N, 2) [m] and headings (..., N) [rad], at joint angles q (..., nv) [rad].
-    """
-    angles = np.asarray(q, dtype=float)
-    origin, heading = np.zeros((*angles.shape[:-1], 2)), np.zeros(angles.shape[:-1])
-    origins, headings = [], []
-    for link, part in zip(chain.links, chain.passive_slices, strict=True):
-        if link.joint == "revolute":
-            heading = heading + angles[..., part.stop - link.coordinates]
-        origins.append(origin)
-        headings.append(heading)
-        tip = curve_map(link, [link.length])
-        phi, root_angle = angles[..., part], _root_angle(chain, angles, part)
-        origin = origin + rotate(tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :], heading)
-        heading = heading + root_angle + phi @ tip.heading[0] + link.rest_curvature * link.length
-    return np.stack(origins, axis=-2), np.stack(headings, axis=-1)
-
-
-def _root_angle(chain: Chain, angles: Array, part: slice) -> Array:
-    """(...) angle of the root joint before the virtual joints `part`; zero where there is none [rad]."""
-    root = part.start - 1
-    return angles[..., root] if root in chain.roots else np.zeros(angles.shape[:-1])
-
-
 def rotate(vectors: Array, angle: Array) -> Array:
     """Return vectors (..., 2) turned by angles (...) [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -146,17 +120,25 @@ def marker_poses(
         Positions (..., k, 2) [m], and headings (..., k) of the curve there [rad].
     """
     angles = np.asarray(q, dtype=float)
-    origins, link_headings = link_poses(chain, angles)
+    # Of the link's frame Sigma_i in the base frame (eq. 9), active angle included.
+    origin, heading = np.zeros((*angles.shape[:-1], 2)), np.zeros(angles.shape[:-1])
     positions, headings = [], []
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
-        curve, phi, root_angle = curve_map(link, arcs[i]), angles[..., part], _root_angle(chain, angles, part)
+        if link.joint == "revolute":
+            heading = heading + angles[..., part.stop - link.coordinates]
+        phi, root_angle = angles[..., part], np.zeros(angles.shape[:-1])
+        if link.root_stiffness is not None:
+            root_angle = angles[..., part.start - 1]
+        curve, tip = curve_map(link, arcs[i]), curve_map(link, [link.length])
         position = curve.positions(phi, root_angle, link.rest_curvature)
-        heading = root_angle[..., None] + phi @ curve.heading.T + link.rest_curvature * curve.arcs
+        tangent = root_angle[..., None] + phi @ curve.heading.T + link.rest_curvature * curve.arcs
         if not in_link_frame[i]:
-            position = origins[..., i, None, :] + rotate(position, link_headings[..., i, None])
-            heading = heading + link_headings[..., i, None]
+            position = origin[..., None, :] + rotate(position, heading[..., None])
+            tangent = tangent + heading[..., None]
         positions.append(position)
-        headings.append(heading)
+        headings.append(tangent)
+        origin = origin + rotate(tip.positions(phi, root_angle, link.rest_curvature)[..., 0, :], heading)
+        heading = heading + root_angle + phi @ tip.heading[0] + link.rest_curvature * link.length
     return np.concatenate(positions, axis=-2), np.concatenate(headings, axis=-1)
 
 

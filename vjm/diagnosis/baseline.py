@@ -27,7 +27,7 @@ from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
 from vjm.identification.trajectory_method import TrajectoryMethod, first_fit
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
@@ -266,8 +266,8 @@ def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
         return state
     recording = run.observed.recording
     (q, v), (finer_q, finer_v) = np.split(run.state, 2), np.split(state, 2)
-    mass = dynamics.mass_matrix(dynamics.build(run.chain, run.arm.inputs(recording).payload), q[None])[0]
-    finer_mass = dynamics.mass_matrix(dynamics.build(arm.chain, arm.inputs(recording).payload), finer_q[None])[0]
+    mass = Mechanism(run.chain, run.arm.inputs(recording).payload).mass_matrix(q[None])[0]
+    finer_mass = Mechanism(arm.chain, arm.inputs(recording).payload).mass_matrix(finer_q[None])[0]
     missing = (mass @ v)[run.chain.active] - (finer_mass @ finer_v)[active]
     finer_v[active] += np.linalg.solve(finer_mass[np.ix_(active, active)], missing)
     return np.concatenate([finer_q, finer_v])

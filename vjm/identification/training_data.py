@@ -16,8 +16,7 @@ from vjm.experiment.spectrum import MeasuredModes, measure_modes, sensor_noise
 from vjm.markers.angles import AngleMethod, Angles, ShapeSettings, estimate_angles
 from vjm.markers.shape import choose_order
 from vjm.markers.smoothing import Derivatives, Smoother, interpolate
-from vjm.model import dynamics
-from vjm.model.dynamics import torque_errors
+from vjm.model.dynamics import Mechanism, torque_errors
 from vjm.model.modes import modes
 from vjm.records import REFERENCE, Array, Experiment, Link, Mask, Record, Recording, Rig
 
@@ -66,8 +65,8 @@ class PreparedRecording(Record):
     def noise_covariance(self, chain: Chain) -> Array:
         """Return the covariance (nv, nv) that the noise of the angles gives a chain's torque errors [N^2 m^2]."""
         d, noise = self.derivatives, self.angles.covariance
-        mechanism = dynamics.build(chain, self.recording.payload, self.recording.gravity)
-        inertia = dynamics.mass_matrix(mechanism, d.value[d.interior].mean(axis=0)[None])[0]
+        mechanism = Mechanism(chain, self.recording.payload, self.recording.gravity)
+        inertia = mechanism.mass_matrix(d.value[d.interior].mean(axis=0)[None])[0]
         terms = [np.diag(chain.stiffness), np.diag(chain.damping), inertia]
         pairs = [(i, j) for i in range(3) for j in range(3)]
         covariance = np.asarray(sum(d.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))

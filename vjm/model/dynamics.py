@@ -28,51 +28,92 @@ class Mechanism:
 
     A copy is a chain of its own: many of them, perturbed or with other payloads, advance in one call.
 
-    Attributes:
-        model: the `pin.Model`; its joints are `Chain.joint_names`, suffixed `@C` for copy C when there are several.
-    """
-
-    def __init__(self, model: pin.Model) -> None:
-        self.model = model
-
-    @cached_property
-    def data(self) -> pin.Data:
-        """Scratch memory of single calls."""
-        return self.model.createData()
-
-    @cached_property
-    def pool(self) -> pin.ModelPool:
-        """Scratch memory of batched calls."""
-        return pin.ModelPool(self.model, _THREADS)
-
-
-def build(
-    chains: Chain | Sequence[Chain],
-    payload: float | Sequence[float] = 0.0,
-    gravity: tuple[float, float] | None = None,
-) -> Mechanism:
-    """Build the Pinocchio model of one chain, or of several as separate branches.
-
     Args:
         chains: the chain, or copies with the same coordinates.
         payload: extra point mass on the last link's tip [kg]; for all, or one a copy.
         gravity: in the plane, (x, y) of the base frame [m/s^2]; the (first) chain's when None.
 
+    Attributes:
+        model: the `pin.Model`; its joints are `Chain.joint_names`, suffixed `@C` for copy C when there are several.
+
     Raises:
         ShapeError: copies whose coordinates differ, or not as many payloads as copies.
     """
-    copies = [chains] if isinstance(chains, Chain) else list(chains)
-    sizes = {chain.size for chain in copies}
-    if len(sizes) != 1:
-        raise ShapeError("chains", f"sizes {sorted(sizes)}", "copies with the same number of coordinates")
-    model = pin.Model()
-    model.gravity = pin.Motion(np.r_[copies[0].gravity if gravity is None else gravity, 0.0], np.zeros(3))
-    payloads = [payload] * len(copies) if isinstance(payload, (int, float)) else list(payload)
-    if len(payloads) != len(copies):
-        raise ShapeError("payload", f"{len(payloads)} of them", f"one for each of {len(copies)} copies")
-    for c, (chain, tip_mass) in enumerate(zip(copies, payloads, strict=True)):
-        _add_chain(model, chain, tip_mass, "" if len(copies) == 1 else f"@{c}")
-    return Mechanism(model)
+
+    def __init__(
+        self,
+        chains: Chain | Sequence[Chain],
+        payload: float | Sequence[float] = 0.0,
+        gravity: tuple[float, float] | None = None,
+    ) -> None:
+        copies = [chains] if isinstance(chains, Chain) else list(chains)
+        sizes = {chain.size for chain in copies}
+        if len(sizes) != 1:
+            raise ShapeError("chains", f"sizes {sorted(sizes)}", "copies with the same number of coordinates")
+        self.model = pin.Model()
+        self.model.gravity = pin.Motion(np.r_[copies[0].gravity if gravity is None else gravity, 0.0], np.zeros(3))
+        payloads = [payload] * len(copies) if isinstance(payload, (int, float)) else list(payload)
+        if len(payloads) != len(copies):
+            raise ShapeError("payload", f"{len(payloads)} of them", f"one for each of {len(copies)} copies")
+        for c, (chain, tip_mass) in enumerate(zip(copies, payloads, strict=True)):
+            _add_chain(self.model, chain, tip_mass, "" if len(copies) == 1 else f"@{c}")
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self.model.createData()
+
+    @cached_property
+    def _pool(self) -> pin.ModelPool:
+        return pin.ModelPool(self.model, _THREADS)
+
+    def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+        """Return joint torques without springs and dampers, M a + h (T, nv) [N m], for a whole batch (RNEA).
+
+        The batch is of angles q [rad], rates v [rad/s] and accelerations a [rad/s^2], each (T, nv).
+
+        Raises:
+            ShapeError: arrays that are not (T, nv).
+        """
+        batches = [self._batch(name, values) for name, values in (("q", q), ("v", v), ("a", a))]
+        count = len(batches[0])
+        if any(len(batch) != count for batch in batches):
+            raise ShapeError("q, v, a", [batch.shape for batch in batches], "the same number of samples")
+        torque = np.empty((count, self.model.nv))
+        if count:
+            threads = _THREADS if count >= _PARALLEL_FROM else 1
+            # Time-first C arrays are the joint-first Fortran arrays Pinocchio wants: transposing copies nothing.
+            pin.rneaInParallel(threads, self._pool, *(batch.T for batch in batches), torque.T)
+        return torque
+
+    def _batch(self, name: str, values: ArrayLike) -> Array:
+        array = np.ascontiguousarray(values, dtype=float)
+        if array.ndim != 2 or array.shape[1] != self.model.nv:
+            raise ShapeError(name, f"shape {array.shape}", f"shape (T, {self.model.nv})")
+        return array
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Return M(q), (T, nv, nv) [kg m^2], at q (T, nv), by one batched RNEA a column."""
+        angles = self._batch("q", q)
+        rest = np.zeros_like(angles)
+        at_rest = self.inverse_dynamics(angles, rest, rest)
+        matrix = np.empty((*angles.shape, angles.shape[1]))
+        for column in range(angles.shape[1]):
+            unit = rest.copy()
+            unit[:, column] = 1.0
+            matrix[:, :, column] = self.inverse_dynamics(angles, rest, unit) - at_rest
+        return (matrix + np.swapaxes(matrix, 1, 2)) / 2
+
+    def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
+        """Return the accelerations (C nv,) of all copies at one instant (ABA), from q, v and torque (C nv,)."""
+        result: Array = pin.aba(self.model, self._data, q, v, torque)
+        return result
+
+    def gravity_stiffness(self, q: ArrayLike) -> Array:
+        """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nv,)."""
+        angles = np.asarray(q, dtype=float)
+        rest = np.zeros_like(angles)
+        pin.computeRNEADerivatives(self.model, self._data, angles, rest, rest)
+        return np.array(self._data.dtau_dq)
 
 
 def _add_chain(model: pin.Model, chain: Chain, payload: float, suffix: str) -> None:
@@ -108,62 +149,6 @@ def _placement(x: float, angle: float = 0.0) -> pin.SE3:
     return pin.SE3(pin.utils.rotate("z", angle), np.array([x, 0.0, 0.0]))
 
 
-def inverse_dynamics(mechanism: Mechanism, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
-    """Return joint torques without springs and dampers, M a + h (T, nv) [N m], for a whole batch (RNEA).
-
-    Args:
-        mechanism: the model.
-        q, v, a: (T, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
-
-    Raises:
-        ShapeError: arrays that are not (T, nv).
-    """
-    batches = [_batch(name, values, mechanism.model.nv) for name, values in (("q", q), ("v", v), ("a", a))]
-    count = len(batches[0])
-    if any(len(batch) != count for batch in batches):
-        raise ShapeError("q, v, a", [batch.shape for batch in batches], "the same number of samples")
-    torque = np.empty((count, mechanism.model.nv))
-    if count:
-        threads = _THREADS if count >= _PARALLEL_FROM else 1
-        # Time-first C arrays are the joint-first Fortran arrays Pinocchio wants: transposing copies nothing.
-        pin.rneaInParallel(threads, mechanism.pool, *(batch.T for batch in batches), torque.T)
-    return torque
-
-
-def _batch(name: str, values: ArrayLike, size: int) -> Array:
-    array = np.ascontiguousarray(values, dtype=float)
-    if array.ndim != 2 or array.shape[1] != size:
-        raise ShapeError(name, f"shape {array.shape}", f"shape (T, {size})")
-    return array
-
-
-def mass_matrix(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """Return M(q), (T, nv, nv) [kg m^2], at q (T, nv), by one batched RNEA a column."""
-    angles = _batch("q", q, mechanism.model.nv)
-    rest = np.zeros_like(angles)
-    at_rest = inverse_dynamics(mechanism, angles, rest, rest)
-    matrix = np.empty((*angles.shape, angles.shape[1]))
-    for column in range(angles.shape[1]):
-        unit = rest.copy()
-        unit[:, column] = 1.0
-        matrix[:, :, column] = inverse_dynamics(mechanism, angles, rest, unit) - at_rest
-    return (matrix + np.swapaxes(matrix, 1, 2)) / 2
-
-
-def forward_dynamics(mechanism: Mechanism, q: Array, v: Array, torque: Array) -> Array:
-    """Return the accelerations (C nv,) of all copies at one instant (ABA), from q, v and torque (C nv,)."""
-    result: Array = pin.aba(mechanism.model, mechanism.data, q, v, torque)
-    return result
-
-
-def gravity_stiffness(mechanism: Mechanism, q: ArrayLike) -> Array:
-    """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nv,)."""
-    angles = np.asarray(q, dtype=float)
-    rest = np.zeros_like(angles)
-    pin.computeRNEADerivatives(mechanism.model, mechanism.data, angles, rest, rest)
-    return np.array(mechanism.data.dtau_dq)
-
-
 def torque_errors(
     chain: Chain,
     q: ArrayLike,
@@ -193,7 +178,7 @@ def torque_errors(
     applied = np.asarray(torque, dtype=float)
     if applied.ndim != 2 or applied.shape[1] != chain.active.size:
         raise ShapeError("torque", f"shape {applied.shape}", f"shape (T, {chain.active.size})")
-    errors = inverse_dynamics(build(chain, payload, gravity), q, v, a)
+    errors = Mechanism(chain, payload, gravity).inverse_dynamics(q, v, a)
     errors += chain.stiffness * np.asarray(q, dtype=float)
     errors += chain.damping * np.asarray(v, dtype=float)
     np.negative(errors, out=errors)

@@ -10,7 +10,7 @@ from scipy import linalg, optimize
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.records import Array
 
 _RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
@@ -48,29 +48,29 @@ def linearise(
     Raises:
         InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
     """
-    mechanism = dynamics.build(chain, payload, gravity)
+    mechanism = Mechanism(chain, payload, gravity)
     q = np.zeros(chain.size)
     q[chain.active] = theta
     if any(chain.gravity if gravity is None else gravity):
         q = _rest_position(chain, mechanism, q)
-    M = dynamics.mass_matrix(mechanism, q[None])[0]
-    K = np.diag(chain.stiffness) + dynamics.gravity_stiffness(mechanism, q)
+    M = mechanism.mass_matrix(q[None])[0]
+    K = np.diag(chain.stiffness) + mechanism.gravity_stiffness(q)
     return M, np.diag(chain.damping), (K + K.T) / 2, q
 
 
-def _rest_position(chain: Chain, mechanism: dynamics.Mechanism, start: Array) -> Array:
+def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
     """Joint angles (nv,) [rad] at which the passive joints rest under gravity, the active ones standing as they do."""
     q, p, K = start.copy(), chain.passive, np.diag(chain.stiffness)
 
     def residual(phi: Array) -> Array:
         q[p] = phi
         rest = np.zeros((1, chain.size))
-        unbalanced: Array = dynamics.inverse_dynamics(mechanism, q[None], rest, rest)[0] + K @ q
+        unbalanced: Array = mechanism.inverse_dynamics(q[None], rest, rest)[0] + K @ q
         return unbalanced[p]
 
     def tangent(phi: Array) -> Array:
         q[p] = phi
-        return np.asarray((K + dynamics.gravity_stiffness(mechanism, q))[np.ix_(p, p)])
+        return np.asarray((K + mechanism.gravity_stiffness(q))[np.ix_(p, p)])
 
     solution = optimize.root(residual, q[p], jac=tangent, method="hybr", options={"xtol": 1e-13})
     slope = tangent(solution.x)

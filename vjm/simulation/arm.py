@@ -14,7 +14,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, Motion, RateIndependentUpdate, is_nonsmooth
 from vjm.errors import InsufficientDataError
 from vjm.markers.smoothing import Smoother
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.model.urdf import chain_to_urdf
 from vjm.records import Array, Recording
 
@@ -219,8 +219,8 @@ class EncoderFeedback:
             np.stack([np.interp(grid, time, column) for column in columns.T], axis=-1)
             for columns in (smooth.value, smooth.rate)
         )
-        mechanism = dynamics.build(chain, recording.payload)
-        inertia = np.diag(dynamics.mass_matrix(mechanism, np.zeros((1, chain.size)))[0])[chain.active]
+        mechanism = Mechanism(chain, recording.payload)
+        inertia = np.diag(mechanism.mass_matrix(np.zeros((1, chain.size)))[0])[chain.active]
         omega = 2 * np.pi * frequency
         return cls(theta, rate, inertia * omega**2, 2 * ratio * omega * inertia)
 

@@ -13,7 +13,6 @@ import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError, SimulationDivergedError
-from vjm.model import dynamics
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording
 from vjm.simulation.arm import Arm
@@ -264,7 +263,7 @@ class _LinearPropagator:
         copies, n = self.system.stiffness.shape
         q = np.zeros((copies, n))
         q[:, self.elbows] = _ELBOW_GRID * places
-        full = dynamics.mass_matrix(self.system.mechanism, q.reshape(1, -1))[0]
+        full = self.system.mechanism.mass_matrix(q.reshape(1, -1))[0]
         return np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])
 
     def _weights(self, inertia: Array, copies: list[int]) -> _Weights:

@@ -11,7 +11,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.errors import ShapeError
 from vjm.files import write_text
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.model.modes import Modes, modes
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
@@ -102,7 +102,7 @@ class Model(Record):
     def pinocchio(self) -> PinocchioModel:
         """Return the chain as a `pin.Model`, with its stiffness and damping beside it."""
         chain = self.arm.chain
-        return PinocchioModel(dynamics.build(chain).model, chain.stiffness, chain.damping)
+        return PinocchioModel(Mechanism(chain).model, chain.stiffness, chain.damping)
 
     def to_urdf(self, path: Path | str) -> Path:
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path.

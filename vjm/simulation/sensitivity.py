@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from vjm.chain.virtual_links import Chain
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
@@ -78,13 +78,13 @@ class _EquationsOfMotion:
     def __init__(self, arm: Arm, recording: Recording) -> None:
         self.arm = arm
         self.driven = arm.inputs(recording)
-        self.mechanism = dynamics.build(arm.chain, self.driven.payload, self.driven.gravity)
+        self.mechanism = Mechanism(arm.chain, self.driven.payload, self.driven.gravity)
         self.force = arm.forces(self.driven.payload)
         self.has_further_forces = self.force is not None or arm.feedback is not None
 
     def inertial_torque(self, motion: Trajectory) -> Array:
         """Return M a + h (I, nv)."""
-        return dynamics.inverse_dynamics(self.mechanism, motion.q, motion.v, motion.a)
+        return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
 
     def further_torque(self, motion: Trajectory) -> Array:
         """Return forces of effects and feedback, with reversed sign (I, nv)."""

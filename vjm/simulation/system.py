@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from vjm.effects.effect import Motion
 from vjm.errors import InsufficientDataError
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm, EncoderFeedback
 
@@ -127,7 +127,7 @@ class System:
         feedback: of encoders on the active joints; None: none.
     """
 
-    mechanism: dynamics.Mechanism
+    mechanism: Mechanism
     stiffness: Array
     damping: Array
     active: NDArray[np.intp]
@@ -140,7 +140,7 @@ class System:
         """Return the system of several arms with as many coordinates each, and payloads [kg] on their tips."""
         chains = [arm.chain for arm in arms]
         return cls(
-            dynamics.build(chains, payloads, gravity),
+            Mechanism(chains, payloads, gravity),
             np.stack([chain.stiffness for chain in chains]),
             np.stack([chain.damping for chain in chains]),
             chains[0].active,
@@ -182,7 +182,7 @@ class System:
     def acceleration(self, x: Array, torque: Array) -> Array:
         """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
         n = torque.shape[1]
-        flat = dynamics.forward_dynamics(self.mechanism, x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
+        flat = self.mechanism.forward_dynamics(x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
         return flat.reshape(torque.shape)
 
 
