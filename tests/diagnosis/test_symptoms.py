@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, found, simulated
-from vjm.diagnosis.symptoms import symptoms
-from vjm.diagnosis.symptoms.channels import channels_of
+from vjm.diagnosis.symptoms import Symptoms
+from vjm.diagnosis.symptoms.channels import Channels
 from vjm.diagnosis.symptoms.modes import _free_interval
 from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
 
@@ -43,7 +43,7 @@ def test_sensors_that_are_missing_are_done_without() -> None:
         recording, markers=np.full_like(recording.markers, np.nan), theta=np.full_like(recording.theta, np.nan)
     )
     assert found(replace(whole, recording=blind)).found == ()
-    assert symptoms(RIG, [], {0.0: FREQUENCIES}).found == ()
+    assert Symptoms.of(RIG, [], {0.0: FREQUENCIES}).found == ()
 
 
 @pytest.mark.parametrize("factor", [1e-4, 30.0])
@@ -69,7 +69,7 @@ def test_gaps_and_uneven_instants_do_not_move_the_values() -> None:
 def test_unrolled_markers_keep_their_residuals() -> None:
     """Axes that turn with the link turn the residual, and do nothing else to it."""
     each = simulated(0, replace(MOTION, slew=(1.5, 0.3)), replace(MOTION, slew=(1.5, 0.3)), lag=0.002)
-    camera = channels_of(RIG, each)[0]
+    camera = Channels.of(RIG, each)[0]
     turned = np.where(camera.known, camera.noise * camera.residual, np.nan).reshape(-1, 5, 2)
     plain = each.marker_residual[each.recording.frames]
     assert np.allclose(np.hypot(*turned.transpose(2, 0, 1)), np.hypot(*plain.transpose(2, 0, 1)), equal_nan=True)
@@ -94,7 +94,7 @@ def test_markers_in_the_links_own_frame_are_left_as_they_are() -> None:
     recording = Recording(time, markers, theta, np.zeros_like(theta), kind="driven", role="train", file="a.csv")
     simulation = Simulation(time, theta, theta, theta, np.nan_to_num(markers, nan=0.4))
     whole = SimulatedRecording(recording, simulation, (3e-4, 1e-4), 0.0, 500, "converged")
-    camera, encoder = channels_of(Rig("elbow", links), whole)
+    camera, encoder = Channels.of(Rig("elbow", links), whole)
     assert camera.names == ("upper.m1 along", "upper.m1 across", "upper.m2 along", "upper.m2 across", "fore.m1.y")
     assert encoder.names == ("upper.theta", "fore.theta")
     assert np.allclose(camera.residual, 0, atol=1e-6)
@@ -116,5 +116,5 @@ def test_conditions_are_told_in_words() -> None:
     decay = simulated(0, clamped=True, kind="decay", duration=10)
     loaded = replace(decay, recording=replace(decay.recording, payload=0.05, condition="reference"))
     assert {free.condition for free in found(decay).recordings[0].modes.free} == {""}
-    result = symptoms(CLAMPED, [loaded], {0.05: FREQUENCIES})
+    result = Symptoms.of(CLAMPED, [loaded], {0.05: FREQUENCIES})
     assert {free.condition for free in result.recordings[0].modes.free} == {"payload 50 g, reference"}

@@ -12,7 +12,7 @@ import pytest
 from vjm.diagnosis.records import (
     Alternative,
     Cause,
-    Findings,
+    Diagnosis,
     Proposal,
     RepeatComparison,
     ResidualBand,
@@ -74,10 +74,10 @@ def cause(effect: Any = None, *others: Any) -> Cause:
     return Cause(effect or TipPayload(link=0, mass=0.01), {}, 1e-9, 1e4, alternatives, "")
 
 
-def findings(**changes: Any) -> Findings:
+def findings(**changes: Any) -> Diagnosis:
     """A cause that explains everything."""
     experiment = Experiment(RIG, (recording("a.csv", "train"), recording("b.csv", "train"), recording()))
-    found = Findings(
+    found = Diagnosis(
         experiment=experiment,
         causes=(cause(),),
         candidates=(),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from vjm.diagnosis.symptoms import Symptom, Symptoms, symptoms
+from vjm.diagnosis.symptoms import Symptom, Symptoms
 from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def simulated(
 def found(*recordings: SimulatedRecording) -> Symptoms:
     """The symptoms of recordings, at the two modes' frequencies."""
     clamped = any(one.simulation.theta.shape[1] == 0 for one in recordings)
-    return symptoms(CLAMPED if clamped else RIG, recordings, {0.0: FREQUENCIES})
+    return Symptoms.of(CLAMPED if clamped else RIG, recordings, {0.0: FREQUENCIES})
 
 
 def the(result: Symptoms, kind: str, sensor: str | None = None, mode: int | None = None) -> Symptom:

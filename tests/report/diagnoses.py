@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tests.report.fits import DEMO, _chain
 from tests.simulation.integrators import simulate
 from vjm.diagnosis.records import Alternative, Candidate, Cause, Diagnosis, Gain, Remaining
-from vjm.diagnosis.symptoms import symptoms
+from vjm.diagnosis.symptoms import Symptoms
 from vjm.effects import (
     BUILTIN,
     ClampCompliance,
@@ -163,7 +163,7 @@ def make_diagnosis(
         recordings=followed,
         gain=gain,
         remaining=Remaining(0.4),
-        symptoms=symptoms(base.rig, shown, {each: base.modes(each).frequencies[:2].tolist() for each in payloads}),
+        symptoms=Symptoms.of(base.rig, shown, {each: base.modes(each).frequencies[:2].tolist() for each in payloads}),
         next_experiment=None,
         noise="from the experiment file, and what the quiet recording shows agrees",
         next_best=other,

@@ -48,7 +48,6 @@ def _progress(arguments: argparse.Namespace) -> Iterator[Progress]:
 
 
 def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], Saved]) -> Saved:
-    """Compute a result and write it into a folder, which is checked before."""
     check_folder(folder)
     with _progress(arguments) as report:
         result = compute(report)
@@ -63,7 +62,6 @@ def _print(text: str) -> None:
 
 
 def _show(arguments: argparse.Namespace, result: Saved | Check, folder: Path | None = None) -> None:
-    """Print a result: its object, its summary and where its report is, or nothing."""
     if arguments.json:
         _print(json_text(result_object(result)))
     elif not arguments.quiet:

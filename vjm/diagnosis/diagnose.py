@@ -17,7 +17,7 @@ from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
 from vjm.diagnosis.candidate_fit import CandidateFit
 from vjm.diagnosis.encoder_feedback import simulate_open_loop, without_feedback
 from vjm.diagnosis.next_experiment import propose_recordings
-from vjm.diagnosis.records import Diagnosis, Findings
+from vjm.diagnosis.records import Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.screen import Workers
 from vjm.diagnosis.selection import (
@@ -27,7 +27,7 @@ from vjm.diagnosis.selection import (
     find_preexisting_effects,
     select_effects,
 )
-from vjm.diagnosis.symptoms import Symptoms, symptoms
+from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
@@ -105,7 +105,7 @@ def diagnose(
 
 def _findings(
     experiment: Experiment, baseline: Baseline, start: SearchStart, search: Search, result: SearchResult
-) -> Findings:
+) -> Diagnosis:
     """Results of the steps that follow the search."""
     best, rig, noise = result.best, experiment.rig, baseline.fit.point.runs[0].observed.noise
     search.tell("looking for effects that cannot be distinguished")
@@ -118,7 +118,7 @@ def _findings(
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
-    findings = Findings(
+    findings = Diagnosis(
         experiment=experiment,
         causes=causes,
         needed=search.still_needed(result),
@@ -175,7 +175,7 @@ def _compare_recordings(
     )
 
 
-def _simulate_without_each_cause(findings: Findings) -> Findings:
+def _simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
     """Simulate the most improved recording without each cause; a single one leaves the model fitted without it."""
     shown = findings.most_improved
     if shown is None:
@@ -199,7 +199,7 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     simulated = [comparison.reference for comparison in recordings if comparison.reference is not None]
     payloads = {one.recording.payload for one in simulated}
     frequencies = {payload: reference.modes(payload).frequencies[:count].tolist() for payload in payloads}
-    return symptoms(reference.rig, simulated, frequencies) if simulated else None
+    return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 
 
 def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[str, ...]:

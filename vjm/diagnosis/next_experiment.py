@@ -103,7 +103,6 @@ def _difference(true: CandidateFit, other: CandidateFit, run: Run, change: _Chan
 
 
 def _changed_run(candidate: CandidateFit, k: int, change: _Change) -> Run:
-    """Simulation of a changed recording by a model."""
     point = candidate.point
     run = point.runs[k]
     recording, state = change(run.observed.recording, run.state, run.chain.active)

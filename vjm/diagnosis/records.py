@@ -165,11 +165,11 @@ class Remaining:
     description: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Findings:
-    """Results of the steps of a diagnosis, from which its verdict follows.
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Diagnosis(SimulatedResult):
+    """Findings of a diagnosis and its conclusions: what a model gets wrong, why, and what adding the cause gains.
 
-    Misfits are RMS weighted residuals, one where they are noise.
+    Misfits are RMS weighted residuals, one where they are noise. The conclusions follow from all else.
 
     Attributes:
         experiment: what was diagnosed.
@@ -195,6 +195,10 @@ class Findings:
         reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
         changed_misfit: of the other recordings, by the best model.
         seed: of random numbers.
+        verdict: `none`, `named`, `set`, `unknown` or `insufficient`.
+        gain: on held-out recordings; None where there are none.
+        remaining: residuals of the best model.
+        next_experiment: the recording that would settle what these cannot; None where there is nothing to settle.
     """
 
     experiment: Experiment
@@ -220,6 +224,10 @@ class Findings:
     reference_misfit: float = 1.0
     changed_misfit: float = 1.0
     seed: int = 0
+    verdict: Verdict = "insufficient"
+    gain: Gain | None = None
+    remaining: Remaining = Remaining(None)
+    next_experiment: str | None = None
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:
@@ -239,20 +247,3 @@ def _improvement(comparison: RecordingComparison) -> float:
     before, after = (0.0 if one is None else one.marker_rms for one in (comparison.reference, comparison.simulated))
     weight = 2.0 if comparison.recording.role == "holdout" else 1.0
     return weight * (before**2 - after**2) / comparison.noise[0] ** 2
-
-
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Diagnosis(SimulatedResult, Findings):
-    """Findings of a diagnosis and its conclusions: what a model gets wrong, why, and what adding the cause gains.
-
-    Attributes:
-        verdict: `none`, `named`, `set`, `unknown` or `insufficient`.
-        gain: on held-out recordings; None where there are none.
-        remaining: residuals of the best model.
-        next_experiment: the recording that would settle what these cannot; None where there is nothing to settle.
-    """
-
-    verdict: Verdict
-    gain: Gain | None
-    remaining: Remaining
-    next_experiment: str | None

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.records import Diagnosis, Findings, Gain, Remaining, RepeatComparison, Verdict
+from vjm.diagnosis.records import Diagnosis, Gain, Remaining, RepeatComparison, Verdict
 from vjm.records import REFERENCE, Array, Experiment, RecordingComparison
 
 _UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard deviations
@@ -128,7 +128,7 @@ def _block_length(series: Array) -> int:
     return int(np.ceil(min(max(optimal, 1.0), longest)))
 
 
-def is_unexplained(findings: Findings) -> bool:
+def is_unexplained(findings: Diagnosis) -> bool:
     """Return True if the best model leaves more than noise, or clearly more than was missing before the change."""
     if findings.reference_misfit > 1:
         return findings.changed_misfit > _CLEARLY_MORE * findings.baseline_misfit
@@ -136,10 +136,15 @@ def is_unexplained(findings: Findings) -> bool:
     return bool(findings.needed) or (findings.residuals.p_value < _UNLIKELY and matters)
 
 
-def conclude(findings: Findings) -> Diagnosis:
-    """Return the diagnosis: causes that are significant, explain little and gain nothing held out are dropped."""
+def conclude(findings: Diagnosis) -> Diagnosis:
+    """Add the conclusions: causes that are significant, explain little and gain nothing held out are dropped."""
+    findings = replace(
+        findings,
+        noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
+        warnings=tuple(dict.fromkeys(text for text in (*findings.insufficient, *findings.warnings) if text)),
+    )
     if findings.insufficient:
-        return _diagnosis(findings, "insufficient", None, Remaining(None))
+        return replace(findings, next_experiment=findings.insufficient[0])
     unexplained = is_unexplained(findings)
     gain = _estimate_gain(findings.recordings, findings.seed)
     useless = findings.decrease < _SMALL_DECREASE and (gain is None or gain.reduction < _NO_GAIN)
@@ -154,20 +159,12 @@ def conclude(findings: Findings) -> Diagnosis:
     elif findings.reference_misfit == 1 and findings.residuals.p_value < _UNLIKELY:
         note = "the residuals are a little more than noise, and too little to matter"
         findings = replace(findings, notes=(*findings.notes, note))
-    return _diagnosis(findings, verdict, gain, Remaining(findings.residuals.p_value, _description(findings)))
-
-
-def _diagnosis(findings: Findings, verdict: Verdict, gain: Gain | None, remaining: Remaining) -> Diagnosis:
-    complete = replace(
-        findings,
-        noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
-        warnings=tuple(dict.fromkeys(text for text in (*findings.insufficient, *findings.warnings) if text)),
-    )
+    remaining = Remaining(findings.residuals.p_value, _description(findings))
     next_experiment = _next_experiment(findings, verdict)
-    return Diagnosis(**vars(complete), verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
+    return replace(findings, verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
 
 
-def _without_causes(findings: Findings) -> Findings:
+def _without_causes(findings: Diagnosis) -> Diagnosis:
     causes = ", ".join(cause.effect.id for cause in findings.causes)
     warning = f"{causes} would explain a little of the training recordings and nothing of those held out: not a cause"
     return replace(
@@ -180,8 +177,8 @@ def _without_causes(findings: Findings) -> Findings:
     )
 
 
-def _description(findings: Findings) -> str:
-    """Description of what remains; empty where nothing does."""
+def _description(findings: Diagnosis) -> str:
+    """Describe what remains; empty where nothing does."""
     residuals = findings.residuals
     if not is_unexplained(findings):
         if findings.reference_misfit <= 1:
@@ -221,10 +218,7 @@ def _noise_by_repeats(repeats: RepeatComparison | None) -> str:
     return f"residuals of recordings that repeat each other differ by {difference:.2g} mm"
 
 
-def _next_experiment(findings: Findings, verdict: Verdict) -> str | None:
-    """The recording that would settle what these cannot; None where there is nothing to settle."""
-    if verdict == "insufficient":
-        return findings.insufficient[0]
+def _next_experiment(findings: Diagnosis, verdict: Verdict) -> str | None:
     ambiguous = next((cause for cause in findings.causes if cause.alternatives), None)
     if ambiguous is not None:
         effects = (ambiguous.effect, *(alternative.effect for alternative in ambiguous.alternatives))

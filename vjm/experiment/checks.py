@@ -130,7 +130,6 @@ def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
 
 
 def _recording_warnings(rig: Rig, recording: Recording) -> Iterator[str]:
-    """Yield what the checks have to say about one recording, without its name."""
     frames = recording.frames
     time, markers = recording.time[frames], recording.markers[frames]
     names = [f"{link.name}.m{number}" for link in rig.links for number in range(1, len(link.markers) + 1)]
@@ -159,7 +158,6 @@ def _recording_warnings(rig: Rig, recording: Recording) -> Iterator[str]:
 
 
 def _absence_warnings(markers: Array, names: list[str], needs_x: Mask) -> Iterator[str]:
-    """Tell of k markers never measured, and of frames that have one coordinate of a marker but not the other."""
     measured = np.isfinite(markers)
     never = [names[index] for index in np.flatnonzero(~np.any(measured, axis=(0, 2)))]
     if never:
@@ -170,7 +168,6 @@ def _absence_warnings(markers: Array, names: list[str], needs_x: Mask) -> Iterat
 
 
 def _gap_warnings(times: Array) -> Iterator[str]:
-    """Tell of intervals between frames (F,) [s] more than three times as long as the median."""
     intervals = np.diff(times)
     median = float(np.median(intervals)) if intervals.size else 0.0
     gaps = np.flatnonzero(intervals > 3.0 * median)
@@ -183,7 +180,6 @@ def _gap_warnings(times: Array) -> Iterator[str]:
 
 
 def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> Iterator[str]:
-    """Tell of a sensor that starts after the first frame or stops before the last, by more than a camera interval."""
     if not sensor_times.size or frame_times.size < 2:
         return
     interval = float(np.median(np.diff(frame_times)))
@@ -195,7 +191,6 @@ def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> 
 
 
 def _unit_warnings(markers: Array, arm_length: float) -> Iterator[str]:
-    """Tell of coordinates more than 20 arm lengths from the base: no longer metres."""
     largest = float(np.nanmax(np.abs(markers), initial=0.0))
     if largest > 20.0 * arm_length:
         yield (
@@ -205,7 +200,6 @@ def _unit_warnings(markers: Array, arm_length: float) -> Iterator[str]:
 
 
 def _distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str], noise: float) -> Iterator[str]:
-    """Tell of frames (T, k, 2) in which two markers are farther apart than the link between them is long."""
     limits = _distance_limits(arcs, noise)
     excess = _distances(markers) - limits
     bad = (excess > 0.0).any(axis=(1, 2))
@@ -265,7 +259,6 @@ def _moves(values: Array, noise: float | None) -> bool:
 
 
 def _repeat_warnings(recordings: Sequence[Recording]) -> Iterator[str]:
-    """Tell of recordings with one `repeat` label that differ in their torque or in their condition."""
     first: dict[str, Recording] = {}
     for recording in recordings:
         if recording.repeat is None or first.setdefault(recording.repeat, recording) is recording:

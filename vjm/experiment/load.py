@@ -130,7 +130,6 @@ def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> Ex
 
 
 def _recording_files(file: Path, document: dict[str, Any]) -> list[Path]:
-    """Return the paths of the recordings; each must exist, and none serve both fitting and holdout."""
     paths: list[Path] = []
     first: dict[Path, int] = {}
     tables = document["recording"]
@@ -172,7 +171,6 @@ def _read_recording(file: Path, table: dict[str, Any], rig: Rig) -> Recording:
 
 
 def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
-    """Return a CSV file's column names, and the bytes after the header line."""
     try:
         raw = file.read_bytes()
     except (OSError, ValueError) as error:

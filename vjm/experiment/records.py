@@ -106,7 +106,6 @@ class Link:
         object.__setattr__(self, "bending_stiffness", self._section_stiffness())
 
     def _section_stiffness(self) -> float:
-        """Return EI as given, or E w h^3 / 12 [N m^2]."""
         section = {"youngs_modulus": self.youngs_modulus, "width": self.width, "thickness": self.thickness}
         absent = [key for key, value in section.items() if value is None]
         given = [key for key in section if key not in absent]
@@ -343,7 +342,6 @@ class Experiment:
         self._check_repeats()
 
     def _check_repeats(self) -> None:
-        """Refuse recordings of one `repeat` label that differ in kind, payload or gravity."""
         first: dict[str, int] = {}
         for index, recording in enumerate(self.recordings):
             if recording.repeat is None:
@@ -384,7 +382,6 @@ class Experiment:
 
 
 def _as_rig(rig: Rig | Link) -> Rig:
-    """Return a rig, or that of a bare link."""
     if isinstance(rig, Link):
         return Rig(rig.name, (rig,))
     if not isinstance(rig, Rig):
@@ -420,7 +417,6 @@ def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind
 
 
 def _check_recording(rig: Rig, recording: Recording) -> None:
-    """Check that arrays are as wide as the rig needs, and that enough of each was measured."""
     name = recording.file or "recording"
     counts = ", ".join(f"{link.name} {len(link.markers)}" for link in rig.links)
     total = sum(len(link.markers) for link in rig.links)
@@ -457,7 +453,6 @@ def _check_fields(record: object, name: object) -> None:
 
 
 def _several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
-    """Return records of one kind as a tuple; a bare one is fine too."""
     try:
         items = (values,) if isinstance(values, kind) else tuple(values)
     except TypeError:  # not iterable
@@ -530,7 +525,6 @@ def _known_columns(rig: Rig) -> str:
 
 
 def _unknown_reason(column: str, rig: Rig, known: set[str]) -> str:
-    """Return what is wrong with the name of a column that is not among the known ones."""
     owner, _, quantity = column.partition(".")
     link = {link.name: link for link in rig.links}.get(owner)
     if link is not None and quantity in ("theta", "tau"):
@@ -543,7 +537,6 @@ def _unknown_reason(column: str, rig: Rig, known: set[str]) -> str:
 
 
 def _needed_columns(columns: Sequence[str], rig: Rig, kind: Kind) -> Iterator[tuple[str, str]]:
-    """Yield the columns a recording needs, given those it has, and what is expected there."""
     yield "t", "the time of each row [s]"
     for link in rig.links:
         if link.joint == "revolute":

@@ -106,7 +106,6 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
 
 
 def _choice(cause: Cause, model: Model) -> str:
-    """Return a cause and what cannot be told from it: `either A, or B`."""
     own = clause(cause.effect, model, cause.parameters)
     others = [clause(item.effect, model) for item in cause.alternatives[:2]]
     more = len(cause.alternatives) - len(others)
@@ -128,7 +127,6 @@ def _detectable(diagnosis: Diagnosis) -> list[str]:
 
 
 def _improvement(diagnosis: Diagnosis) -> str:
-    """Return what is gained on held-out recordings, as a sentence; empty if none was held out."""
     gain = diagnosis.gain
     if gain is None:
         return ""
@@ -190,7 +188,6 @@ def _next_points(diagnosis: Diagnosis) -> list[str]:
 
 
 def _alternative_points(diagnosis: Diagnosis) -> list[str]:
-    """Return the causes that cannot be distinguished and the recording that would, a sentence each."""
     points = []
     for cause in diagnosis.causes:
         for item in cause.alternatives:
@@ -208,7 +205,6 @@ def _symptom_points(diagnosis: Diagnosis, most: int) -> list[str]:
 
 
 def _recording_table(diagnosis: Diagnosis) -> Table:
-    """Return how closely each recording is followed without and with the causes, and with the next best explanation."""
     if diagnosis.causes:
         return recording_table(diagnosis.recordings, "with", "without", "next best")
     alone = [RecordingComparison(item.recording, item.noise, item.reference) for item in diagnosis.recordings]
@@ -216,7 +212,6 @@ def _recording_table(diagnosis: Diagnosis) -> Table:
 
 
 def _cause_table(diagnosis: Diagnosis) -> Table:
-    """Return every cause's parameters with their standard errors."""
     rows = []
     for cause in diagnosis.causes:
         where = place(cause.effect, diagnosis.model) or "everywhere"

@@ -118,7 +118,6 @@ def _ratio(comparison: RecordingComparison) -> float:
 
 
 def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[str, Grade]:
-    """Return one sentence on the worst held-out recording; on the training ones if none was held out."""
     simulated = [item for item in comparisons if item.simulated is not None]
     held_out = [item for item in simulated if item.recording.role == "holdout"]
     if not simulated:
@@ -138,7 +137,6 @@ def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[s
 
 
 def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
-    """Return a sentence on each of the worst held-out recordings, then one on the worst of the others."""
     points = []
     for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "train", 1)):
         group = sorted((item for item in comparisons if item.recording.role == role), key=_ratio, reverse=True)
@@ -185,7 +183,6 @@ def _undetermined_points(estimates: Sequence[Estimate]) -> list[str]:
 
 
 def _share(estimates: Sequence[Estimate]) -> str:
-    """Return how many of the parameters the recordings determine, and which they do not."""
     missing = _undetermined(estimates)
     text = f"{len(estimates) - len(missing)} of {len(estimates)} parameters determined"
     if not missing:
@@ -196,7 +193,6 @@ def _share(estimates: Sequence[Estimate]) -> str:
 
 
 def _explained(estimate: Estimate) -> str:
-    """Return the name of a parameter that is not determined, and in brackets why and what it takes."""
     return f"{estimate.name} ({estimate.reason}{f'; it takes {estimate.remedy}' if estimate.remedy else ''})"
 
 
@@ -244,14 +240,12 @@ def _values_by_name(chain: Chain) -> dict[str, float]:
 
 
 def _remedy_tables(estimates: Sequence[Estimate]) -> list[Table]:
-    """Return the parameters that the recordings do not determine, why, and which recording would; none if all are."""
     rows = tuple((item.name, item.reason, item.remedy or UNKNOWN) for item in _undetermined(estimates))
     headers = ("parameter", "reason", "recording that would determine it")
     return [Table("Parameters that these recordings do not determine", headers, rows, words=3)] if rows else []
 
 
 def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
-    """Return for each fitted recording whether its residual is white noise; no table without any."""
     rows = []
     for item in whiteness:
         rms = math.sqrt(item.chi2) if item.chi2 >= 0 else None
@@ -316,7 +310,6 @@ def recording_table(
 
 
 def _settings(fit: Identification) -> list[tuple[str, str]]:
-    """Return how the identification was made: term and description."""
     model, rig, trajectory = fit.model, fit.experiment.rig, fit.trajectory
     origin = {True: "estimated from the recordings", False: "from the experiment file"}
     rows = [

@@ -38,8 +38,6 @@ class _EffectEntry(BaseModel):
 
 
 class _ModelEntry(BaseModel):
-    """The whole file."""
-
     model_config = STRICT
     schema_version: Literal[1] = Field(alias="schema")
     kind: Literal["vjm-model"]
@@ -140,7 +138,6 @@ def read_model(
 
 @contextmanager
 def _faults_of(path: Path | str) -> Iterator[None]:
-    """Turn errors into those of a model file."""
     try:
         yield
     except OSError as error:

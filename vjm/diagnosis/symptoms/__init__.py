@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, Tone, channels_of, explained, regress
+from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, Tone, explained, regress
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
 from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeDifference, MotionComparison
 from vjm.records import Array, Record, Rig, SimulatedRecording
@@ -99,6 +99,44 @@ class Symptoms(Record):
     profiles: tuple[JointProfile, ...]
     lag: Coefficient
 
+    @classmethod
+    def of(
+        cls, rig: Rig, simulated: Sequence[SimulatedRecording], frequencies: Mapping[float, Sequence[float]]
+    ) -> Symptoms:
+        """Find what differs between recordings and the model's simulations of them.
+
+        Args:
+            rig: the arm.
+            simulated: the recordings.
+            frequencies: the model's natural frequencies [Hz] with each payload of the recordings [kg], as many each.
+        """
+        recordings = []
+        for one in simulated:
+            sensors = Channels.of(rig, one)
+            misfit = float(sum(np.sum(sensor.residual**2) for sensor in sensors))
+            modes, at_rest = MotionComparison(), list[SensorAtRest]()
+            if one.recording.kind in ("quiet", "static"):
+                at_rest = [quiet for quiet in map(SensorAtRest.of, sensors) if quiet is not None]
+            elif sensors:
+                modes = MotionComparison.of(one.recording, sensors, frequencies[one.recording.payload])
+            recordings.append(RecordingSymptoms(one, sensors, misfit, modes, at_rest=tuple(at_rest)))
+        own, together = joint_profiles(
+            rig, [(one.simulated, one.sensors * bool(one.modes.remaining)) for one in recordings]
+        )
+        recordings = [replace(one, profiles=profiles) for one, profiles in zip(recordings, own, strict=True)]
+        total = sum(one.misfit for one in recordings)
+        found = [symptom for one in recordings for symptom in _of_recording(one, total)]
+        found += _with_amplitude(recordings, total)
+        for profile in together:
+            pooled = [recordings[k] for k in np.unique(profile.recording)]
+            found += _against(_Source.of(pooled, total), profile, pooled)
+        both = [one for one in recordings if one.modes.camera_lag.known]
+        lag, clock = (_mean([getattr(one.modes, kind) for one in both]) for kind in ("camera_lag", "camera_clock"))
+        found.append(_Source.of(both, total).symptom("camera_lag", lag, "s"))
+        found.append(_Source.of(both, total).symptom("camera_clock", clock, "1"))
+        known = sorted((symptom for symptom in found if math.isfinite(symptom.std)), key=lambda symptom: -symptom.share)
+        return cls(rig, tuple(known), tuple(recordings), together, lag)
+
     @property
     def significant(self) -> tuple[Symptom, ...]:
         """Symptoms that are more than chance, at a level that allows for all that was looked for, and worth a word."""
@@ -117,44 +155,6 @@ class Symptoms(Record):
             told = f"{first.sentence.removesuffix('.')}; likewise in {more}."
             headlines.append(replace(first, sentence=told) if same else first)
         return tuple(headlines)
-
-
-def symptoms(
-    rig: Rig, simulated: Sequence[SimulatedRecording], frequencies: Mapping[float, Sequence[float]]
-) -> Symptoms:
-    """Return what differs between recordings and the model's simulations of them.
-
-    Args:
-        rig: the arm.
-        simulated: the recordings.
-        frequencies: the model's natural frequencies [Hz] with each payload of the recordings [kg], as many with each.
-    """
-    recordings = []
-    for one in simulated:
-        sensors = channels_of(rig, one)
-        misfit = float(sum(np.sum(sensor.residual**2) for sensor in sensors))
-        modes, at_rest = MotionComparison(), list[SensorAtRest]()
-        if one.recording.kind in ("quiet", "static"):
-            at_rest = [quiet for quiet in map(SensorAtRest.of, sensors) if quiet is not None]
-        elif sensors:
-            modes = MotionComparison.of(one.recording, sensors, frequencies[one.recording.payload])
-        recordings.append(RecordingSymptoms(one, sensors, misfit, modes, at_rest=tuple(at_rest)))
-    own, together = joint_profiles(
-        rig, [(one.simulated, one.sensors * bool(one.modes.remaining)) for one in recordings]
-    )
-    recordings = [replace(one, profiles=profiles) for one, profiles in zip(recordings, own, strict=True)]
-    total = sum(one.misfit for one in recordings)
-    found = [symptom for one in recordings for symptom in _of_recording(one, total)]
-    found += _with_amplitude(recordings, total)
-    for profile in together:
-        pooled = [recordings[k] for k in np.unique(profile.recording)]
-        found += _against(_Source.of(pooled, total), profile, pooled)
-    both = [one for one in recordings if one.modes.camera_lag.known]
-    lag, clock = (_mean([getattr(one.modes, kind) for one in both]) for kind in ("camera_lag", "camera_clock"))
-    found.append(_Source.of(both, total).symptom("camera_lag", lag, "s"))
-    found.append(_Source.of(both, total).symptom("camera_clock", clock, "1"))
-    known = sorted((symptom for symptom in found if math.isfinite(symptom.std)), key=lambda symptom: -symptom.share)
-    return Symptoms(rig, tuple(known), tuple(recordings), together, lag)
 
 
 class _Source(NamedTuple):
@@ -206,7 +206,6 @@ def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
 
 
 def _aligned(source: _Source, sensor: Channels) -> Iterator[Symptom]:
-    """Yield offset, gain and drift of each coordinate, and the delay of the whole sensor."""
     for c, name in enumerate(sensor.names):
         rows = sensor.known[:, c]
         time, residual = sensor.time[rows], sensor.residual[rows, c]
@@ -250,7 +249,6 @@ def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iter
 
 
 def _against(source: _Source, profile: JointProfile, recordings: Sequence[RecordingSymptoms]) -> Iterator[Symptom]:
-    """Yield what goes with a joint's position, velocity and direction."""
     name, motion = profile.sensor, profile.motion
     sensors = [sensor for one in recordings for sensor in one.sensors if name in sensor.names]
     misfit = sum(float(np.sum(s.residual[:, s.names.index(name)] ** 2)) for s in sensors)
@@ -262,7 +260,6 @@ def _against(source: _Source, profile: JointProfile, recordings: Sequence[Record
 
 
 def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: float) -> Iterator[Symptom]:
-    """Yield the part of a residual that is slower than a limit [Hz]."""
     columns = sensor.slow_columns(sensor.time, limit)
     count = columns.shape[1] - 1
     if count < 1 or sensor.time.size < 4 * count:
@@ -280,7 +277,6 @@ def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: floa
 
 
 def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
-    """Yield the growth of the residual from the first to the last fifth of a recording."""
     time = np.concatenate([sensor.time for sensor in one.sensors])
     squares = np.concatenate([np.sum(sensor.residual**2, axis=1) for sensor in one.sensors])
     known = np.concatenate([np.sum(sensor.known, axis=1) for sensor in one.sensors])

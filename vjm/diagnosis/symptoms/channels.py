@@ -114,6 +114,38 @@ class Channels:
     noise: float  # 1-sigma [m or rad]
     groups: Indices  # (F,) stretch of time of each instant, the same for all sensors
 
+    @classmethod
+    def of(cls, rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]:
+        """Return the sensors that measured anything in a recording, the camera first."""
+        recording, simulation = simulated.recording, simulated.simulation
+        time, count = recording.time, recording.time.size
+        if count < _LEAST_VALUES:
+            return ()
+        turns = _turns(rig, simulated)
+        velocity = _turned(CubicSpline(time, simulation.markers)(time, 1), turns).reshape(count, -1)
+        path = CubicSpline(time, velocity).antiderivative()
+        path.c[-1] += _turned(simulation.markers[:1], turns[:1]).reshape(1, -1)
+        axes = [(" along", " across") if turning else (".x", ".y") for turning in np.any(turns != 0, axis=0)]
+        markers = [f"{link.name}.m{k + 1}" for link in rig.links for k in range(len(link.markers))]
+        coordinates = [(markers[m] + axes[m][axis], (m, axis)) for m in range(len(markers)) for axis in (0, 1)]
+        joints = [(f"{rig.links[i].name}.theta", (j, 0)) for j, i in enumerate(rig.active_links)]
+        residual = _turned(simulated.marker_residual, turns).reshape(count, -1)
+        sensors: list[Channels] = []
+        for sensor, labels, curve, values, noise in (
+            ("camera", coordinates, path, residual, simulated.noise[0]),
+            ("encoder", joints, CubicSpline(time, simulation.theta), simulated.theta_residual, simulated.noise[1]),
+        ):
+            kept = np.flatnonzero(np.isfinite(values).sum(axis=0) >= _LEAST_VALUES)
+            if not kept.size:
+                continue
+            rows = np.flatnonzero(np.isfinite(values[:, kept]).any(axis=1))
+            own, most = values[np.ix_(rows, kept)], min(_GROUPS, max(rows.size // 4, 2))
+            groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * most).astype(np.intp), most - 1)
+            names, places = zip(*(labels[c] for c in kept), strict=True)
+            motion, scaled = PPoly(curve.c[:, :, kept], curve.x), np.nan_to_num(own) / noise
+            sensors.append(cls(sensor, names, places, time[rows], motion, scaled, np.isfinite(own), noise, groups))
+        return tuple(sensors)
+
     @cached_property
     def simulated(self) -> Array:
         """(F, C) [m or rad]."""
@@ -254,38 +286,6 @@ class Channels:
         swing = 2 * abs(np.sum(window * motion * (pair[:, 0] - 1j * pair[:, 1]))) / np.sum(window)
         amplitude = Coefficient(self.noise * sizes[most], std, chance, explained(wave, residual))
         return Tone(peak, amplitude, self.names[most], float(swing), wave)
-
-
-def channels_of(rig: Rig, simulated: SimulatedRecording) -> tuple[Channels, ...]:
-    """Return the sensors that measured anything in a recording, the camera first."""
-    recording, simulation = simulated.recording, simulated.simulation
-    time, count = recording.time, recording.time.size
-    if count < _LEAST_VALUES:
-        return ()
-    turns = _turns(rig, simulated)
-    velocity = _turned(CubicSpline(time, simulation.markers)(time, 1), turns).reshape(count, -1)
-    path = CubicSpline(time, velocity).antiderivative()
-    path.c[-1] += _turned(simulation.markers[:1], turns[:1]).reshape(1, -1)
-    axes = [(" along", " across") if turning else (".x", ".y") for turning in np.any(turns != 0, axis=0)]
-    markers = [f"{link.name}.m{k + 1}" for link in rig.links for k in range(len(link.markers))]
-    coordinates = [(markers[m] + axes[m][axis], (m, axis)) for m in range(len(markers)) for axis in (0, 1)]
-    joints = [(f"{rig.links[i].name}.theta", (j, 0)) for j, i in enumerate(rig.active_links)]
-    residual = _turned(simulated.marker_residual, turns).reshape(count, -1)
-    sensors: list[Channels] = []
-    for sensor, labels, curve, values, noise in (
-        ("camera", coordinates, path, residual, simulated.noise[0]),
-        ("encoder", joints, CubicSpline(time, simulation.theta), simulated.theta_residual, simulated.noise[1]),
-    ):
-        kept = np.flatnonzero(np.isfinite(values).sum(axis=0) >= _LEAST_VALUES)
-        if not kept.size:
-            continue
-        rows = np.flatnonzero(np.isfinite(values[:, kept]).any(axis=1))
-        own, most = values[np.ix_(rows, kept)], min(_GROUPS, max(rows.size // 4, 2))
-        groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * most).astype(np.intp), most - 1)
-        names, places = zip(*(labels[c] for c in kept), strict=True)
-        motion, scaled = PPoly(curve.c[:, :, kept], curve.x), np.nan_to_num(own) / noise
-        sensors.append(Channels(sensor, names, places, time[rows], motion, scaled, np.isfinite(own), noise, groups))
-    return tuple(sensors)
 
 
 def _turns(rig: Rig, simulated: SimulatedRecording) -> Array:

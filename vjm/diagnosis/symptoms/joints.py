@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_coeffs
 
-from vjm.diagnosis.symptoms.channels import Channels, Coefficient, channels_of, regress
+from vjm.diagnosis.symptoms.channels import Channels, Coefficient, regress
 from vjm.records import Array, Indices, Rig, SimulatedRecording
 
 _LEAST_POINTS = 24  # twice the groups that give the standard errors
@@ -99,7 +99,7 @@ def joint_profiles(
 
 def missing_torque(rig: Rig, simulated: Sequence[SimulatedRecording], joint: str) -> JointProfile | None:
     """Return the torque that the model misses at a joint (`beam.theta`) in driven recordings; None if not shown."""
-    driven = [(one, channels_of(rig, one)) for one in simulated if one.recording.kind == "driven"]
+    driven = [(one, Channels.of(rig, one)) for one in simulated if one.recording.kind == "driven"]
     own, together = joint_profiles(rig, driven)
     every = [*together, *(profile for profiles in own for profile in profiles)]
     return next((profile for profile in every if profile.quantity == "torque" and profile.motion == joint), None)
@@ -130,8 +130,6 @@ def _of_recording(rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Cha
 
 
 class _Motion(NamedTuple):
-    """Motion of a joint or a marker."""
-
     name: str
     unit: str
     path: CubicSpline
@@ -147,7 +145,6 @@ class _Motion(NamedTuple):
 
 
 def _tip(sensor: Channels) -> int:
-    """Return the channel of the outermost marker that moves most."""
     last = max(marker for marker, _ in sensor.places)
     power = np.sum(sensor.centred(sensor.simulated) ** 2, axis=0)
     return max((c for c, (marker, _) in enumerate(sensor.places) if marker == last), key=lambda c: float(power[c]))

@@ -85,7 +85,6 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
-    """Return held-out recordings, the largest residual first; a training one where none is held out."""
     usable = [each for each in diagnosis.recordings if each.simulated is not None]
     ordered = moving_recordings(diagnosis.model.rig, usable, "reference")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
@@ -94,7 +93,6 @@ def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
 
 
 def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure:
-    """Draw the tip of one recording, measured and by the models without and with the causes."""
     before, after = comparison.reference, comparison.simulated
     assert before is not None
     assert after is not None
@@ -117,7 +115,6 @@ class _Evidence:
 
 
 def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingComparison]) -> Figure:
-    """Draw residuals of the first recording without and with a cause, and against what the cause adds."""
     clause_text = capital(clause(cause.effect, model, cause.parameters))
     page = PanelFigure.of(f"{clause_text}: {short(comparisons[0].recording.file)} without and with it", [(3.4, 2)])
     left, right = page.axes[0]
@@ -206,7 +203,6 @@ def _some(count: int) -> Array:
 
 
 def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecording) -> None:
-    """Draw the residual without the causes against what they add to the simulated marker coordinates."""
     residual, added = before.marker_residual, after.simulation.markers - before.simulation.markers
     known = np.isfinite(residual)
     x, y, noise = 1e3 * added[known], 1e3 * residual[known], 1e3 * before.noise[0]

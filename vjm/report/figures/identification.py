@@ -66,7 +66,6 @@ def _first_of(comparisons: Sequence[RecordingComparison], most: int) -> str:
 
 
 def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[str, str]) -> str:
-    """Return the RMS residual over the noise by every model, in the held-out recordings or, without any, in all."""
     simulated = [each for each in comparisons if each.simulated is not None]
     held_out = [each for each in simulated if each.recording.role == "holdout"]
     parts = []
@@ -94,7 +93,6 @@ def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tu
 
 
 def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[str, str]) -> Figure:
-    """Draw the outermost channel of one recording."""
     simulations = {role: getattr(comparison, role) for role in labels if getattr(comparison, role) is not None}
     rms = {role: signal.rms(simulated) for role, simulated in simulations.items()}
     # A second residual is drawn where it is neither hidden by the first one nor hides it.
@@ -127,7 +125,6 @@ def _residual_pictures(fit: Identification) -> Iterator[Picture]:
 
 
 def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figure:
-    """Draw the RMS residual of every marker coordinate in every recording, in units of the noise."""
     names, table, count = _residual_table(rig, comparisons)
     # RMS that white noise passes anywhere in one such table of a thousand, and never less than 10 % above the noise.
     limit = np.sqrt(stats.chi2.isf(FALSE_ALARM / table.size, np.maximum(count, 1)) / np.maximum(count, 1))
@@ -173,7 +170,6 @@ def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tup
 
 
 def _residual_spectra(model: Model, spectra: Sequence[tuple[RecordingComparison, Spectrum]]) -> Figure:
-    """Draw amplitude spectra of the residuals, beside white noise and the model's natural frequencies."""
     comparison, spectrum = max(spectra, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].limit)))
     title = "Spectrum of the residual: no frequency at which it is larger than noise"
     if (where := _peak(model, comparison, spectrum)) is not None:
@@ -207,7 +203,6 @@ def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum) -> 
 
 
 def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> Iterator[Picture]:
-    """Draw the correlation matrix of the estimates that have a finite standard error, where there are two."""
     names = [each.name for each in estimates if each.std is not None]
     if covariance.shape != (len(names), len(names)):
         return
@@ -224,7 +219,6 @@ def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> I
 
 
 def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
-    """Draw a correlation matrix; the title tells its strongest pair."""
     count = min(len(names), 48)
     roomy = count <= 16
     page = PanelFigure.of(_correlation_title(names, matrix), [(0.6 + max(2, count) * min(0.28, 6.25 / count), 1)])

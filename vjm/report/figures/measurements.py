@@ -63,12 +63,10 @@ def _spread_over(recordings: Sequence[Recording], most: int) -> list[Recording]:
 
 
 def _evenly(count: int, most: int) -> list[int]:
-    """Return all of a few indices, else some from first to last."""
     return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
-    """Draw marker coordinates against time as measured; a row of panels for each recording of several links."""
     links = range(min(len(rig.links), _MOST_LINKS))
     panels = [(recording, link) for recording in recordings for link in links]
     count = sum(len(link.markers) for link in rig.links)
@@ -98,7 +96,6 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
 
 
 def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]) -> Figure:
-    """Draw each link in its own frame at five instants, lateral deflection magnified; a column for each recording."""
     residuals = np.concatenate([fit.residuals.ravel() for data in recordings for fit in data.angles.shapes])
     rms = float(np.sqrt(np.nanmean(residuals**2))) if np.isfinite(residuals).any() else 0.0
     title = f"Shape functions pass the markers of all links within {millimetres(rms)} RMS"
@@ -150,7 +147,6 @@ def _instants(data: PreparedRecording, deflection: Array) -> Indices:
 
 
 def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
-    """Draw angles, rates and accelerations of the virtual joints where a recording moves most, with 2-sigma bands."""
     links, parts = range(min(len(chain.links), _MOST_LINKS)), chain.passive_slices
     derivatives, inside = data.derivatives, data.derivatives.interior  # the noise is known there
     noise = derivatives.noise(np.sqrt(np.diag(data.angles.covariance)))
@@ -189,7 +185,6 @@ def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
 
 
 def _torque_errors(fit: Identification) -> Figure:
-    """Draw torque errors (eq. 14) by both models: over time where they are largest, and each joint's RMS."""
     chain, recordings = fit.model.chain, fit.torque_data
     nominal, identified = (
         [data.errors(model.chain, data.derivatives.interior) for data in recordings]
@@ -227,7 +222,6 @@ def _torque_errors(fit: Identification) -> Figure:
 
 
 def _rms(errors: Array) -> Array:
-    """Return (nv,) root mean squares over all samples; NaN where none was measured."""
     known = np.isfinite(errors)
     squares: Array = np.sum(errors**2, axis=0, where=known) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
     return np.sqrt(squares)

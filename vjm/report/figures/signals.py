@@ -106,7 +106,6 @@ class Signal:
 
 
 def _channel(source: Recording | Simulation, index: tuple[int, ...]) -> Array:
-    """Return (T,) one coordinate of a marker [m], or one joint angle [rad]."""
     return source.markers[:, index[0], index[1]] if len(index) == 2 else source.theta[:, index[0]]
 
 
@@ -182,7 +181,6 @@ def _motion_panel(
 
 
 def _simulations(comparison: RecordingComparison, labels: Mapping[str, str]) -> list[tuple[str, SimulatedRecording]]:
-    """Return the labelled simulations of a recording in the order in which they are drawn."""
     pairs = [(role, getattr(comparison, role)) for role in LINES if role in labels]
     return [(role, simulated) for role, simulated in pairs if simulated is not None]
 

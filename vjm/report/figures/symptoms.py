@@ -83,7 +83,6 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
 
 
 def _times_noise(one: RecordingSymptoms) -> float:
-    """Return the RMS residual of all sensors in units of their noise."""
     return float(np.sqrt(one.misfit / max(sum(int(sensor.known.sum()) for sensor in one.sensors), 1)))
 
 
@@ -92,7 +91,6 @@ def _file(one: RecordingSymptoms, most: int) -> str:
 
 
 def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
-    """Draw the measured and simulated tip where it is worst, and the residual of the whole recording below."""
     drawn, headings = [], []
     for one in shown:
         simulated = one.simulated
@@ -108,7 +106,6 @@ def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -
 
 
 def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
-    """Draw frequency, damping, amplitude and phase of every mode and recording, measured against simulated."""
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
     page, colors = PanelFigure.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), colormaps["PuOr_r"]
     values: Sequence[tuple[str, Callable[[ModeDifference], float]]] = (
@@ -174,7 +171,6 @@ def _free_motion(found: Symptoms) -> _FreeMotions:
 
 
 def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
-    """Draw frequency and damping ratio of every mode against amplitude, while nothing drives the arm."""
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
     looks: dict[str, Any] = {}
     for k, (condition, marker) in enumerate(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)):
@@ -237,7 +233,6 @@ def _profiles_shown(found: Symptoms) -> list[JointProfile]:
 
 
 def _profiles(title: str, found: Symptoms, shown: Sequence[JointProfile]) -> Figure:
-    """Draw residuals against position, velocity and direction, each without what the two others explain."""
     page = PanelFigure.of(title, [(2.35, 3)] * len(shown))
     for row, profile in zip(page.axes, shown, strict=True):
         _draw_profile(row, profile)
@@ -296,7 +291,6 @@ def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
 
 
 def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
-    """Draw the delay of camera and encoders against the model, and of the one against the other."""
     page, lag = PanelFigure.of(title, [(0.6 + 0.34 * max(len(shown), 2), 1)]), found.lag
     axes = page.axes[0][0]
     interval = 1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std)
@@ -317,14 +311,12 @@ def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Fi
 
 
 def _at_rest(found: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]:
-    """Return the sensors at rest with the spectra of their residuals, at most four."""
     sensors = [(one, rest) for one in found.recordings for rest in one.at_rest][:4]
     spectra = [Spectrum.of(one.simulated, rest.channels.sensor == "encoder") for one, rest in sensors]
     return [(*pair, spectrum) for pair, spectrum in zip(sensors, spectra, strict=True) if spectrum is not None]
 
 
 def _quiet(title: str, _: Symptoms, shown: Sequence[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]) -> Figure:
-    """Draw amplitude spectra of the sensors at rest, beside the noise that was supposed."""
     page = PanelFigure.grid(title, len(shown), (2.5, 2.5))
     for axes, (one, rest, spectrum) in zip(page.axes[0], shown, strict=True):
         unit = "µm" if rest.channels.unit == "m" else "µrad"
