@@ -90,15 +90,9 @@ class Camera(Effect):
     id = "camera_shift"
     description = "a camera that is shifted along the arm"
     reference = "A. Author, A Book, 2001"
-    sensor = True
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         return positions if self.is_null else positions + np.array([self.shift, 0.0])
-
-
-@dataclass(frozen=True)
-class NeverAsked(Camera):
-    sensor = False
 
 
 @dataclass(frozen=True)

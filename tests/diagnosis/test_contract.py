@@ -21,7 +21,6 @@ BROKEN = [
     (broken.Undeclared(), "form", "`exponent` is neither"),
     (broken.PresentByDefault(), "form", "`coefficient` is 0.004 by default"),
     (broken.WithoutSize(), "form", "defines `force` but no size"),
-    (broken.NeverAsked(), "form", "defines `marker_positions` but `sensor` is False"),
     (broken.LosesValue(), "coordinates", "expected the same"),
     (broken.NotNothing(), "null", "`chain` changes what it is given"),
     (broken.PushesWhenAbsent(), "null", "a force at the null"),

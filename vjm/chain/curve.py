@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, make_interp_spline
 
-from vjm.chain.layout import Layout
-from vjm.chain.virtual_links import Chain, Distal, LinkChain
+from vjm.chain.layout import Cuts, Layout
+from vjm.chain.virtual_links import Chain, Distal
 from vjm.records import Array
 
 _NODES = 6  # Gauss-Legendre nodes a panel
@@ -61,7 +61,7 @@ class CurveMap:
         return np.stack([by_x, by_y], axis=-2)
 
 
-def _curvature_spline(cuts: Layout | LinkChain) -> BSpline:
+def _curvature_spline(cuts: Cuts) -> BSpline:
     """Return the curvature along a link as a spline linear in phi: evaluates to (..., n) [1/m per rad]."""
     knots, values = np.cumsum(cuts.lengths), np.diag(1 / cuts.cells)
     if cuts.distal == "joined":
@@ -71,7 +71,7 @@ def _curvature_spline(cuts: Layout | LinkChain) -> BSpline:
     return make_interp_spline(knots, values, k=min(3, knots.size - 1))
 
 
-def curve_map(cuts: Layout | LinkChain, arcs: ArrayLike) -> CurveMap:
+def curve_map(cuts: Cuts, arcs: ArrayLike) -> CurveMap:
     """Return the map from a link's phi to its curve at arc lengths (k,) [m]."""
     numbers = (cuts.lengths, cuts.cells, np.asarray(arcs, dtype=float).ravel())
     lengths, cells, ends = (tuple(values.tolist()) for values in numbers)

@@ -57,6 +57,9 @@ class Layout:
     distal: Distal = "free"
 
 
+Cuts = Layout | LinkChain  # what says where a link is cut
+
+
 def layout(length: float, n: int, name: str = DEFAULT_LAYOUT, distal: Distal = "free") -> Layout:
     """Cut a link of `length` [m] at n virtual joints.
 
@@ -114,7 +117,7 @@ def layout_of_lengths(lengths: ArrayLike, distal: Distal = "free") -> Layout:
     return Layout(values, cells, distal)
 
 
-def uniform_chain(link: Link, cuts: Layout, kelvin_voigt: float = 0.0) -> LinkChain:
+def uniform_chain(link: Link, cuts: Cuts, kelvin_voigt: float = 0.0) -> LinkChain:
     """Return the chain of a uniform link: uniform rods, K = EI / cell, D = K times the Kelvin-Voigt time [s]."""
     masses, stiffness = link.mass * cuts.lengths / link.length, link.bending_stiffness / cuts.cells
     return LinkChain(
@@ -144,12 +147,7 @@ def rig_layouts(rig: Rig, joints: Sequence[int], name: str = DEFAULT_LAYOUT) -> 
     ]
 
 
-def nominal_chain(rig: Rig, cuts: Sequence[Layout], kelvin_voigt: float = 0.0) -> Chain:
+def nominal_chain(rig: Rig, cuts: Sequence[Cuts], kelvin_voigt: float = 0.0) -> Chain:
     """Return the chain of the experiment file's nominal values, which have no Kelvin-Voigt time [s] of their own."""
     links = [uniform_chain(link, cut, kelvin_voigt) for link, cut in zip(rig.links, cuts, strict=True)]
     return Chain(rig.name, tuple(links), rig.gravity)
-
-
-def chain_layouts(chain: Chain) -> list[Layout]:
-    """Return each link's virtual links and cells."""
-    return [Layout(link.lengths, link.cells, link.distal) for link in chain.links]

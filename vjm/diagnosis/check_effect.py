@@ -20,7 +20,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.candidate_fit import CandidateFit, refit
 from vjm.diagnosis.fit_cache import NOISE, StoppingRule
 from vjm.diagnosis.screen import CandidateSet, Screen
-from vjm.effects.effect import Effect
+from vjm.effects.effect import SENSING_HOOKS, Effect
 from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import TrajectoryProblem, fit_trajectory
@@ -31,8 +31,7 @@ from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
 from vjm.simulation.sensitivity import follow_internal_states
 
 _Law = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
-_SENSING = ("camera_instants", "marker_positions", "encoder_angles")
-_HOOKS = ("chain", "true_inputs", "force", *_SENSING, "initial_states", "state_rates", "rate_independent_update")
+_HOOKS = ("chain", "true_inputs", "force", *SENSING_HOOKS, "initial_states", "state_rates", "rate_independent_update")
 _ROUNDING = 1e-9
 _PAYLOAD = 0.05  # kg
 _NOISE = (5e-5, 5e-5)  # m of a marker coordinate, rad of an encoder
@@ -54,7 +53,7 @@ def check_effect(effect: Effect, seed: int = 0) -> None:
     """
     for clause, law in _LAWS.items():
         _hold(effect, clause, law(effect, seed))
-        if not _overridden(effect, _HOOKS):
+        if not _overridden(effect):
             return  # a name for something that is no physics
 
 
@@ -137,9 +136,9 @@ def _bench(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, floa
     return _Bench(rig, chain, tuple(recordings), tuple(states))
 
 
-def _overridden(effect: Effect, hooks: Sequence[str]) -> str:
+def _overridden(effect: Effect) -> str:
     """Hooks that the effect's class defines itself."""
-    return ", ".join(f"`{name}`" for name in hooks if getattr(type(effect), name) is not getattr(Effect, name))
+    return ", ".join(f"`{name}`" for name in _HOOKS if getattr(type(effect), name) is not getattr(Effect, name))
 
 
 def _form(effect: Effect, seed: int) -> _Law:
@@ -168,10 +167,9 @@ def _form(effect: Effect, seed: int) -> _Law:
         inside = all(parameter.lower <= value <= parameter.upper for value in values)
         yield inside, f"a typical value or grid {values} of `{name}` beyond its bounds", "values inside"
     sized = any(not parameter.shape_parameter for parameter in parameters.values())
-    own, sensing = _overridden(effect, _HOOKS), _overridden(effect, _SENSING)
+    own = _overridden(effect)
     yield sized or not own, f"it defines {own} but no size, so that it is always absent", "a magnitude(...)"
     yield own or not sized, "a size but no hook that uses it", f"one of {', '.join(_HOOKS)}"
-    yield effect.sensor or not sensing, f"it defines {sensing} but `sensor` is False", "sensor = True"
 
 
 def _variants(effect: Effect) -> list[tuple[_Bench, Effect]]:
@@ -217,7 +215,7 @@ def _calls(bench: _Bench, seed: int) -> dict[str, tuple[Any, ...]]:
     positions, headings, angles, markers = (_fixed(0.3 * random.normal(size=shape)) for shape in shapes)
     driven = replace(empty, time=_fixed(empty.time.copy()), tau=angles, theta=angles, markers=markers)
     sensed = (_fixed(np.linspace(0.3, 0.4, 5)), positions), (positions, headings), (angles,)
-    return {"chain": (bench.chain,), "true_inputs": (driven,), **dict(zip(_SENSING, sensed, strict=True))}
+    return {"chain": (bench.chain,), "true_inputs": (driven,), **dict(zip(SENSING_HOOKS, sensed, strict=True))}
 
 
 def _fixed(values: Array) -> Array:
@@ -257,7 +255,7 @@ def _hooks(effect: Effect, seed: int) -> _Law:
             yield isinstance(driven, Recording), f"`true_inputs` gives {type(driven).__name__}", "a Recording"
             yield from _array("`true_inputs(...).tau`", driven.tau, bench.recordings[0].tau.shape)
             yield from _array("`true_inputs(...).gravity`", np.asarray(driven.gravity), (2,))
-            for name in _SENSING:
+            for name in SENSING_HOOKS:
                 first, *others = (argument.shape for argument in calls[name])
                 shapes = (first, others[0][:2]) if name == "camera_instants" else (first,)
                 yield from _array(f"`{name}`", getattr(present, name)(*calls[name]), *shapes)

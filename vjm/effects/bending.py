@@ -27,7 +27,6 @@ class StructuralDamping(LinkEffect):
 
     loss_factor: float = magnitude("", 0.01, lower=0.0, upper=0.3)
 
-    id = "structural_damping"
     description = "structural damping: a loss in bending that does not depend on the rate"
     clause = "structural damping in {link}, with a loss factor of {loss_factor}"
     reference = "S. H. Crandall, The role of damping in vibration theory, Journal of Sound and Vibration 11(1), 1970"
@@ -62,7 +61,6 @@ class CubicStiffness(LinkEffect):
 
     coefficient: float = magnitude("m^2", 0.05, in_rig_units=True)
 
-    id = "cubic_stiffness"
     description = "a bending stiffness that changes with the curvature"
     clause = "a bending stiffness of {link} that changes with the curvature, by {coefficient}"
     reference = "A. H. Nayfeh and P. F. Pai, Linear and Nonlinear Structural Mechanics, Wiley, 2004"
@@ -82,7 +80,6 @@ class StiffnessDrift(LinkEffect):
 
     rate: float = magnitude("1/s", 0.001, in_rig_units=True)
 
-    id = "stiffness_drift"
     description = "a bending stiffness that drifts during each recording"
     clause = "a bending stiffness of {link} that drifts by {rate} during each recording"
     reference = "H. Sohn, Effects of environmental and operational variability, Phil. Trans. Royal Society A 365, 2007"
@@ -100,7 +97,6 @@ class RestCurvature(LinkEffect):
 
     curvature: float = magnitude("1/m", 0.02, in_rig_units=True)
 
-    id = "rest_curvature"
     description = "a link that is bent at rest"
     clause = "a curvature of {curvature} of {link} at rest"
     reference = "S. P. Timoshenko and J. M. Gere, Theory of Elastic Stability, 2nd edition, McGraw-Hill, 1961"
@@ -116,7 +112,6 @@ class RestCurvature(LinkEffect):
 class UnmodelledMode(Effect):
     """Too few virtual joints for what the recordings show: a reason to refit, no physics."""
 
-    id = "unmodelled_mode"
     description = "a bending mode for which the model has too few virtual joints"
     reference = "M. J. Balas, Feedback control of flexible systems, IEEE Transactions on Automatic Control 23(4), 1978"
     distinguishing_experiment = "the same fit with two virtual joints more"
@@ -135,7 +130,6 @@ class ViscoelasticCreep(LinkEffect):
         "s", 0.2, 2e-3, upper=2e3, grid=(0.02, 0.064, 0.2, 0.64, 2.0), in_rig_units=True
     )
 
-    id = "viscoelastic_creep"
     description = "creep: a part of the bending stiffness that relaxes"
     clause = "creep in {link}: a part {ratio} of its bending stiffness relaxes within {time_constant}"
     reference = "C. Zener, Elasticity and Anelasticity of Metals, University of Chicago Press, 1948"
@@ -176,7 +170,6 @@ class Hysteresis(LinkEffect):
     ratio: float = magnitude("", 0.05, lower=0.0, upper=1.0)
     yield_angle: float = shape_parameter("rad", 0.05, lower=1e-3, upper=3.0, grid=(0.01, 0.031, 0.097, 0.3))
 
-    id = "hysteresis"
     description = "hysteresis: stiffness that is lost where the link bends farther than it slips"
     clause = "hysteresis in {link}: a part {ratio} of its bending stiffness slips beyond {yield_angle}"
     reference = "Y.-K. Wen, Method for random vibration of hysteretic systems, J. Eng. Mechanics ASCE 102(2), 1976"

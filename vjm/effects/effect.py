@@ -25,6 +25,7 @@ Key = tuple[str, int | None]
 Motion = Callable[[Array, Array, Array, Array], Array]
 # From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
 RateIndependentUpdate = Callable[[Array, Array, Array], Array]
+SENSING_HOOKS = ("camera_instants", "marker_positions", "encoder_angles")
 _METADATA = "vjm"
 # Powers of length, mass and time in units.
 _UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "Hz": (0, 0, -1), "N": (1, 1, -2), "rad": (0, 0, 0)}
@@ -153,6 +154,7 @@ class Effect:
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
+    # The class's name in snake case where it is not given.
     id: ClassVar[str] = ""
     # The effect in a few words, as a noun phrase.
     description: ClassVar[str] = ""
@@ -171,19 +173,26 @@ class Effect:
     common: ClassVar[bool] = False
     # It can only take energy out of the arm.
     dissipative: ClassVar[bool] = False
-    # It is in the sensors, not in the arm.
-    sensor: ClassVar[bool] = False
     # A URDF can carry it.
     in_urdf: ClassVar[bool] = False
     # It makes the motion nonsmooth, as sticking or rattling does: searches for it hold simulated joints near their
     # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
 
+    def __init_subclass__(cls) -> None:
+        if "id" not in vars(cls):
+            cls.id = re.sub("(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, in order, on its rig."""
         declared = [(one.name, one.metadata[_METADATA]) for one in fields(self) if _METADATA in one.metadata]
         return tuple(replace(parameter, name=name).on(self.rig_units) for name, parameter in declared)
+
+    @property
+    def sensor(self) -> bool:
+        """True if it is in the sensors: it has a hook that says what these show."""
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in SENSING_HOOKS)
 
     @property
     def key(self) -> Key:

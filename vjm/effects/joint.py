@@ -26,7 +26,6 @@ class CoulombFriction(JointEffect):
 
     torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
 
-    id = "coulomb_friction"
     description = "dry friction at the active joint"
     clause = "dry friction of {torque} at the joint of {link}"
     reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
@@ -72,7 +71,6 @@ class ViscousFriction(JointEffect):
 
     coefficient: float = magnitude("N m s/rad", 0.004, lower=0.0, in_rig_units=True)
 
-    id = "viscous_friction"
     description = "viscous friction at the active joint"
     clause = "viscous friction of {coefficient} at the joint of {link}"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
@@ -92,7 +90,6 @@ class JointSpring(JointEffect):
 
     stiffness: float = magnitude("N m/rad", 0.025, lower=0.0, in_rig_units=True)
 
-    id = "joint_spring"
     description = "a cable or hose that pulls the active joint back to zero"
     clause = "a cable or hose of {stiffness} that pulls the joint of {link} back to zero"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
@@ -110,7 +107,6 @@ class TorqueGain(ColumnEffect):
 
     gain: float = magnitude("", 0.05, null=1.0, lower=0.2, upper=5.0)
 
-    id = "torque_gain"
     description = "the true torque is a multiple of the recorded one"
     clause = "a true torque at the joint of {link} that is {gain} times the recorded one"
     reference = "M. Gautier and S. Briot, Global identification of joint drive gains, J. Dynamic Systems 136(5), 2014"
@@ -128,7 +124,6 @@ class TorqueOffset(ColumnEffect):
 
     offset: float = magnitude("N m", 0.0025, in_rig_units=True)
 
-    id = "torque_offset"
     description = "a constant torque beside the recorded one"
     clause = "a constant torque of {offset} beside the recorded one at the joint of {link}"
     reference = "J. Swevers et al., Dynamic model identification for industrial robots, IEEE Control Syst. 27(5), 2007"
@@ -153,7 +148,6 @@ class ClampCompliance(LinkEffect):
 
     compliance: float = magnitude("rad/(N m)", 0.01, lower=0.0, in_rig_units=True)
 
-    id = "clamp_compliance"
     description = "a clamp that gives way: the link's root turns in it"
     clause = "a clamp of {link} that gives way, by {compliance}"
     reference = "K. R. Chun, Free vibration of a beam with one end spring-hinged, J. Applied Mechanics 39(4), 1972"
@@ -172,7 +166,6 @@ class GearElasticity(JointEffect):
 
     stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
 
-    id = "gear_elasticity"
     description = "an elastic gear or shaft between the motor's encoder and the hub"
     clause = "an elastic gear or shaft of {stiffness} between motor and hub of {link}"
     reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
@@ -195,7 +188,6 @@ class Backlash(JointEffect):
 
     gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
 
-    id = "backlash"
     nonsmooth = True
     description = "play between the motor and the hub"
     clause = "play of {gap} between motor and hub of {link}"

@@ -35,7 +35,6 @@ class TipPayload(_TipEffect):
 
     mass: float = magnitude("kg", 0.02, lower=0.0, in_rig_units=True)
 
-    id = "tip_payload"
     description = "an unknown mass on the tip"
     clause = "an unknown mass of {mass} on the tip of {link}"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
@@ -56,7 +55,6 @@ class InPlaneGravity(Effect):
     gx: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
     gy: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
 
-    id = "in_plane_gravity"
     description = "gravity in the plane of motion: the base is tilted"
     clause = "gravity of {gx} along x and {gy} along y in the plane of motion: the base is tilted"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
@@ -84,7 +82,6 @@ class ExternalTone(_TipEffect):
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
     lowest: float = field(default=0.0, kw_only=True, compare=False)
 
-    id = "external_tone"
     description = "a sinusoidal force on the tip from outside"
     clause = "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside"
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
@@ -232,7 +229,6 @@ class LinearDrag(_Drag):
 
     coefficient: float = magnitude("N s/m^2", 0.05, lower=0.0, in_rig_units=True)
 
-    id = "linear_drag"
     description = "air drag in proportion to the velocity"
     clause = "air drag of {coefficient} on {link}, in proportion to the velocity"
     distinguishing_experiment = "two or more modes in free decay: drag damps the slow ones most"
@@ -248,7 +244,6 @@ class QuadraticDrag(_Drag):
 
     coefficient: float = magnitude("N s^2/m^3", 0.2, lower=0.0, in_rig_units=True)
 
-    id = "quadratic_drag"
     description = "air drag in proportion to the square of the velocity"
     clause = "air drag of {coefficient} on {link}, in proportion to the square of the velocity"
     distinguishing_experiment = "two amplitudes: its damping grows with the amplitude"

@@ -14,14 +14,17 @@ from vjm.errors import ShapeError
 from vjm.records import Array, Recording, Rig
 
 
-def _frame_turns(rig: Rig) -> str:
-    """Return the reason why a turn cannot be seen: markers in a moving link's frame; empty where it can."""
-    fixed = all(
-        link.markers_frame == "base" or (i == 0 and link.joint == "clamped")
-        for i, link in enumerate(rig.links)
-        if link.markers
-    )
-    return "" if fixed else "marker coordinates are relative to a link that turns, not to the camera"
+@dataclass(frozen=True)
+class _CameraEffect(Effect):
+    """Acts on the camera; markers that are shown in a moving link's frame know nothing of it."""
+
+    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
+        fixed = all(
+            link.markers_frame == "base" or (i == 0 and link.joint == "clamped")
+            for i, link in enumerate(rig.links)
+            if link.markers
+        )
+        return "" if fixed else "marker coordinates are relative to a link that turns, not to the camera"
 
 
 @dataclass(frozen=True)
@@ -30,14 +33,12 @@ class CameraScale(Effect):
 
     scale: float = magnitude("", 0.008, null=1.0, lower=0.5, upper=2.0)
 
-    id = "camera_scale"
     description = "a camera whose scale is off"
     clause = "a camera that shows everything {scale} times as large as it is"
     reference = "Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. Pattern Analysis 22(11), 2000"
     distinguishing_experiment = "two fiducials at a measured distance in the camera's view"
     abscissa = "position"
     common = True
-    sensor = True
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Return larger positions."""
@@ -45,22 +46,20 @@ class CameraScale(Effect):
 
 
 @dataclass(frozen=True)
-class CameraRotation(Effect):
+class CameraRotation(_CameraEffect):
     """A camera that shows all positions turned about the base's origin."""
 
     angle: float = magnitude("rad", 0.01, lower=-np.pi, upper=np.pi)
 
-    id = "camera_rotation"
     description = "a camera that is turned against the base"
     clause = "a camera that is turned by {angle} against the base"
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "tangential"
-    sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Return the reason if nothing else says where the arm points."""
-        if reason := _frame_turns(rig):
+        if reason := super().untestable(rig, recordings):
             return reason
         pulled = any(any(recording.gravity) for recording in recordings)
         if rig.links[0].joint == "revolute" and not is_recorded(recordings, "theta") and not pulled:
@@ -73,22 +72,16 @@ class CameraRotation(Effect):
 
 
 @dataclass(frozen=True)
-class LensDistortion(Effect):
+class LensDistortion(_CameraEffect):
     """A radial distortion about the base's origin: measured = true (1 + k1 r^2)."""
 
     k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5, in_rig_units=True)
 
-    id = "lens_distortion"
     description = "a lens that distorts with the distance from the middle"
     clause = "a lens that distorts with the distance from the middle, by {k1}"
     reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
     distinguishing_experiment = "three or more fiducials at measured distances in the camera's view"
     abscissa = "radial"
-    sensor = True
-
-    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Return the reason if the camera's middle is unknown."""
-        return _frame_turns(rig)
 
     def marker_positions(self, positions: Array, headings: Array) -> Array:
         """Return distorted positions."""
@@ -110,13 +103,11 @@ class MarkerOffset(LinkEffect):
     across: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
     first: int | None = field(default=None, kw_only=True)
 
-    id = "marker_offset"
     description = "a marker that is not where the experiment file says"
     clause = "marker {marker} of {link} off by {along} along and {across} across the link"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
     distinguishing_experiment = "a ruler: measure where on the link the marker is"
     abscissa = "marker"
-    sensor = True
 
     @property
     def column(self) -> int:
@@ -154,12 +145,10 @@ class EncoderOffset(ColumnEffect):
 
     offset: float = magnitude("rad", 0.005, lower=-np.pi, upper=np.pi)
 
-    id = "encoder_offset"
     description = "the encoder's zero is off"
     clause = "an encoder at {link} whose zero is off by {offset}"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; sag at several hub angles"
-    sensor = True
     column_of = "theta"
 
     def encoder_angles(self, theta: Array) -> Array:
@@ -170,8 +159,6 @@ class EncoderOffset(ColumnEffect):
 @dataclass(frozen=True)
 class _ClockEffect(Effect):
     """Acts on the camera's clock against that of encoders and torques; one clock alone is never wrong."""
-
-    sensor = True
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         known = is_recorded(recordings, "tau") or is_recorded(recordings, "theta")
@@ -184,7 +171,6 @@ class TimeOffset(_ClockEffect):
 
     delay: float = magnitude("s", 0.03, lower=-0.2, upper=0.2, in_rig_units=True)
 
-    id = "time_offset"
     description = "a camera that lags behind its time stamps"
     clause = "a camera that lags {delay} behind its time stamps"
     reference = "P. Furgale et al., Unified temporal and spatial calibration for multi-sensor systems, IROS, 2013"
@@ -203,7 +189,6 @@ class ClockScale(_ClockEffect):
 
     scale: float = magnitude("", 0.002, null=1.0, lower=0.8, upper=1.25)
 
-    id = "clock_scale"
     description = "a camera whose clock does not run at the encoder's rate"
     clause = "a camera whose clock runs {scale} times as fast as the encoder's"
     reference = "E. Olson, A passive solution to the sensor synchronization problem, IROS, 2010"
@@ -215,22 +200,16 @@ class ClockScale(_ClockEffect):
 
 
 @dataclass(frozen=True)
-class RollingShutter(Effect):
+class RollingShutter(_CameraEffect):
     """Rows that are read one after another: a marker is shown as it was earlier, by the readout times its y."""
 
     readout: float = magnitude("s/m", 0.01, lower=-0.4, upper=0.4, in_rig_units=True)
 
-    id = "rolling_shutter"
     description = "a camera that reads its rows one after another"
     clause = "a camera that reads its rows one after another, in {readout}"
     reference = "C.-K. Liang et al., Analysis and compensation of rolling shutter effect, IEEE Trans. Image Proc., 2008"
     distinguishing_experiment = "fast motion far to both sides of the base"
     abscissa = "velocity"
-    sensor = True
-
-    def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Return the reason if the camera's rows are unknown."""
-        return _frame_turns(rig)
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return each marker's own instants."""

@@ -72,18 +72,18 @@ def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
     if data.parameters != "uniform":
         problem = fit.refined(data.parameters)
         fit = problem.evaluate(problem.parametrisation.start)
-    return estimates(fit.problem.parametrisation, fit.x, Information.of_torque_errors(fit))
+    parametrisation, information = fit.problem.parametrisation, Information.of_torque_errors(fit)
+    physical = parametrisation.physical_covariance(fit.x, information.covariance)
+    return estimates(parametrisation, fit.x, information, physical)
 
 
 def estimates(
-    parametrisation: Parametrisation, x: Array, information: Information, physical: Array | None = None
+    parametrisation: Parametrisation, x: Array, information: Information, physical: Array
 ) -> tuple[Estimate, ...]:
     """Return every parameter at coordinates x (p,) with its standard error and whether the data determine it, in words.
 
-    `physical` is the (p, p) covariance of the physical parameters; that of the information when None.
+    `physical` is the (p, p) covariance of the physical parameters.
     """
-    if physical is None:
-        physical = parametrisation.physical_covariance(x, information.covariance)
     values = parametrisation.physical(x)
     std = np.sqrt(np.maximum(np.diag(physical), 0))
     correlation = physical / np.maximum(np.outer(std, std), 1e-300)

@@ -8,18 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from vjm.chain.layout import chain_layouts, nominal_chain
+from vjm.chain.layout import nominal_chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.check import fit_warnings
 from vjm.identification.outliers import trimmed
 from vjm.identification.records import Comparison
-from vjm.records import (
-    Array,
-    Experiment,
-    Progress,
-    RecordingComparison,
-    SimulatedRecording,
-)
+from vjm.records import Array, Experiment, Progress, RecordingComparison, SimulatedRecording
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
@@ -29,10 +23,7 @@ Replay = Callable[[Sequence[Observations], Sequence[Array | None] | None], list[
 
 
 def compare(
-    experiment: Experiment,
-    model: Model,
-    covariance: Array | None = None,
-    progress: Progress | None = None,
+    experiment: Experiment, model: Model, covariance: Array | None = None, progress: Progress | None = None
 ) -> Comparison:
     """Simulate every recording of an experiment with a model, and with the nominal one.
 
@@ -48,7 +39,7 @@ def compare(
     for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
         if abs(link.length - own.length) > 1e-3 * own.length:  # more than rounding in either file
             raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
-    nominal = replace(model, chain=nominal_chain(experiment.rig, chain_layouts(model.chain)), estimates=(), effects=())
+    nominal = replace(model, chain=nominal_chain(experiment.rig, model.chain.links), estimates=(), effects=())
     recordings = compare_recordings(experiment, model, (nominal, None), progress)
     known = np.empty((0, 0)) if covariance is None else covariance
     warnings = (*experiment.warnings, *fit_warnings(recordings))

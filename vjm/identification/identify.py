@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from vjm.chain.curve import curve_map
-from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, chain_layouts, nominal_chain
+from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
@@ -122,7 +122,7 @@ def _result(
     parameters = estimates(parametrisation, solution.x, information, covariance)
     known = [k for k, estimate in enumerate(parameters) if estimate.std is not None]
     model = Model(chain, rig, *data.noise, parameters)
-    nominal = Model(nominal_chain(rig, chain_layouts(chain)), rig, *data.noise)
+    nominal = Model(nominal_chain(rig, chain.links), rig, *data.noise)
     torque_model = None if solution.torque_chain is None else Model(solution.torque_chain, rig, *data.noise)
     runs = () if solution.trajectory is None else solution.trajectory.point.runs
     states = {run.observed.recording.file: run.state for run in runs}

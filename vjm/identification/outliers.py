@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import maximum_filter, median_filter
 
-from vjm.records import Array, Mask, Recording
+from vjm.records import Array, Mask
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
@@ -18,38 +18,30 @@ _MAX_SHARE = 0.02  # of a recording's values; more are no outliers but something
 _PREDICTORS = ((-3, -2, -1), (-2, -1)), ((1, 2, 3), (1, 2)), ((-2, -1, 1, 2),)
 
 
-def _without_outliers(recording: Recording, markers: Array, noise: float) -> tuple[Recording, int]:
-    """Leave out marker coordinates whose residual stands out from those of the frames around them.
+def trimmed(run: Run) -> Observations:
+    """Return a run's observations without outliers; the same object where there are none.
 
-    What a model gets wrong changes smoothly with time and is no outlier, however large.
-
-    Args:
-        recording: as measured.
-        markers: (T, k, 2) simulated [m].
-        noise: 1-sigma of a coordinate [m].
-
-    Returns:
-        The recording without them, and how many there were.
+    Marker coordinates are left out whose residual stands out from those of the frames around them. What a model gets
+    wrong changes smoothly with time and is no outlier, however large.
     """
-    residual = (recording.markers - markers) / noise
+    observed, recording = run.observed, run.observed.recording
+    markers = observed.arcs.frames(run.arm, run.trajectory, recording.time)
+    wrong = _outliers((recording.markers - markers) / observed.noise[0], recording.time)
+    if not wrong.any():
+        return observed
+    return observed.of_recording(replace(recording, markers=np.where(wrong, np.nan, recording.markers)))
+
+
+def _outliers(residual: Array, time: Array) -> Mask:
+    """(T, k, 2) True where a coordinate's weighted residual stands out; nowhere if too many do."""
     wrong = np.zeros(residual.shape, dtype=np.bool_)
     for index in np.ndindex(residual.shape[1:]):
         values = residual[(slice(None), *index)]
         known = np.flatnonzero(np.isfinite(values))
         if known.size > _SCALE_FRAMES:
-            wrong[(known, *index)] = _outlying(values[known]) | _unpredicted(values[known], recording.time[known])
-    count = int(wrong.sum())
-    if count == 0 or count > max(1.0, _MAX_SHARE * np.isfinite(residual).sum()):
-        return recording, 0
-    return replace(recording, markers=np.where(wrong, np.nan, recording.markers)), count
-
-
-def trimmed(run: Run) -> Observations:
-    """Return a run's observations without outliers; the same object where there are none."""
-    observed = run.observed
-    markers = observed.arcs.frames(run.arm, run.trajectory, observed.recording.time)
-    recording, count = _without_outliers(observed.recording, markers, observed.noise[0])
-    return observed.of_recording(recording) if count else observed
+            wrong[(known, *index)] = _outlying(values[known]) | _unpredicted(values[known], time[known])
+    too_many = wrong.sum() > max(1.0, _MAX_SHARE * np.isfinite(residual).sum())
+    return np.zeros_like(wrong) if too_many else wrong
 
 
 def _outlying(values: Array) -> Mask:

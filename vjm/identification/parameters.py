@@ -169,7 +169,7 @@ class Parametrisation:
             return float(np.log(value / getattr(link, _FIELDS[group])[-1]))
         length, center = float(link.lengths[j]), float(link.mass_centers[j])
         largest = length if group == "center" else float(link.masses[j]) * center * (length - center)
-        return _logit(value / largest)
+        return float(logit(np.clip(value / largest, 1e-5, 1 - 1e-5)))
 
     def _values(self, i: int, group: str, x: Array) -> tuple[list[int], Array]:
         """Indices within link i, and coordinates, of one group."""
@@ -229,7 +229,3 @@ def _value(link: LinkChain, coordinate: _Coordinate) -> float:
     if coordinate.index < 0:
         return link.bending_stiffness if coordinate.group == "stiffness" else link.damping[0] / link.stiffness[0]
     return float(getattr(link, _FIELDS.get(coordinate.group, coordinate.group))[coordinate.index])
-
-
-def _logit(fraction: float) -> float:
-    return float(logit(np.clip(fraction, 1e-5, 1 - 1e-5)))

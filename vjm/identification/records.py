@@ -7,7 +7,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from vjm.chain.layout import chain_layouts
 from vjm.errors import ChoiceError
 from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import TrajectoryFit
@@ -127,7 +126,7 @@ class Identification(Comparison):
         if name not in by_name:
             raise ChoiceError("recording", name, by_name)
         comparison, chain, rig = by_name[name], self.model.chain, self.model.rig
-        angles = estimate_angles(rig, chain_layouts(chain), comparison.recording, self.shape, *comparison.noise)
+        angles = estimate_angles(rig, chain.links, comparison.recording, self.shape, *comparison.noise)
         measured, simulated = np.full((2, comparison.recording.time.size, chain.passive.size), np.nan)
         measured[comparison.recording.frames] = angles.q[:, chain.passive]
         if comparison.simulated is not None:

@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 from scipy.linalg import block_diag, cholesky, solve_triangular
 
-from vjm.chain.layout import DEFAULT_LAYOUT, Layout, chain_layouts, layout, rig_layouts, uniform_chain
+from vjm.chain.layout import DEFAULT_LAYOUT, Cuts, Layout, layout, rig_layouts, uniform_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.spectrum import MeasuredModes, measure_modes, sensor_noise
@@ -231,13 +231,10 @@ class TrainingData:
 
     def prepared_for(self, chain: Chain) -> tuple[PreparedRecording, ...]:
         """Return the prepared recordings with angles at a chain's own cuts, through the same filters."""
-        cuts = chain_layouts(chain)
-        if all(
-            np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells)
-            for one, two in zip(cuts, self.cuts, strict=True)
-        ):
+        pairs = zip(chain.links, self.cuts, strict=True)
+        if all(np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells) for one, two in pairs):
             return self.prepared
-        return tuple(_prepare(self, cuts, one.recording, one) for one in self.prepared)
+        return tuple(_prepare(self, chain.links, one.recording, one) for one in self.prepared)
 
     def weighted_errors(self, chain: Chain, weighting: Chain | None = None) -> list[Array]:
         """Return the torque errors (S, r) of each prepared recording over their noise, in `weighting` if it is given.
@@ -280,7 +277,7 @@ def _relative_motion(recording: Recording, noise: tuple[float, float]) -> float:
     return max(motions)
 
 
-def _choose_orders(rig: Rig, cuts: Sequence[Layout], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:
+def _choose_orders(rig: Rig, cuts: Sequence[Cuts], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:
     """For each link, the largest number of shape functions that a recording supports by cross-validation."""
     orders = [1] * len(rig.links)
     for i, link in enumerate(rig.links):
@@ -305,7 +302,10 @@ def _choose_joints(link: Link, order: int, parameters: str, requested: int | Non
 
 
 def _prepare(
-    data: TrainingData, cuts: Sequence[Layout], recording: Recording, before: PreparedRecording | None = None
+    data: TrainingData,
+    cuts: Sequence[Cuts],
+    recording: Recording,
+    before: PreparedRecording | None = None,
 ) -> PreparedRecording:
     """Angles, derivatives and torques of one recording; with the shape functions and the filter of `before`."""
     shapes = None if before is None else before.angles.shapes
@@ -341,7 +341,7 @@ def _prepare(
     return PreparedRecording(recording, angles, derivatives, torque, smoother, _rows(data.rig, cuts, angles, measured))
 
 
-def _rows(rig: Rig, cuts: Sequence[Layout], angles: Angles, measured: Mask) -> Array:
+def _rows(rig: Rig, cuts: Sequence[Cuts], angles: Angles, measured: Mask) -> Array:
     """Passive rows along the shapes that the markers can show; active rows with a measured torque."""
     columns, start, active = [], 0, 0
     size = len(angles.covariance)

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from scipy.optimize.elementwise import find_root
 
 from vjm.chain.curve import CurveMap, curve_map, rotate
-from vjm.chain.layout import Layout
+from vjm.chain.layout import Cuts
 from vjm.errors import ChoiceError, InsufficientDataError
 from vjm.markers.shape import ShapeFit, basis, fit_shape
 from vjm.records import Array, Indices, Link, Record, Recording, Rig
@@ -63,7 +63,7 @@ class Angles(Record):
 
 def estimate_angles(
     rig: Rig,
-    cuts: Sequence[Layout],
+    cuts: Sequence[Cuts],
     recording: Recording,
     settings: ShapeSettings,
     marker_noise: float,
@@ -158,7 +158,7 @@ class _LinkMeasurement:
     """One link's markers (F, k, 2) in its frame, and the virtual joints whose angles they give."""
 
     link: Link
-    cuts: Layout
+    cuts: Cuts
     settings: ShapeSettings
     markers: Array
 
