@@ -32,10 +32,9 @@ class FolderError(InputError):
 
 
 def json_text(value: object) -> str:
-    """Return `value` as JSON, indented by two, each list of plain values on one line.
+    """Return dictionaries, lists, tuples, text, finite numbers, booleans and None as JSON.
 
-    Args:
-        value: dictionaries with text keys, lists, tuples, text, finite numbers, booleans, None.
+    It is indented by two, each list of plain values on one line.
     """
     return _indented(value, "\n") + "\n"
 

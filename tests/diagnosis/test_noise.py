@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
-from vjm.diagnosis.noise import Noise, _autoregression, _correlation
+from vjm.diagnosis.noise import Noise, _autoregression
 from vjm.effects import InPlaneGravity
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
@@ -35,12 +35,6 @@ def autocovariance(coefficients: list[float]) -> np.ndarray:
     """By the impulse response, which the code under test does not use."""
     impulse = lfilter([1.0], [1.0, *(-np.array(coefficients))], np.r_[1.0, np.zeros(4000)])
     return np.array([impulse[: impulse.size - lag] @ impulse[lag:] for lag in range(41)])
-
-
-@pytest.mark.parametrize("coefficients", [[0.7], [0.9], [1.2, -0.5]])
-def test_correlations_are_those_of_the_impulse_response(coefficients: list[float]) -> None:
-    expected = autocovariance(coefficients)
-    np.testing.assert_allclose(_correlation(np.array(coefficients)), expected / expected[0], atol=1e-9)
 
 
 @pytest.mark.parametrize("coefficients", [[0.7], [1.2, -0.5]])

@@ -25,12 +25,7 @@ _Change = Callable[[Recording, Array, Indices], tuple[Recording, Array]]
 
 
 def propose_recordings(best: CandidateFit, alternatives: Sequence[CandidateFit]) -> tuple[Proposal, ...]:
-    """Rank recordings by the chi^2 that would distinguish a model from all of some others, the best first.
-
-    Args:
-        best: the model taken for true.
-        alternatives: those that explain the recordings so far as well.
-    """
+    """Rank recordings by the chi^2 that would distinguish the best model, if true, from all alternatives to it."""
     proposals = []
     for text, change in _changes(best):
         for run in _largest_motions(best):
@@ -66,22 +61,15 @@ def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Record
 
 
 def _largest_motions(best: CandidateFit) -> list[Run]:
-    """Recordings with the largest motion, one for each kind that moves and may have changed."""
-    largest: dict[str, tuple[float, Run]] = {}
-    for run in best.point.runs:
-        recording = run.observed.recording
-        if recording.kind in ("driven", "decay") and recording.condition != REFERENCE:
-            motion = float(np.nansum(np.nanvar(recording.markers, axis=0)))
-            if recording.kind not in largest or motion >= largest[recording.kind][0]:
-                largest[recording.kind] = motion, run
-    return [run for _, run in largest.values()]
+    """Return the recordings with the largest motion, one for each kind that moves and may have changed."""
+    changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
+    changed.sort(key=lambda run: float(np.nansum(np.nanvar(run.observed.recording.markers, axis=0))))
+    largest = {run.observed.recording.kind: run for run in changed}  # the last of each kind
+    return [run for kind, run in largest.items() if kind in ("driven", "decay")]
 
 
 def _difference(true: CandidateFit, other: CandidateFit, run: Run, change: _Change) -> float:
-    """The chi^2 that another model keeps in a changed recording of an arm of which the first is true.
-
-    Zero where one of them cannot be simulated.
-    """
+    """Return the chi^2 that another model keeps in a changed recording of a true one; zero if it diverges."""
     k = [one is run for one in true.point.runs].index(True)
     try:
         shown, predicted = (_changed_run(model, k, change) for model in (true, other))

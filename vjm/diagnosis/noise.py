@@ -36,11 +36,7 @@ class Noise:
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Self:
-        """Estimate the noise from quiet recordings, or from all where there is none.
-
-        Args:
-            runs: recordings with their simulations, which need not be right.
-        """
+        """Estimate the noise from quiet recordings, or from all where there is none; no simulation need be right."""
         quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
         residuals = [part for part in map(_unexplained, quiet or runs) if part is not None]
         if not residuals:
@@ -61,7 +57,9 @@ class Noise:
         """
         if not self.autoregression.size or not observed.markers.size:
             return observed
-        correlation = _correlation(self.autoregression)
+        from statsmodels.tsa.arima_process import ArmaProcess  # takes a second to import
+
+        correlation = ArmaProcess.from_coeffs(self.autoregression).acf(_LONGEST_GAP + 1)  # from lag 0 on
         frames, channels = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
         ticks = _ticks(observed.recording.time[observed.frames])
         encoders = np.arange(observed.markers.size, observed.count)
@@ -149,14 +147,6 @@ def _autoregression(correlation: Array, count: int) -> Array:
     significant = np.flatnonzero(np.abs(partial[1:]) > _SIGNIFICANT / np.sqrt(max(count, 1)))
     order = int(significant[-1]) + 1 if significant.size else 0
     return np.asarray(coefficients[1 : order + 1, order])
-
-
-def _correlation(coefficients: Array) -> Array:
-    """Autocorrelation of an autoregression at lags 0 to the longest gap."""
-    from statsmodels.tsa.arima_process import arma_acovf  # takes a second to import
-
-    covariance = arma_acovf(np.r_[1.0, -coefficients], np.ones(1), _LONGEST_GAP + 1)
-    return np.asarray(covariance / covariance[0])
 
 
 def _prediction_errors(

@@ -28,14 +28,9 @@ _LEAST_COEFFICIENTS = 20  # of a band: their sum of squares is then known within
 
 
 def residual_test(runs: Sequence[Run]) -> ResidualTest:
-    """Test whether the residuals of recordings are white noise of unit variance.
+    """Test whether the residuals of recordings are white noise of unit variance, by recording, sensor and octave.
 
-    Args:
-        runs: recordings with their simulations.
-
-    Returns:
-        The test, with one entry for each recording, sensor and octave. Its p-value is Bonferroni's over the bands
-        and, twice, over the bands and their total.
+    The p-value is Bonferroni's over the bands and, twice, over the bands and their total.
     """
     bands = sorted((band for run in runs for band in _bands(run)), key=lambda band: (band.p_value, -band.excess))
     if not bands:
@@ -71,8 +66,7 @@ def _bands(run: Run) -> Iterator[ResidualBand]:
 def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
     """Compare the residuals of recordings that share a `repeat` label, each with the next; None where there are none.
 
-    Args:
-        runs: recordings with their simulations, each from an initial state of its own.
+    Each is simulated from an initial state of its own.
     """
     sums, differences = np.zeros(0), np.zeros(0)
     for one, other in _repeated_residuals(runs):
@@ -153,12 +147,9 @@ class _Probe(Effect):
 
 
 def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> str:
-    """Describe the generic force that explains most of the residuals; empty where none explains one per cent.
+    """Describe the generic force that explains most of a fit's residuals, beside its model's effects.
 
-    Args:
-        point: the fit.
-        effects: those that its model has.
-        rig: the arm.
+    The text is empty where none explains one per cent.
     """
     probes = [probe for probe in _Probe().variants(rig, []) if probe.bending or probe.link in rig.active_links]
     statistics = Screen.of(point, effects, probes).statistics

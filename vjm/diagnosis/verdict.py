@@ -57,11 +57,8 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
 def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
     """Return the improvement of held-out recordings; None where none of them can be simulated by both models.
 
-    The interval is by a block bootstrap of the squared residuals, with blocks as long as these are correlated.
-
-    Args:
-        recordings: simulated before and after; those in the reference condition count only if there is no other.
-        seed: of the bootstrap.
+    Those in the reference condition count only if there is no other. The interval is by a block bootstrap of the
+    squared residuals, with blocks as long as these are correlated.
     """
     held_out = [one for one in recordings if one.recording.role == "holdout" and one.reference and one.simulated]
     held_out = [one for one in held_out if one.recording.frames.size]

@@ -38,14 +38,8 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     """Return the recording without markers much farther apart than their link allows, and without clipped coordinates.
 
     The experiment's warnings tell of both. A frame in which leaving out one marker of a link makes the others
-    possible loses that marker, any other such frame all markers of the link.
-
-    Args:
-        rig: says where the markers are.
-        recording: as read.
-
-    Returns:
-        The recording itself where nothing is wrong with it.
+    possible loses that marker, any other such frame all markers of the link. A recording with which nothing is wrong is
+    returned itself.
 
     Raises:
         RecordingError: no frame of a link is left.
@@ -101,7 +95,8 @@ def _distance_limits(arcs: Array, noise: float) -> Array:
 
 def _clippings(coordinates: Array) -> Iterator[tuple[int, str, int, int]]:
     """Yield column, `largest` or `smallest`, first row and longest run where coordinates (T, c) are clipped."""
-    for column, values in enumerate(coordinates.T):
+    for column in np.flatnonzero(np.isfinite(coordinates).any(axis=0)).tolist():
+        values = coordinates[:, column]
         measured = np.flatnonzero(np.isfinite(values))
         for sign, extreme in ((1.0, "largest"), (-1.0, "smallest")):
             starts, lengths = _clipped_runs(sign * values[measured])
@@ -111,13 +106,9 @@ def _clippings(coordinates: Array) -> Iterator[tuple[int, str, int, int]]:
 
 def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
     """Return first index and length of each run in which a signal (N,) stays at its maximum as a clipped one does."""
-    none = np.empty(0, dtype=np.intp)
     steps = np.unique(values)
-    if steps.size < 2:
-        return none, none
-    finest = float(np.diff(steps).min())
-    at_top = np.concatenate(([False], values == steps[-1], [False]))
-    edges = np.flatnonzero(np.diff(at_top.astype(np.int8)))
+    finest = float(np.diff(steps).min(initial=np.inf))
+    edges = np.flatnonzero(np.diff(values == steps[-1], prepend=False, append=False))
     starts, stops = edges[::2], edges[1::2]
     lengths = stops - starts
     # A run counts when it is long, touches neither end of the signal (an arm at rest: no drop on that side), and the
@@ -219,18 +210,19 @@ def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
     looked_at = np.unique(np.linspace(0, len(markers) - 1, 50).astype(int))
     chosen = markers[looked_at]
     distances = _distances(chosen)
-    best, repaired = (0, 0), 0
-    for pair in combinations(range(len(limits)), 2):
+    repaired = {}
+    for one, other in combinations(range(len(limits)), 2):
         order = np.arange(len(limits))
-        order[list(pair)] = order[[pair[1], pair[0]]]
-        count = int((distances <= limits[np.ix_(order, order)]).all(axis=(1, 2)).sum())
-        if count > repaired:
-            best, repaired = pair, count
-    if not repaired:
-        return ""
+        order[[one, other]] = other, one
+        repaired[one, other] = int((distances <= limits[np.ix_(order, order)]).all(axis=(1, 2)).sum())
+    (one, other), count = max(repaired.items(), key=lambda item: item[1])
     return (
-        f"; labels may be swapped: exchanging {names[best[0]]} and {names[best[1]]} makes "
-        f"{repaired} of the {len(chosen)} such frames looked at consistent"
+        ""
+        if not count
+        else (
+            f"; labels may be swapped: exchanging {names[one]} and {names[other]} makes "
+            f"{count} of the {len(chosen)} such frames looked at consistent"
+        )
     )
 
 
@@ -274,10 +266,7 @@ def _repeat_warnings(recordings: Sequence[Recording]) -> Iterator[str]:
 
 
 def _torque_difference(first: Recording, second: Recording) -> float:
-    """Return the largest RMS difference of a joint's torque between two recordings, relative to the first's own.
-
-    The recordings are aligned at their starts and compared where they overlap; zero where they cannot be compared.
-    """
+    """Return the largest RMS difference of a joint's torque relative to the first recording's; zero without overlap."""
     largest = 0.0
     for columns in zip(first.tau.T, second.tau.T, strict=True):
         torque, repeated = overlapping_samples(first, second, *columns)
@@ -290,11 +279,7 @@ def _torque_difference(first: Recording, second: Recording) -> float:
 def overlapping_samples(first: Recording, second: Recording, own: Array, other: Array) -> tuple[Array, Array]:
     """Return one signal of two recordings at the same times after their starts, (N,) and (N,), where both overlap.
 
-    Args:
-        first: recording whose instants are taken.
-        second: recording that is interpolated there.
-        own: (T1,) the signal in the first; NaN where it was not measured.
-        other: (T2,) the signal in the second.
+    The signals are (T1,) and (T2,), NaN where not measured; the second is interpolated at the instants of the first.
     """
     mine, others = np.isfinite(own), np.isfinite(other)
     if mine.sum() < 2 or others.sum() < 2:

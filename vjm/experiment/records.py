@@ -392,15 +392,8 @@ def _as_rig(rig: Rig | Link) -> Rig:
 def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, row: int | None = None) -> None:
     """Check that each column occurs once, that the rig knows it, and that none is missing.
 
-    Args:
-        name: the file or the recording, for errors.
-        columns: names of the columns.
-        rig: the arm.
-        kind: of the recording; a driven one needs the torques.
-        row: the header's line in a file.
-
     Raises:
-        RecordingError: naming the column.
+        RecordingError: naming the column, the file or recording, and of a file the header's line `row`.
     """
     active = [rig.links[i].name for i in rig.active_links]
     known = {"t", *(f"{link}.{quantity}" for link in active for quantity in ("theta", "tau"))}

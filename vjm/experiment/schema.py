@@ -44,14 +44,10 @@ def table_model(record: type, keys: tuple[str, ...] = (), required: tuple[str, .
 
 
 def check_fields(record: Any, name: object) -> None:
-    """Check a record's annotated fields and put the plain Python values in their place.
-
-    Args:
-        record: a frozen dataclass that is being initialized.
-        name: what errors call it besides its class.
+    """Check the annotated fields of a frozen dataclass being initialized; put plain Python values in their place.
 
     Raises:
-        ExperimentError: a field has the wrong type or value.
+        ExperimentError: a field has the wrong type or value; errors call the record by its class and `name`.
     """
     kind: type = type(record)
     model = table_model(kind)
@@ -71,14 +67,7 @@ def check_fields(record: Any, name: object) -> None:
 
 
 def explain(detail: ErrorDetails, model: type[BaseModel], key: str, items: Sequence[int | str]) -> tuple[str, str]:
-    """Return the problem and the expectation of one of pydantic's errors.
-
-    Args:
-        detail: the error.
-        model: of the table.
-        key: the table's key at fault.
-        items: position inside the key's value.
-    """
+    """Return problem and expectation of an error in the key of a table, `items` being the place in its value."""
     fields = {field.alias or name: field for name, field in model.model_fields.items()}
     if detail["type"] == "extra_forbidden":
         return f"unknown key{suggestion(key, fields)}", f"only the keys {', '.join(fields)}"

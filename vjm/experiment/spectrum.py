@@ -14,8 +14,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
-from scipy.optimize import least_squares
-from scipy.signal import get_window, lfilter
+from scipy.optimize import approx_fprime, least_squares
+from scipy.signal import lfilter, periodogram
 
 from vjm.experiment.records import Array, Complex, Recording, Rig
 
@@ -46,9 +46,8 @@ def _white_noise(samples: Array) -> float:
     # Ends that differ would leak over the whole spectrum: the window and the second difference of a line take that out.
     line = np.linspace(0, 1, len(values))[:, None]
     detrended = values - values[:1] * (1 - line) - values[-1:] * line
-    window = get_window("blackmanharris", len(values))[:, None]
     # Bins hold noise power times an exponential variate; the few with motion do not move a low quantile of them.
-    power = np.abs(np.fft.rfft(detrended * window, axis=0)[4:-1]) ** 2 / np.sum(window**2)
+    power = periodogram(detrended, window="blackmanharris", detrend=False, axis=0)[1][4:-1] / 2  # of both sides
     low = 0.3  # of the spectrum's bins: motion fills few of them, noise fills all
     return float(np.sqrt(np.quantile(power, low) / -np.log(1 - low)))
 
@@ -116,19 +115,12 @@ _LARGEST_STD = 0.1  # relative; a frequency less sure than this is no measuremen
 
 @dataclass(frozen=True)
 class MeasuredModes:
-    """Modes seen in one recording, slowest first.
+    """Modes seen in one recording, slowest first."""
 
-    Attributes:
-        frequencies: (m,) undamped natural frequencies [Hz].
-        damping_ratios: (m,) fractions of critical damping.
-        frequency_std: (m,) standard errors [Hz].
-        damping_std: (m,) standard errors.
-    """
-
-    frequencies: Array
-    damping_ratios: Array
-    frequency_std: Array
-    damping_std: Array
+    frequencies: Array  # (m,) undamped natural frequencies [Hz]
+    damping_ratios: Array  # (m,) fractions of critical damping
+    frequency_std: Array  # (m,) standard errors [Hz]
+    damping_std: Array  # (m,) standard errors
 
 
 def measure_modes(
@@ -231,10 +223,8 @@ def _peak(time: Array, residual: Array, known: Array) -> float | None:
     count = round((time[-1] - time[0]) / step) + 1
     even = np.zeros((count, residual.shape[1]))
     even[np.clip(np.round((time - time[0]) / step).astype(int), 0, count - 1)] = residual
-    window = get_window("hann", count)[:, None]
-    padded = 4 * count
-    power = 2 * np.sum(np.abs(np.fft.rfft(even * window, padded, axis=0)) ** 2, axis=1) / np.sum(window**2)
-    frequency = np.fft.rfftfreq(padded, step)
+    frequency, density = periodogram(even, 1 / step, "hann", 4 * count, detrend=False, axis=0)
+    power = density.sum(axis=1) / step
     allowed = frequency > 2 / (count * step)
     for mode in known:
         allowed &= np.abs(frequency / mode - 1) > _SEPARATION
@@ -288,14 +278,12 @@ def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array
     base = values.ravel()
     columns = oscillators.columns(values)
     residual, amplitudes = _project(columns, y)
-    jacobian = []
-    for p, value in enumerate(base):
-        step = 1e-6 * max(abs(value), 1e-3)
-        moved = base.copy()
-        moved[p] += step
-        change = (oscillators.columns(moved.reshape(-1, 2)) - columns) @ amplitudes / step
-        jacobian.append(_project(columns, change)[0].ravel())
-    matrix = np.stack(jacobian, axis=1)
+
+    def motion(x: Array) -> Array:
+        return (oscillators.columns(x.reshape(-1, 2)) @ amplitudes).ravel()
+
+    slopes = approx_fprime(base, motion, 1e-6 * np.maximum(np.abs(base), 1e-3))
+    matrix = _project(columns, slopes.reshape(len(y), -1))[0].reshape(y.size, -1)
     freedom = max(residual.size - columns.shape[1] * y.shape[1] - base.size, 1)
     covariance = np.linalg.pinv(matrix.T @ matrix) * float(np.sum(residual**2)) / freedom
     return np.sqrt(np.maximum(np.diag(covariance), 0)).reshape(-1, 2)

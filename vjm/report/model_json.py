@@ -54,9 +54,7 @@ class _ModelEntry(BaseModel):
 def model_text(model: Model, covariance: Array | None = None) -> str:
     """Return the content of model.json; every number comes back exactly.
 
-    Args:
-        model: chain, effects, estimates, and the rig with its sensors' noise.
-        covariance: (p, p) of the estimates that have a standard error; None or empty where unknown.
+    The covariance is (p, p), of the estimates that have a standard error; None or empty where unknown.
 
     Raises:
         ShapeError: a number that is not finite, or a value out of range.

@@ -28,26 +28,19 @@ _MOST_ROWS = 16  # of a table on a terminal
 _MOST_WARNINGS = 8  # on a terminal
 _COLORS = {"good": "green", "fair": "yellow", "poor": "red"}
 
+# As close as the noise allows; something small is missing; not to be trusted yet.
 Grade = Literal["good", "fair", "poor"]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
-
-    Attributes:
-        caption: what it holds.
-        headers: one for each column.
-        rows: cells as text.
-        words: number of columns, from the left, that hold words; the others hold numbers.
-        notes: at the end of a row, a remark that needs room; empty where there is none.
-    """
+    """A table."""
 
     caption: str
     headers: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    words: int = 1
-    notes: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...]  # cells as text
+    words: int = 1  # number of columns, from the left, that hold words; the others hold numbers
+    notes: tuple[str, ...] = ()  # at the end of a row, a remark that needs room; empty where there is none
 
     def without_empty(self, *columns: str) -> Table:
         """Return the table without those of the named columns that hold nothing but dashes."""
@@ -73,23 +66,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A result as it is shown, whatever shows it.
+    """A result as it is shown, whatever shows it."""
 
-    Attributes:
-        title: name of the rig.
-        kind: of the result, in a word.
-        headline: the verdict, in one or two sentences.
-        grade: `good`: as close as the noise allows; `fair`: something small is missing; `poor`: do not trust it yet.
-        points: what supports the verdict.
-        warnings: what a user should know.
-        sections: all else.
-    """
-
-    title: str
+    title: str  # name of the rig
     kind: Literal["identification", "simulation", "check", "diagnosis"]
-    headline: str
+    headline: str  # the verdict, in one or two sentences
     grade: Grade
-    points: Sequence[str]
+    points: Sequence[str]  # what supports the verdict
     warnings: Sequence[str]
     sections: Sequence[Section]
 

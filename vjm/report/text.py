@@ -148,13 +148,7 @@ def place(effect: Effect, model: Model) -> str:
 
 
 def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = None) -> str:
-    """Return an effect with its numbers, as in "the data need: ...".
-
-    Args:
-        effect: with its parameters.
-        model: names the links.
-        sizes: with standard errors; None: the effect's own values, without.
-    """
+    """Return an effect with its numbers, as in "the data need: ...": `sizes` with errors, or else its own values."""
     texts = {}
     for parameter in effect.parameters:
         value, size = effect.values[parameter.name], (sizes or {}).get(parameter.name)

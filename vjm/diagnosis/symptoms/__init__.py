@@ -105,10 +105,7 @@ class Symptoms(Record):
     ) -> Symptoms:
         """Find what differs between recordings and the model's simulations of them.
 
-        Args:
-            rig: the arm.
-            simulated: the recordings.
-            frequencies: the model's natural frequencies [Hz] with each payload of the recordings [kg], as many each.
+        `frequencies` are the model's natural ones [Hz] with each payload of the recordings [kg], as many with each.
         """
         recordings = []
         for one in simulated:

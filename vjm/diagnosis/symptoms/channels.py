@@ -242,11 +242,11 @@ class Channels:
         delay = Coefficient.of(start, estimate.std, estimate.std, int(self.groups[-1]))
         return delay._replace(explained=explained(change, self.residual))
 
-    def spectrum(self, residual: Array, oversampling: int) -> tuple[Array, Array]:
+    def spectrum(self, residual: Array) -> tuple[Array, Array]:
         """Return frequencies (L,) [Hz], and mean power (L,) of the coordinates, that of white noise being one."""
         even = self._evenly(residual / np.sqrt(self.counts))
-        power = np.mean(np.abs(np.fft.rfft(even, oversampling * len(even), axis=0)[1:-1]) ** 2, axis=1)
-        return np.asarray(np.fft.rfftfreq(oversampling * len(even), self.step)[1:-1], dtype=np.float64), power
+        power = np.mean(np.abs(np.fft.rfft(even, 4 * len(even), axis=0)[1:-1]) ** 2, axis=1)
+        return np.asarray(np.fft.rfftfreq(4 * len(even), self.step)[1:-1], dtype=np.float64), power
 
     def strongest_tone(self, residual: Array, white: bool = False, modes: Sequence[float] = ()) -> Tone | None:
         """Return the strongest sinusoid of a residual (F, C); None where it is likely to be chance.
@@ -255,7 +255,7 @@ class Channels:
         """
         if self.time.size < 3 * _LEAST_VALUES:
             return None
-        frequency, power = self.spectrum(residual, 4)
+        frequency, power = self.spectrum(residual)
         lowest = 2 / self.duration  # two periods
         allowed = (frequency >= lowest) & (frequency < 0.98 * frequency[-1])
         for mode in modes:

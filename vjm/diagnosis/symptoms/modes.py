@@ -252,7 +252,7 @@ class _Fit:
         # Where that leaves a residual, a frequency may be off by more than half a period over the recording.
         if self.modes and 2 * best.cost > 2 * sum(sensor.known.sum() for sensor in self.sensors):
             camera = self.sensors[0]
-            frequency, power = camera.spectrum(camera.centred(camera.measured), 4)
+            frequency, power = camera.spectrum(camera.centred(camera.measured))
             for mode, own in zip(self.modes, self.own(start), strict=True):
                 speed = 2 * np.pi * frequency - mode.pole.imag
                 own[3] = speed[np.argmax(np.where(np.abs(speed) < 0.5 * mode.pole.imag, power, 0.0))]

@@ -67,16 +67,10 @@ def _style() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a report.
+    """A figure of a report."""
 
-    Attributes:
-        name: of its file, without suffix.
-        caption: one sentence on how to read it.
-        draw: draws the figure.
-    """
-
-    name: str
-    caption: str
+    name: str  # of its file, without suffix
+    caption: str  # one sentence on how to read it
     draw: Callable[[], Figure]
 
     @cached_property
@@ -101,15 +95,10 @@ class Picture:
 
 @dataclass(frozen=True)
 class PanelFigure:
-    """A figure with a title, a legend and rows of panels, laid out by matplotlib's constrained layout.
-
-    Attributes:
-        figure: the whole.
-        axes: of the panels, row by row from the top.
-    """
+    """A figure with a title, a legend and rows of panels, laid out by matplotlib's constrained layout."""
 
     figure: Figure
-    axes: list[list[Axes]]
+    axes: list[list[Axes]]  # row by row from the top
 
     @classmethod
     def of(cls, title: str, rows: Sequence[tuple[float, int]]) -> PanelFigure:
@@ -219,19 +208,12 @@ def binned_means(x: Array, values: Array, most: int, std: Array | float = np.inf
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Amplitude of a residual, RMS over all coordinates; a sine of amplitude a is a line of height a.
+    """Amplitude of a residual, RMS over all coordinates; a sine of amplitude a is a line of height a."""
 
-    Attributes:
-        frequency: (F,) from one period in the recording up to half the sensor's rate [Hz].
-        amplitude: (F,) [m], or [rad] of encoders.
-        white: what white noise of the sensor's size would give.
-        limit: what it would pass anywhere in one recording of a thousand.
-    """
-
-    frequency: Array
-    amplitude: Array
-    white: float
-    limit: float
+    frequency: Array  # (F,) from one period in the recording up to half the sensor's rate [Hz]
+    amplitude: Array  # (F,) [m], or [rad] of encoders
+    white: float  # what white noise of the sensor's size would give
+    limit: float  # what it would pass anywhere in one recording of a thousand
 
     @classmethod
     def of(cls, simulated: SimulatedRecording, encoder: bool = False) -> Spectrum | None:

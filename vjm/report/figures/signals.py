@@ -25,20 +25,13 @@ _Item = TypeVar("_Item")
 
 @dataclass(frozen=True)
 class Signal:
-    """One measured coordinate of a marker, or one measured joint angle.
+    """One measured coordinate of a marker, or one measured joint angle."""
 
-    Attributes:
-        name: `LINK.mK.x`, `LINK.mK.y` or `LINK.theta`.
-        index: of the marker and its axis (0: x, 1: y), or of the active joint.
-        rows: (F,) rows of the recording at which it was measured.
-        time, value: (F,) [s], [m] or [rad].
-    """
-
-    name: str
-    index: tuple[int, ...]
-    rows: Indices
-    time: Array
-    value: Array
+    name: str  # `LINK.mK.x`, `LINK.mK.y` or `LINK.theta`
+    index: tuple[int, ...]  # of the marker and its axis (0: x, 1: y), or of the active joint
+    rows: Indices  # (F,) of the recording, at which it was measured
+    time: Array  # (F,) [s]
+    value: Array  # (F,) [m] or [rad]
 
     @classmethod
     def of(cls, rig: Rig, recording: Recording) -> Signal | None:
