@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from vjm.chain.curve import marker_poses
 from vjm.chain.layout import Layout, layout, uniform_chain
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.errors import InsufficientDataError
 from vjm.markers.angles import AngleMethod, ShapeSettings, estimate_angles
 from vjm.records import Link, Recording, Rig
 
@@ -156,5 +156,3 @@ def test_link_frame_markers_need_no_x_but_points_do() -> None:
     assert np.abs(found.q - q).max() < 1e-9
     with pytest.raises(InsufficientDataError, match="x coordinates"):
         estimate_angles(local, cuts, data, ShapeSettings("cantilever", (2,), "points"), 3e-4, 1e-4)
-    with pytest.raises(ChoiceError, match="curvature"):
-        estimate_angles(local, cuts, data, ShapeSettings("cantilever", (2,), "chord"), 3e-4, 1e-4)  # type: ignore[arg-type]

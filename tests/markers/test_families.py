@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from vjm.errors import ChoiceError, ShapeError
 from vjm.markers.shape import (
     FAMILIES,
     _cantilever_roots,
@@ -109,13 +108,3 @@ def test_cross_validation_finds_the_number_of_modes(modes: int) -> None:
 def test_modes_need_as_many_markers() -> None:
     # eq. (1): k >= 2 l / lambda_min with lambda = 2 pi l / beta l: k >= beta l / pi
     assert np.ceil(_cantilever_roots(60) / np.pi).tolist() == list(range(1, 61))
-
-
-def test_wrong_arguments_are_named() -> None:
-    y = np.zeros((3, 5))
-    with pytest.raises(ChoiceError, match="cantilever"):
-        fit_shape(ARCS, y, 1.0, "splines")
-    with pytest.raises(ShapeError, match="order"):
-        fit_shape(ARCS, y, 1.0, order=6)
-    with pytest.raises(ShapeError, match="x, y"):
-        fit_shape(ARCS[:3], y, 1.0)

@@ -53,16 +53,10 @@ def compare_recordings(
     progress: Progress | None = None,
     states: Mapping[str, Array] | None = None,
 ) -> tuple[RecordingComparison, ...]:
-    """Simulate every recording open loop with a model and with two others.
+    """Simulate every recording open loop with a model and with two others: the nominal and the torque method's, if any.
 
-    Coordinates that cannot be right, and outliers, are left out of the recordings and counted.
-
-    Args:
-        experiment: the recordings.
-        model: the identified one.
-        others: the nominal one, and the torque method's; None where there is none.
-        progress: told (text, done, total) while it runs.
-        states: (2 nv,) most likely initial states, as far as they are known, by recording file.
+    Coordinates that cannot be right, and outliers, are left out of the recordings and counted. Most likely initial
+    states (2 nv,) may be given, as far as they are known, by recording file.
     """
     report, known, noise = progress or (lambda *_: None), states or {}, (model.marker_noise, model.encoder_noise)
     report("replaying recordings", 0, 2)
@@ -104,10 +98,8 @@ def replay_each(
 ) -> list[tuple[Run, bool] | str]:
     """Simulate recordings together, or each alone where that fails; return the reason for one that cannot be.
 
-    Args:
-        replay: simulates recordings from initial states, and says whether these converged, as `fit_initial_states`.
-        observed: the recordings.
-        states: (2 nv,) where to start; None: not known.
+    The function to `replay` them does so from the initial states (2 nv,) given, None where not known, and says whether
+    these converged, as `fit_initial_states`.
     """
     if not observed:
         return []

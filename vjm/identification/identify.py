@@ -23,7 +23,7 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.markers.angles import AngleMethod
-from vjm.markers.shape import FamilyName
+from vjm.markers.shape import FAMILIES, FamilyName
 from vjm.model.dynamics import objective
 from vjm.model.modes import modes
 from vjm.records import Array, Complex, Experiment, Progress, Rig
@@ -74,7 +74,7 @@ def identify(
         ("method", method, METHODS),
         ("parameters", parameters, PARAMETRISATIONS),
         ("layout", layout, LAYOUTS),
-        ("family", family, get_args(FamilyName)),
+        ("family", family, FAMILIES),
         ("angles", angles, (None, *get_args(AngleMethod))),
         ("derivatives", derivatives, get_args(DerivativeMethod)),
         ("loss", loss, LOSSES),

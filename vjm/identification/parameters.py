@@ -36,21 +36,13 @@ _FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "ine
 
 @dataclass(frozen=True)
 class _Coordinate:
-    """One number that the optimiser varies.
-
-    Attributes:
-        name: of the physical parameter.
-        unit: of the physical parameter.
-        link: index of its flexible link.
-        group: `stiffness`, `damping`, `hub`, `length`, `mass`, `center` or `inertia`.
-        index: of the virtual joint or link; -1 for one shared by the whole link.
-    """
+    """One number that the optimiser varies, for a physical parameter of a name and unit."""
 
     name: str
     unit: str
-    link: int
-    group: str
-    index: int
+    link: int  # index of its flexible link
+    group: str  # `stiffness`, `damping`, `hub`, `length`, `mass`, `center` or `inertia`
+    index: int  # of the virtual joint or link; -1 for one shared by the whole link
 
 
 @dataclass(frozen=True)

@@ -22,21 +22,14 @@ MODE_TOLERANCE = 0.15  # relative; consecutive bending modes are a factor of 2.8
 
 @dataclass(frozen=True)
 class _TorqueProblem:
-    """Weighted torque errors of several recordings as a function of a parametrisation's coordinates.
-
-    Attributes:
-        data: the recordings.
-        parametrisation: the coordinates.
-        targets: number of a mode of the model, from 0, its measured frequency and standard error [Hz] (section 6.5).
-        preference: centre and width (p,) of the coordinates wanted where the data are silent; None: no preference.
-        residual_scale: weighted torque error that counts as one standard error beside the other terms.
-    """
+    """Weighted torque errors of several recordings as a function of a parametrisation's coordinates."""
 
     data: TrainingData
     parametrisation: Parametrisation
+    # Number of a mode of the model, from 0, its measured frequency and standard error [Hz] (section 6.5).
     targets: tuple[tuple[int, float, float], ...] = ()
-    preference: tuple[Array, Array] | None = None
-    residual_scale: float = 1.0
+    preference: tuple[Array, Array] | None = None  # centre and width (p,) where the data are silent
+    residual_scale: float = 1.0  # weighted torque error that counts as one standard error beside the other terms
 
     def torque_residuals(self, x: Array) -> list[Array]:
         """Return the noise-weighted torque errors (S, r) of each recording at x (p,), weights belonging to x."""
@@ -156,11 +149,7 @@ def fit_torque(
 ) -> TorqueFit:
     """Fit a chain by its torque errors: uniform links from the nominal ones, other parameters from the uniform links.
 
-    Args:
-        data: the recordings.
-        parameters: the parametrisation.
-        frequencies: whether the recordings' natural frequencies are fitted as well (section 6.5).
-        progress: told (text, done, total) now and then.
+    With `frequencies`, those that the recordings show are fitted as well (section 6.5).
 
     Raises:
         InsufficientDataError: no recording has what the method needs; or no measured frequency is the model's.

@@ -169,15 +169,8 @@ class TrainingData:
     ) -> Self:
         """Choose the recordings, the shape functions' orders and the numbers of joints, and prepare the recordings.
 
-        Args:
-            experiment: the rig and its recordings.
-            parameters: parametrisation; with parameters of their own, there are no more joints than can be told apart.
-            virtual_joints: n of every link where it is given.
-            layout: where the links are cut.
-            family: of the shape functions.
-            angles: how angles are read off them; None: for uniform links by the curvature of the shape functions, for
-                joints with parameters of their own by the chain's own curve, where there are markers enough.
-            derivatives: `smoothing` or `interpolating`.
+        Options are those of `identify`. Joints with parameters of their own are no more than can be told apart, and
+        their angles are by default read off the chain's own curve, where there are markers enough.
 
         Raises:
             InsufficientDataError: nothing to fit, or a link without markers.

@@ -32,23 +32,15 @@ _DIVERGED_SHARE = 0.3
 
 @dataclass(frozen=True)
 class TrajectoryMethod:
-    """Fits of one experiment's trajectories with different numbers of virtual joints.
-
-    Attributes:
-        data: what is fitted.
-        observed: the recordings that can be simulated, without their outliers once a first fit has shown them.
-        hubs: indices of the links whose hub inertia is identified.
-        torque: what the torque method finds; None where there is nothing for it to find.
-        progress: told (text, done, total) now and then.
-        rough: whether minima of uniform links are only a start for other searches.
-    """
+    """Fits of one experiment's trajectories with different numbers of virtual joints."""
 
     data: TrainingData
+    # The recordings that can be simulated, without their outliers once a first fit has shown them.
     observed: tuple[Observations, ...]
-    hubs: tuple[int, ...]
-    torque: TorqueFit | None
+    hubs: tuple[int, ...]  # indices of the links whose hub inertia is identified
+    torque: TorqueFit | None  # what the torque method finds, if anything
     progress: Progress | None
-    rough: bool = False
+    rough: bool = False  # True if minima of uniform links are only a start for other searches
 
     def candidates(self) -> list[tuple[int, ...]]:
         """Return numbers of joints to try, the smallest first: from as many as there are modes seen to the planned."""
@@ -144,14 +136,8 @@ def first_fit(
 ) -> tuple[TrajectoryMethod, TrajectoryFit]:
     """Fit uniform links with few joints, from far away, to recordings without their outliers.
 
-    Args:
-        data: the recordings.
-        loss: of the weighted residuals, one of `vjm.simulation.least_squares.LOSSES`.
-        progress: told (text, done, total) now and then.
-        rough: whether the minimum is only a start for other searches.
-
-    Returns:
-        What further fits start with, and the fit.
+    The loss is one of `vjm.simulation.least_squares.LOSSES`, of weighted residuals; a `rough` minimum is only a start
+    for other searches. Also return what these start with.
 
     Raises:
         InsufficientDataError: no recording can be simulated.

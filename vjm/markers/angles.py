@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -12,7 +12,7 @@ from scipy.optimize.elementwise import find_root
 
 from vjm.chain.curve import CurveMap, curve_map, rotate
 from vjm.chain.layout import Cuts
-from vjm.errors import ChoiceError, InsufficientDataError
+from vjm.errors import InsufficientDataError
 from vjm.markers.shape import ShapeFit, basis, fit_shape
 from vjm.records import Array, Indices, Link, Record, Recording, Rig
 
@@ -70,26 +70,14 @@ def estimate_angles(
     encoder_noise: float,
     shapes: Sequence[ShapeFit] | None = None,
 ) -> Angles:
-    """Return the joint angles that a recording's markers and encoders show.
+    """Return the joint angles that a recording's markers and encoders show, noise [m, rad] being theirs (1-sigma).
 
-    Link i + 1 starts from link i's tip and heading, so the links are done from the base outwards.
-
-    Args:
-        rig: the arm.
-        cuts: each link's layout.
-        recording: markers and encoders.
-        settings: shape family, orders and method.
-        marker_noise: 1-sigma [m].
-        encoder_noise: 1-sigma [rad].
-        shapes: each link's shape functions where they are fitted already; those over arc length do not depend on
-            the layout, and `points` ignores them.
+    Link i + 1 starts from link i's tip and heading, so the links are done from the base outwards. Shape functions over
+    arc length do not depend on the layout: where each link's are fitted already, they may be given as `shapes`.
 
     Raises:
-        ChoiceError: unknown method.
-        InsufficientDataError: an active joint without encoder, or, for `points`, markers without x coordinate.
+        InsufficientDataError: for `points`, markers without x coordinate; for `curve`, fewer markers than joints.
     """
-    if settings.method not in get_args(AngleMethod):
-        raise ChoiceError("angle method", settings.method, get_args(AngleMethod))
     rows = recording.frames
     theta = _at_frames(recording, recording.theta, rows)
     origin, heading = np.zeros((rows.size, 2)), np.zeros(rows.size)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from vjm.errors import ChoiceError, ShapeError
 from vjm.records import Array, Indices, Mask
 
 FamilyName = Literal["polynomial", "clamped-polynomial", "trigonometric", "cantilever"]
@@ -35,15 +34,7 @@ def basis(family: str, order: int, x: ArrayLike, length: float, derivative: int 
 
     Returns:
         (..., order), scaled so that each function is of order one at the tip [m^-derivative].
-
-    Raises:
-        ChoiceError: unknown family.
-        ShapeError: order below 1, or derivative above 2.
     """
-    if family not in _FUNCTIONS:
-        raise ChoiceError("shape family", family, FAMILIES)
-    if order < 1 or derivative not in (0, 1, 2):
-        raise ShapeError("order, derivative", (order, derivative), "order at least 1, derivative 0, 1 or 2")
     scaled = np.asarray(x, dtype=float)[..., None] / length
     return _FUNCTIONS[family](scaled, np.arange(1, order + 1), derivative) / length**derivative
 
@@ -131,19 +122,10 @@ def fit_shape(
         y: (T, k) lateral positions [m]; NaN where a marker is missing.
         length: l of the link [m].
         family: see `basis`.
-        order: number of functions.
+        order: number of functions, no more than there are markers.
         robust: Huber weights, so that single wild markers do not bend the curve.
-
-    Raises:
-        ShapeError: arrays that do not fit together, or fewer markers than functions.
-        ChoiceError: unknown family.
     """
     lateral, along = np.asarray(y, dtype=float), np.asarray(x, dtype=float)
-    k = lateral.shape[-1]
-    if lateral.ndim != 2 or along.shape not in ((k,), lateral.shape):
-        raise ShapeError("x, y", (along.shape, lateral.shape), "y (T, k) and x (k,) or (T, k)")
-    if not 1 <= order <= k:
-        raise ShapeError("order", order, f"1 to the number of markers, {k}")
     known = np.isfinite(lateral) & np.isfinite(along)
     functions = typical = basis(family, order, along if along.ndim == 1 else np.nanmedian(along, axis=0), length)
     if along.ndim == 2:

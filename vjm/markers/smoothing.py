@@ -13,7 +13,6 @@ from scipy.linalg import solveh_banded
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array
 
-from vjm.errors import InsufficientDataError, ShapeError
 from vjm.records import Array, Record
 
 # Degree 7 keeps the second derivative right to 0.1 % at four samples a period, where a cubic spline is 20 % off.
@@ -48,25 +47,13 @@ class Derivatives(Record):
         return result
 
 
-def interpolate(time: ArrayLike, values: ArrayLike, step: float = 0.004) -> Derivatives:
-    """Interpolate by a cubic spline on a fine grid, as in the paper.
+def interpolate(time: Array, values: Array, step: float = 0.004) -> Derivatives:
+    """Interpolate values (T, m) at instants (T,) [s] by a cubic spline on a grid of a step [s], the paper's by default.
 
-    Args:
-        time: (T,) [s].
-        values: (T, m); frames with NaN are left out.
-        step: of the grid [s]; the paper's is the default.
-
-    Raises:
-        InsufficientDataError: fewer than four frames.
-        ShapeError: arrays that do not fit together.
+    Frames with NaN are left out.
     """
-    t, y = np.asarray(time, dtype=float), np.asarray(values, dtype=float)
-    if y.ndim != 2 or t.shape != y.shape[:1]:
-        raise ShapeError("time, values", (t.shape, y.shape), "(T,) and (T, m)")
-    kept = np.isfinite(y).all(axis=1)
-    if kept.sum() < 4:
-        raise InsufficientDataError("derivatives", f"only {kept.sum()} complete frames", "at least 4 are needed")
-    t, y = t[kept], y[kept]
+    kept = np.isfinite(values).all(axis=1)
+    t, y = time[kept], values[kept]
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-9) + 1)
     spline = CubicSpline(t, y)
     impulse = np.zeros(t.size)
@@ -86,16 +73,11 @@ class Smoother:
     coefficients (Eilers and Marx 1996), solved as a banded system.
 
     Args:
-        time: (T,) instants [s].
-
-    Raises:
-        InsufficientDataError: fewer than ten instants.
+        time: (T,) instants [s], ten or more.
     """
 
-    def __init__(self, time: ArrayLike) -> None:
-        self.time = t = np.asarray(time, dtype=float)
-        if t.size < 10:
-            raise InsufficientDataError("derivatives", f"only {t.size} complete frames", "at least 10 are needed")
+    def __init__(self, time: Array) -> None:
+        self.time = t = time
         step = float(np.median(np.diff(t)))
         count = int(np.ceil((t[-1] - t[0]) / step + 1e-9))
         knots = t[0] + step * np.arange(-_DEGREE, count + _DEGREE + 1)
@@ -110,21 +92,15 @@ class Smoother:
         self._gram = _bands(csr_array(self._basis[0].T @ self._basis[0]))
         self._penalty = _bands(csr_array(penalty.T @ penalty))
 
-    def derivatives(self, values: ArrayLike, noise: ArrayLike, exponent: float | None = None) -> Derivatives:
+    def derivatives(self, values: Array, covariance: Array, exponent: float | None = None) -> Derivatives:
         """Smooth signals and differentiate them.
 
         Args:
             values: (T, m), all finite.
-            noise: (m,) 1-sigma noise of a sample, or (m, m) its covariance; signals without noise do not count.
+            covariance: (m, m) of a sample's noise; signals without noise do not count.
             exponent: log10 of the penalty, to repeat an earlier filter; found from the noise when None.
-
-        Raises:
-            ShapeError: arrays that do not fit together, or values that are not finite.
         """
-        y, t = np.asarray(values, dtype=float), self.time
-        if y.ndim != 2 or len(y) != t.size or not np.isfinite(y).all():
-            raise ShapeError("values", f"shape {y.shape}", f"({t.size}, m), all finite")
-        whiten = _whitener(noise, y.shape[1])
+        y, t, whiten = values, self.time, _whitener(covariance)
         centre = y.mean(axis=0)
         right = self._basis[0].T @ (y - centre)
 
@@ -169,17 +145,12 @@ def _discrepancy_root(excess: Callable[[float], float]) -> float:
     return float(brentq(excess, _ROUGHEST, _SMOOTHEST, xtol=0.01))
 
 
-def _whitener(noise: ArrayLike, size: int) -> Array:
+def _whitener(covariance: Array) -> Array:
     """Return W (m, m) such that samples @ W have unit, uncorrelated noise; directions without noise are left out."""
-    given = np.asarray(noise, dtype=float)
-    covariance = np.diag(given**2) if given.ndim == 1 else given
-    if covariance.shape != (size, size):
-        raise ShapeError("noise", given.shape, f"({size},) or ({size}, {size})")
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-12 * max(float(values.max()), 1e-300)
-    return np.asarray(
-        vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0) * np.sqrt(size / kept.sum())
-    )
+    whitener = vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
+    return np.asarray(whitener * np.sqrt(values.size / kept.sum()))
 
 
 def _differences(size: int, order: int) -> csr_array:
