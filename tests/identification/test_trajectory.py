@@ -17,11 +17,12 @@ from tests.fine_beam.make_hub import SLEW, TRUTH, write_hub_experiment
 from tests.identification.test_recovery import SHARED, chain_recordings, demo
 from tests.simulation.setups import arm_of, end_load_shape, jerky_torque, recording_of, rig_of, steel_link
 from vjm.identification import Identification, identify
-from vjm.identification.identify import _modal_assurance, _model_shapes
+from vjm.identification.identify import _marker_deflections, _modal_assurance
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
 from vjm.identification.trajectory_method import _largest_step_multiple
 from vjm.identification.uncertainty import _resampled, trajectory_information
+from vjm.model.modes import modes
 from vjm.records import Experiment, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations
@@ -282,7 +283,7 @@ def test_demo_comes_out_as_it_was_put_in() -> None:
 def test_measured_shapes_tell_modes_apart() -> None:
     """MAC of the first mode with the second's shape is small."""
     model = identify(demo(), "torque").model
-    first, second = _model_shapes(model.chain, model.rig, 0.0)[:2]
+    first, second = _marker_deflections(model.chain, model.rig, modes(model.chain).shapes)[:2]
     assert _modal_assurance(first, second.astype(complex)) < 0.3
     assert _modal_assurance(first, (2 - 1j) * first) == pytest.approx(1.0)
 

@@ -25,21 +25,13 @@ _PANELS = 4  # least number of panels a link
 
 @dataclass(frozen=True)
 class CurveMap:
-    """Linear maps from a link's phi to headings, and from headings to positions, at chosen arc lengths.
+    """Linear maps from a link's phi to headings, and from headings to positions, at chosen arc lengths."""
 
-    Attributes:
-        arcs: (k,) arc lengths [m].
-        heading: (k, n) d psi(arcs) / d phi.
-        node_heading: (Q, n) d psi / d phi at the quadrature nodes.
-        nodes: (Q,) arc lengths of the quadrature nodes [m].
-        weights: (k, Q) quadrature weights from the proximal end to each arc length [m].
-    """
-
-    arcs: Array
-    heading: Array
-    node_heading: Array
-    nodes: Array
-    weights: Array
+    arcs: Array  # (k,) arc lengths [m]
+    heading: Array  # (k, n) d psi(arcs) / d phi
+    node_heading: Array  # (Q, n) d psi / d phi at the quadrature nodes
+    nodes: Array  # (Q,) arc lengths of the quadrature nodes [m]
+    weights: Array  # (k, Q) quadrature weights from the proximal end to each arc length [m]
 
     def positions(self, phi: ArrayLike, root_angle: ArrayLike = 0.0, rest_curvature: float = 0.0) -> Array:
         """Return positions (..., k, 2) [m] in the link frame.

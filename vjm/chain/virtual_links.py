@@ -123,6 +123,11 @@ class LinkChain(Record):
         return float(np.mean(self.stiffness * self.cells))
 
     @property
+    def kelvin_voigt_time(self) -> float:
+        """Mean over the virtual joints of D / K, the ratio of viscous to elastic bending moment [s]."""
+        return float(np.mean(self.damping / np.maximum(self.stiffness, 1e-300)))
+
+    @property
     def joint_arcs(self) -> Array:
         """(n,) arc length s_j of each virtual joint from the proximal end [m]."""
         return np.cumsum(self.lengths)[:-1]

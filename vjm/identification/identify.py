@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -15,9 +15,9 @@ from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
 from vjm.identification.check import data_warnings, estimates, fit_warnings, identification_notes
 from vjm.identification.comparison import compare_recordings
-from vjm.identification.parameters import PARAMETRISATIONS, Parameters, Parametrisation
+from vjm.identification.parameters import PARAMETRISATIONS, Parameters
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
-from vjm.identification.torque_method import MODE_TOLERANCE, fit_torque
+from vjm.identification.torque_method import MODE_TOLERANCE, TorqueFit, fit_torque
 from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
@@ -86,45 +86,34 @@ def identify(
     data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
     if method != "trajectory":
         torque = fit_torque(data, data.parameters, method == "torque+frequency", progress)
-        parametrisation, information = torque.problem.parametrisation, Information.of_torque_errors(torque)
-        solution = _Solution(parametrisation, torque.x, information, torque.converged)
-        return _result(experiment, method, data, solution, progress)
+        return _result(experiment, method, data, torque, Information.of_torque_errors(torque), progress)
     search, first = first_fit(data, loss, progress)
     fit, notes = search.enough_joints(first)
     information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
-    torque_chain = None if search.torque is None else search.torque.chain
-    parametrisation, x = fit.point.problem.parametrisation, fit.point.x
-    solution = _Solution(parametrisation, x, information, fit.converged, notes, fit, whiteness, torque_chain)
     data = replace(search.data, joints=search.joint_choices(fit))
-    return _result(experiment, method, data, solution, progress)
-
-
-@dataclass(frozen=True)
-class _Solution:
-    """Estimate of either method, and what else is known after it."""
-
-    parametrisation: Parametrisation
-    x: Array
-    information: Information
-    converged: bool
-    notes: tuple[str, ...] = ()
-    trajectory: TrajectoryFit | None = None
-    whiteness: tuple[Whiteness, ...] = ()
-    torque_chain: Chain | None = None
+    return _result(experiment, method, data, fit, information, progress, notes, whiteness, search.torque)
 
 
 def _result(
-    experiment: Experiment, method: str, data: TrainingData, solution: _Solution, progress: Progress | None
+    experiment: Experiment,
+    method: str,
+    data: TrainingData,
+    fit: TorqueFit | TrajectoryFit,
+    information: Information,
+    progress: Progress | None,
+    notes: tuple[str, ...] = (),
+    whiteness: tuple[Whiteness, ...] = (),
+    torque: TorqueFit | None = None,
 ) -> Identification:
-    rig, parametrisation, information = data.rig, solution.parametrisation, solution.information
-    chain = parametrisation.chain(solution.x)
-    covariance = parametrisation.physical_covariance(solution.x, information.covariance)
-    parameters = estimates(parametrisation, solution.x, information, covariance)
+    trajectory, point = (None, fit) if isinstance(fit, TorqueFit) else (fit, fit.point)
+    rig, parametrisation, chain = data.rig, point.problem.parametrisation, point.chain
+    covariance = parametrisation.physical_covariance(point.x, information.covariance)
+    parameters = estimates(parametrisation, point.x, information, covariance)
     known = [k for k, estimate in enumerate(parameters) if estimate.std is not None]
     model = Model(chain, rig, *data.noise, parameters)
     nominal = Model(nominal_chain(rig, chain.links), rig, *data.noise)
-    torque_model = None if solution.torque_chain is None else Model(solution.torque_chain, rig, *data.noise)
-    runs = () if solution.trajectory is None else solution.trajectory.point.runs
+    torque_model = None if torque is None else Model(torque.chain, rig, *data.noise)
+    runs = () if trajectory is None else trajectory.point.runs
     states = {run.observed.recording.file: run.state for run in runs}
     recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
     compared_modes = _compare_modes(chain, data)
@@ -145,28 +134,28 @@ def _result(
         shape=data.shape,
         objective=objectives[0],
         objective_nominal=objectives[1],
-        trajectory=solution.trajectory,
-        whiteness=solution.whiteness,
+        trajectory=trajectory,
+        whiteness=whiteness,
         torque_data=data.prepared_for(chain),
         recordings=recordings,
-        status="converged" if solution.converged else "not converged",
+        status="converged" if fit.converged else "not converged",
         remedy=""
-        if solution.converged
+        if fit.converged
         else "the search stopped early: ask for fewer parameters, or give recordings that move more",
         warnings=(
             *experiment.warnings,
             *data_warnings(data),
             *data.problems,
-            *fit_warnings(recordings, parameters, solution.whiteness, compared_modes if method == "torque" else ()),
+            *fit_warnings(recordings, parameters, whiteness, compared_modes if method == "torque" else ()),
         ),
-        notes=identification_notes(data, solution.notes),
+        notes=identification_notes(data, notes),
     )
 
 
 def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ...]:
     """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show."""
     found = modes(chain, data.payload)
-    shapes = _model_shapes(chain, data.rig, data.payload)
+    shapes = _marker_deflections(chain, data.rig, found.shapes)
     alike = [one for one in data.prepared if one.recording.payload == data.payload]
     rows = []
     for frequency, ratio, shape in zip(found.frequencies.tolist(), found.damping_ratios.tolist(), shapes, strict=True):
@@ -186,9 +175,8 @@ def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ..
     return tuple(rows[: max(last, *data.shape.orders)])
 
 
-def _model_shapes(chain: Chain, rig: Rig, payload: float) -> Array:
-    """(m, k) lateral deflections of the markers in their link frames, in each mode of the model."""
-    angles = modes(chain, payload).shapes
+def _marker_deflections(chain: Chain, rig: Rig, angles: Array) -> Array:
+    """(m, k) lateral deflections of the markers in their link frames, for small joint angles (nv, m)."""
     rows = []
     for link, own, part in zip(chain.links, rig.links, chain.passive_slices, strict=True):
         slope = curve_map(link, own.markers).jacobian(np.zeros(link.virtual_joints))

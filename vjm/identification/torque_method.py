@@ -94,19 +94,12 @@ class _TorqueProblem:
 
 @dataclass(frozen=True)
 class TorqueFit:
-    """A minimum of the weighted torque errors.
-
-    Attributes:
-        problem: what was minimised.
-        x: (p,) coordinates.
-        jacobian: (N, p) derivatives of `problem.vector` by them.
-        converged: True if the optimiser met its tolerance.
-    """
+    """A minimum of the weighted torque errors."""
 
     problem: _TorqueProblem
-    x: Array
-    jacobian: Array
-    converged: bool
+    x: Array  # (p,) coordinates
+    jacobian: Array  # (N, p) derivatives of `problem.vector` by them
+    converged: bool  # True if the optimiser met its tolerance
 
     @property
     def chain(self) -> Chain:

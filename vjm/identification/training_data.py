@@ -29,23 +29,15 @@ _VISIBLE = 1e-9  # of the angles' largest variance: directions below are roundin
 
 @dataclass(frozen=True, repr=False)
 class PreparedRecording(Record):
-    """One recording as the torque method sees it.
-
-    Attributes:
-        recording: its source.
-        angles: of the markers, at the camera's frames.
-        derivatives: (S, nv) angles, rates and accelerations at the instants used.
-        torque: (S, n_a) active joint torques, through the same filter [N m]; NaN where none was measured.
-        smoother: of the recording's complete frames; None for interpolation.
-        rows: (nv, r) maps torque errors to those that the data determine: passive ones along the shape functions,
-            active ones where a torque was measured.
-    """
+    """One recording as the torque method sees it."""
 
     recording: Recording
-    angles: Angles
-    derivatives: Derivatives
-    torque: Array
-    smoother: Smoother | None
+    angles: Angles  # of the markers, at the camera's frames
+    derivatives: Derivatives  # (S, nv) angles, rates and accelerations at the instants used
+    torque: Array  # (S, n_a) active joint torques, through the same filter [N m]; NaN where none was measured
+    smoother: Smoother | None  # of the recording's complete frames; None for interpolation
+    # (nv, r) maps torque errors to those that the data determine: passive ones along the shape functions, active ones
+    # where a torque was measured.
     rows: Array
 
     def errors(self, chain: Chain, at: Mask | slice = slice(None)) -> Array:
@@ -89,17 +81,11 @@ class PreparedRecording(Record):
 
 @dataclass(frozen=True)
 class JointChoice:
-    """A number of virtual joints and its discretisation error.
-
-    Attributes:
-        joints: n.
-        error: largest relative error of the visible modes' frequencies, against a chain of 40 joints.
-        requested: True if a user asked for this n.
-    """
+    """A number n of virtual joints and its discretisation error."""
 
     joints: int
-    error: float
-    requested: bool = False
+    error: float  # largest relative one of the visible modes' frequencies, against a chain of 40 joints
+    requested: bool = False  # True if a user asked for this n
 
     @classmethod
     def of(cls, link: Link, visible: int, joints: int | None = None) -> Self:
@@ -124,37 +110,21 @@ class JointChoice:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """The recordings that a model is fitted to, and how they are read.
-
-    Attributes:
-        rig: the arm.
-        parameters: the parametrisation they are read for.
-        layout: where the links are cut.
-        cuts: virtual links and cells of each link.
-        joints: numbers of virtual joints, and their discretisation errors.
-        shape: shape functions and how angles are read off them.
-        derivatives: `smoothing` or `interpolating`.
-        noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
-        recordings: without coordinates that cannot be right.
-        prepared: those that the torque method can use.
-        problems: why it cannot use the others, a sentence each.
-        modes: modes measured in those prepared recordings that have the commonest payload, in order.
-        payload: that payload [kg].
-    """
+    """The recordings that a model is fitted to, and how they are read."""
 
     rig: Rig
-    parameters: str
-    layout: str
-    cuts: tuple[Layout, ...]
+    parameters: str  # the parametrisation they are read for
+    layout: str  # where the links are cut
+    cuts: tuple[Layout, ...]  # virtual links and cells of each link
     joints: tuple[JointChoice, ...]
-    shape: ShapeSettings
-    derivatives: str
-    noise: tuple[float, float]
-    recordings: tuple[Recording, ...]
-    prepared: tuple[PreparedRecording, ...] = ()
-    problems: tuple[str, ...] = ()
-    modes: tuple[MeasuredModes, ...] = ()
-    payload: float = 0.0
+    shape: ShapeSettings  # shape functions and how angles are read off them
+    derivatives: str  # `smoothing` or `interpolating`
+    noise: tuple[float, float]  # 1-sigma of a marker coordinate [m] and of an encoder [rad]
+    recordings: tuple[Recording, ...]  # without coordinates that cannot be right
+    prepared: tuple[PreparedRecording, ...] = ()  # those that the torque method can use
+    problems: tuple[str, ...] = ()  # why it cannot use the others, a sentence each
+    modes: tuple[MeasuredModes, ...] = ()  # of prepared recordings that have the commonest payload, in order
+    payload: float = 0.0  # that payload [kg]
 
     @classmethod
     def of(
@@ -262,12 +232,9 @@ def _training_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ..
 
 def _relative_motion(recording: Recording, noise: tuple[float, float]) -> float:
     """Standard deviation of the coordinate that moves most, over its sensor's noise [m, rad]."""
-    motions = [0.0]
-    for values, sigma in ((recording.markers.reshape(len(recording.time), -1), noise[0]), (recording.theta, noise[1])):
-        measured = values[:, np.isfinite(values).sum(axis=0) > 1]
-        if measured.size:
-            motions.append(float(np.nanstd(measured, axis=0).max()) / sigma)
-    return max(motions)
+    markers = recording.markers.reshape(recording.time.size, -1)
+    values = np.hstack([markers / noise[0], recording.theta / noise[1]])
+    return float(np.nanstd(values[:, np.isfinite(values).sum(axis=0) > 1], axis=0).max(initial=0.0))
 
 
 def _choose_orders(rig: Rig, cuts: Sequence[Cuts], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:

@@ -42,23 +42,14 @@ class ShapeSettings:
 
 @dataclass(frozen=True, repr=False)
 class Angles(Record):
-    """Joint angles at the camera's frames.
+    """Joint angles at the camera's frames."""
 
-    Attributes:
-        time: (F,) [s].
-        q: (F, nv) active and passive joint angles, in the chain's order [rad]; NaN where a frame gives none.
-        torque: (F, n_a) measured torques at the frames [N m]; NaN where none was measured.
-        covariance: (nv, nv) of the angles' noise in a complete frame [rad^2].
-        shapes: each link's fitted shape functions.
-        unsolved: number of frames in which some angle does not exist.
-    """
-
-    time: Array
-    q: Array
-    torque: Array
-    covariance: Array
-    shapes: tuple[ShapeFit, ...]
-    unsolved: int
+    time: Array  # (F,) [s]
+    q: Array  # (F, nv) active and passive joint angles, in the chain's order [rad]; NaN where a frame gives none
+    torque: Array  # (F, n_a) measured torques at the frames [N m]; NaN where none was measured
+    covariance: Array  # (nv, nv) of the angles' noise in a complete frame [rad^2]
+    shapes: tuple[ShapeFit, ...]  # each link's fitted shape functions
+    unsolved: int  # number of frames in which some angle does not exist
 
 
 def estimate_angles(

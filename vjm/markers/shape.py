@@ -88,23 +88,14 @@ _ROBUST_PASSES = 8  # most reweightings; frames settle in two to five
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """Shape function y(x, t) = sum_o a_o(t) Y_o(x).
+    """Shape function y(x, t) = sum_o a_o(t) Y_o(x)."""
 
-    Attributes:
-        family: of the basis functions.
-        order: number of them.
-        length: l of the link [m].
-        coefficients: (T, order) a_o [m]; NaN for frames with too few markers.
-        covariance: (order, order) of a frame with all markers, per unit variance of a marker coordinate.
-        residuals: (T, k) measured less fitted [m]; NaN where a marker is missing.
-    """
-
-    family: str
-    order: int
-    length: float
-    coefficients: Array
-    covariance: Array
-    residuals: Array
+    family: str  # of the basis functions
+    order: int  # number of them
+    length: float  # l of the link [m]
+    coefficients: Array  # (T, order) a_o [m]; NaN for frames with too few markers
+    covariance: Array  # (order, order) of a frame with all markers, per unit variance of a marker coordinate
+    residuals: Array  # (T, k) measured less fitted [m]; NaN where a marker is missing
 
     def evaluate(self, x: ArrayLike, derivative: int = 0) -> Array:
         """Return (T, p) shape, slope or second derivative [m, -, 1/m] at p places (p,) or (T, p) [m]."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from math import comb
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.linalg import solveh_banded
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array
 
-from vjm.records import Array, Record
+from vjm.records import Array, Mask, Record
 
 # Degree 7 keeps the second derivative right to 0.1 % at four samples a period, where a cubic spline is 20 % off.
 _DEGREE = 7
@@ -23,23 +23,15 @@ _ROUGHEST, _SMOOTHEST = -4.0, 10.0  # log10 of the penalty searched
 
 @dataclass(frozen=True, repr=False)
 class Derivatives(Record):
-    """Signals with their rates and accelerations.
+    """Signals with their rates and accelerations."""
 
-    Attributes:
-        time: (S,) [s].
-        value, rate, acceleration: (S, m) in the signals' unit, per s and per s^2.
-        gains: (3, 3) covariance of (value, rate, acceleration) per unit variance of a sample, away from the ends.
-        interior: (S,) instants far enough from the ends for `gains` to hold.
-        smoothing: log10 of the spline's penalty; None for interpolation.
-    """
-
-    time: Array
-    value: Array
-    rate: Array
-    acceleration: Array
-    gains: Array
-    interior: NDArray[np.bool_]
-    smoothing: float | None
+    time: Array  # (S,) [s]
+    value: Array  # (S, m) in the signals' unit
+    rate: Array  # (S, m) per s
+    acceleration: Array  # (S, m) per s^2
+    gains: Array  # (3, 3) covariance of (value, rate, acceleration) per unit variance of a sample, away from the ends
+    interior: Mask  # (S,) instants far enough from the ends for `gains` to hold
+    smoothing: float | None  # log10 of the spline's penalty; None for interpolation
 
     def noise(self, sample_noise: ArrayLike) -> Array:
         """Return the (3, m) 1-sigma noise of value, rate and acceleration for sample noise (m,)."""

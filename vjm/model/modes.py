@@ -19,19 +19,12 @@ _TOLERANCE = 1e-9  # rad, of a position of rest
 
 @dataclass(frozen=True)
 class Modes:
-    """Vibration modes, slowest first; rigid-body motion is left out.
+    """Vibration modes, slowest first; rigid-body motion is left out."""
 
-    Attributes:
-        frequencies: (m,) undamped natural frequencies [Hz].
-        damping_ratios: (m,) fractions of critical damping.
-        shapes: (nv, m) joint angles of each mode, with modal mass one.
-        equilibrium: (nv,) joint angles about which the chain was linearised [rad].
-    """
-
-    frequencies: Array
-    damping_ratios: Array
-    shapes: Array
-    equilibrium: Array
+    frequencies: Array  # (m,) undamped natural frequencies [Hz]
+    damping_ratios: Array  # (m,) fractions of critical damping
+    shapes: Array  # (nv, m) joint angles of each mode, with modal mass one
+    equilibrium: Array  # (nv,) joint angles about which the chain was linearised [rad]
 
 
 def linearise(
