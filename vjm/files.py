@@ -68,10 +68,8 @@ def _encoded(content: str | bytes) -> bytes:
 def write_text(path: Path | str, text: str) -> None:
     """Write `text` as UTF-8 so that nobody ever sees half a file and a failure leaves what was there before.
 
-    Args:
-        path: the file. A symbolic link is followed, an existing file's permissions are kept, and what is no regular
-            file (a terminal, a pipe) is written straight to.
-        text: the whole content.
+    A symbolic link is followed, an existing file's permissions are kept, and what is no regular file (a terminal, a
+    pipe) is written straight to.
 
     Raises:
         FolderError: the file cannot be written.
@@ -127,15 +125,12 @@ def _unwritable(path: Path, error: OSError) -> FolderError:
 
 
 def write_folder(directory: Path | str, files: Mapping[str, str | bytes], outdated: Iterable[str] = ()) -> Path:
-    """Write several files into a folder; if anything fails, the folder is as it was before.
+    """Write several files into a folder and return it; if anything fails, the folder is as it was before.
 
     Args:
         directory: made if it does not exist; files in it that are not written anew stay.
         files: content by name, relative to the directory, put in place in this order.
         outdated: names of an earlier run's files, removed unless written anew.
-
-    Returns:
-        The folder.
 
     Raises:
         FolderError: the folder cannot be written to.

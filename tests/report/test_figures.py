@@ -20,7 +20,7 @@ from vjm.identification.records import Identification
 from vjm.records import RecordingComparison, SimulatedRecording
 from vjm.report.figures.identification import _replay_pictures, identification_pictures
 from vjm.report.figures.measurements import data_pictures
-from vjm.report.figures.panels import Picture, Spectrum, spectrum_panel
+from vjm.report.figures.panels import Picture, Spectrum
 from vjm.report.figures.signals import Signal, _motion_panel, _residual_panel, liveliest_window
 from vjm.report.output import _PICTURES
 
@@ -170,7 +170,7 @@ def test_spectrum_is_drawn_beside_white_noise() -> None:
     spectrum = Spectrum.of(simulated)
     assert spectrum is not None
     axes = Figure().subplots()
-    spectrum_panel(axes, [(spectrum, "model", "k")])
+    Spectrum.draw(axes, [(spectrum, "model", "k")])
     line, white, limit = axes.lines
     assert np.asarray(line.get_ydata()) == pytest.approx(1e6 * spectrum.amplitude)
     assert np.asarray(white.get_ydata())[0] == pytest.approx(1e6 * spectrum.white)

@@ -18,60 +18,36 @@ Verdict = Literal["none", "named", "set", "unknown", "insufficient"]
 
 @dataclass(frozen=True)
 class Alternative:
-    """Another effect that explains the recordings as well as the one named, or nearly.
+    """Another effect that explains the recordings as well as the one named, or nearly."""
 
-    Attributes:
-        effect: with its estimated parameters.
-        worse: chi^2 beyond that of the effect named.
-    """
-
-    effect: Effect
-    worse: float
+    effect: Effect  # with its estimated parameters
+    worse: float  # chi^2 beyond that of the effect named
 
 
 @dataclass(frozen=True)
 class Cause:
-    """An effect that the recordings need.
+    """An effect that the recordings need."""
 
-    Attributes:
-        effect: with the parameters at which the model's chain follows the recordings.
-        parameters: those of a beam, free of the chain's discretization error, with standard errors, by name.
-        p_value: probability that noise alone makes any of the candidates look as needed as this.
-        decrease: of the training recordings' chi^2 by it.
-        alternatives: effects that explain the recordings as well in its place.
-        evidence: in words.
-        without: the recording in which the causes gain most, simulated with all effects but this one; None where it
-            cannot be simulated.
-    """
-
-    effect: Effect
-    parameters: Mapping[str, Estimate]
-    p_value: float
-    decrease: float
-    alternatives: tuple[Alternative, ...]
-    evidence: str
+    effect: Effect  # with the parameters at which the model's chain follows the recordings
+    parameters: Mapping[str, Estimate]  # those of a beam, free of the chain's discretization error, by name
+    p_value: float  # probability that noise alone makes any of the candidates look as needed as this
+    decrease: float  # of the training recordings' chi^2 by it
+    alternatives: tuple[Alternative, ...]  # effects that explain the recordings as well in its place
+    evidence: str  # in words
+    # The recording in which the causes gain most, simulated with all effects but this; None where it cannot be.
     without: SimulatedRecording | None = None
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect at one place, as tested beside the model without effects.
+    """An effect at one place, as tested beside the model without effects; z and p-value are None if not testable."""
 
-    Attributes:
-        effect: absent; a shape parameter has the value at which the effect would explain most.
-        z: number of standard errors of its size off the null, all other parameters being free; None if not testable.
-        p_value: probability that noise alone makes any candidate look as needed as this; None if not testable.
-        sizes: its sizes as the score test guesses them, by parameter.
-        smallest_detectable: size that is found with a probability of 90 %, by parameter.
-        reason: why it cannot be tested, as a clause; empty where it can.
-    """
-
-    effect: Effect
-    z: float | None
-    p_value: float | None
-    sizes: Mapping[str, float]
-    smallest_detectable: Mapping[str, float]
-    reason: str = ""
+    effect: Effect  # absent; a shape parameter has the value at which the effect would explain most
+    z: float | None  # number of standard errors of its size off the null, all other parameters being free
+    p_value: float | None  # probability that noise alone makes any candidate look as needed as this
+    sizes: Mapping[str, float]  # as the score test guesses them, by parameter
+    smallest_detectable: Mapping[str, float]  # size that is found with a probability of 90 %, by parameter
+    reason: str = ""  # why it cannot be tested, as a clause; empty where it can
 
     @classmethod
     def untestable(cls, effect: Effect, reason: str) -> Self:
@@ -134,35 +110,22 @@ class Proposal:
 
 @dataclass(frozen=True)
 class Gain:
-    """Improvement of held-out recordings by the causes.
-
-    Attributes:
-        before, after: RMS of the marker residuals [m].
-        noise: of a marker coordinate [m].
-        reduction: 1 - after / before.
-        interval: of the reduction, 95 %, by a block bootstrap.
-        next_best: RMS of the marker residuals of the next best model [m]; None where there is none.
-    """
+    """Improvement of held-out recordings by the causes, as RMS of the marker residuals [m]."""
 
     before: float
     after: float
-    noise: float
-    reduction: float
-    interval: tuple[float, float]
-    next_best: float | None = None
+    noise: float  # of a marker coordinate [m]
+    reduction: float  # 1 - after / before
+    interval: tuple[float, float]  # of the reduction, 95 %, by a block bootstrap
+    next_best: float | None = None  # of the next best model; None where there is none
 
 
 @dataclass(frozen=True)
 class Remaining:
-    """Residuals of the best model.
+    """Residuals of the best model."""
 
-    Attributes:
-        p_value: probability that noise alone leaves as much; None where it cannot be judged.
-        description: where it acts and what it looks like; empty where nothing remains.
-    """
-
-    p_value: float | None
-    description: str = ""
+    p_value: float | None  # probability that noise alone leaves as much; None where it cannot be judged
+    description: str = ""  # where it acts and what it looks like; empty where nothing remains
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

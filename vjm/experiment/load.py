@@ -27,8 +27,6 @@ _SECTIONS: dict[str, Any] = {
     "sensors": table_model(Rig, ("marker_noise", "encoder_noise")),
     "recording": table_model(Recording, required=("file", "role")),
 }
-
-
 _FIELDS: dict[str, Any] = {
     "schema_": (int, Field(alias="schema", ge=1, le=1, description="schema = 1, the only one there is")),
     "name": (str, table_model(Rig, ("name",)).model_fields["name"]),

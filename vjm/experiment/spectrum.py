@@ -154,15 +154,10 @@ def measure_modes(
 
 
 def match(expected: float, measured: Sequence[MeasuredModes], tolerance: float) -> tuple[float, float, float] | None:
-    """Return the measured mode nearest to an expected frequency, averaged over the recordings that show it.
+    """Return the measured mode nearest to an expected frequency [Hz], averaged over the recordings that show it.
 
-    Args:
-        expected: [Hz].
-        measured: one entry a recording.
-        tolerance: largest relative distance.
-
-    Returns:
-        Frequency [Hz], its standard error [Hz] and damping ratio, inverse-variance means; None where no mode is near.
+    The largest relative distance is the tolerance. Frequency [Hz], its standard error [Hz] and the damping ratio are
+    inverse-variance means; None where no mode is near.
     """
     tables = [
         np.stack([modes.frequencies, modes.frequency_std, modes.damping_ratios, modes.damping_std])
@@ -183,13 +178,7 @@ def match(expected: float, measured: Sequence[MeasuredModes], tolerance: float) 
 def mode_shapes(
     time: ArrayLike, signals: ArrayLike, modes: MeasuredModes, torque: tuple[ArrayLike, ArrayLike] | None = None
 ) -> Complex:
-    """Return the deflection shapes of the modes of a recording.
-
-    Args:
-        time: (T,) [s].
-        signals: (T, c) lateral deflections [m]; frames with NaN are left out.
-        modes: m modes found in the recording.
-        torque: as in `measure_modes`.
+    """Return the deflection shapes of the m modes found in a recording; further arguments as in `measure_modes`.
 
     Returns:
         (m, c, r) deflections of the modes' free motion and of their response to each of r - 1 torques, as RMS values

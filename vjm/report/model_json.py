@@ -93,9 +93,6 @@ def model_text(model: Model, covariance: Array | None = None) -> str:
 def load_model(path: Path | str) -> Model:
     """Read the model in a model.json that vjm wrote.
 
-    Args:
-        path: the file.
-
     Raises:
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.
     """
@@ -105,15 +102,12 @@ def load_model(path: Path | str) -> Model:
 def read_model(
     path: Path | str, experiment: Experiment | None = None, effects: Sequence[Effect] = BUILTIN
 ) -> tuple[Model, Array]:
-    """Read a model.json, for the rig that it was written with or for that of another experiment.
+    """Read a model, and the covariance of its estimates (empty where unknown).
 
     Args:
-        path: the file.
+        path: a model.json.
         experiment: gives the rig and its sensors' noise; None: those in the file.
         effects: those that the file may name, absent; beside the built-in ones for instance a user's own.
-
-    Returns:
-        The model, and the covariance of its estimates (empty where unknown).
 
     Raises:
         ModelFileError: no such file, no JSON, or a key that is missing, unknown or wrong; names the key.

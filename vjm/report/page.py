@@ -10,6 +10,7 @@ from functools import cache
 from importlib import resources
 from importlib.metadata import version
 from io import StringIO
+from itertools import compress
 from typing import TYPE_CHECKING, Literal, TextIO
 
 from jinja2 import Environment, StrictUndefined, Template
@@ -44,11 +45,8 @@ class Table:
 
     def without_empty(self, *columns: str) -> Table:
         """Return the table without those of the named columns that hold nothing but dashes."""
-        empty = [name in columns and all(row[k] == UNKNOWN for row in self.rows) for k, name in enumerate(self.headers)]
-        headers, *rows = (
-            tuple(cell for cell, left_out in zip(row, empty, strict=True) if not left_out)
-            for row in (self.headers, *self.rows)
-        )
+        kept = [name not in columns or {row[k] for row in self.rows} - {UNKNOWN} for k, name in enumerate(self.headers)]
+        headers, *rows = (tuple(compress(row, kept)) for row in (self.headers, *self.rows))
         return replace(self, headers=headers, rows=tuple(rows))
 
 

@@ -83,21 +83,13 @@ class RecordingSymptoms:
 
 @dataclass(frozen=True, repr=False)
 class Symptoms(Record):
-    """Symptoms: faults of the simulation, before any cause is named.
-
-    Attributes:
-        rig: the arm.
-        found: all that was looked for, significant or not, the largest share first.
-        recordings: each of them, in the order given.
-        profiles: torques that are missing, against the joints' motion, over all recordings.
-        lag: of the camera behind the encoders, over all recordings [s].
-    """
+    """Faults of the simulation, before any cause is named."""
 
     rig: Rig
-    found: tuple[Symptom, ...]
-    recordings: tuple[RecordingSymptoms, ...]
-    profiles: tuple[JointProfile, ...]
-    lag: Coefficient
+    found: tuple[Symptom, ...]  # all that was looked for, significant or not, the largest share first
+    recordings: tuple[RecordingSymptoms, ...]  # in the order given
+    profiles: tuple[JointProfile, ...]  # torques that are missing, against the joints' motion, over all recordings
+    lag: Coefficient  # of the camera behind the encoders, over all recordings [s]
 
     @classmethod
     def of(

@@ -16,16 +16,7 @@ from vjm.diagnosis.records import Cause, Diagnosis
 from vjm.diagnosis.symptoms.joints import missing_torque
 from vjm.effects.effect import Effect
 from vjm.records import REFERENCE, Array, RecordingComparison, SimulatedRecording
-from vjm.report.figures.panels import (
-    MARKS,
-    Color,
-    PanelFigure,
-    Picture,
-    Spectrum,
-    binned_means,
-    rms_figure,
-    spectrum_panel,
-)
+from vjm.report.figures.panels import MARKS, Color, PanelFigure, Picture, Spectrum, binned_means, rms_figure
 from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, moving_recordings
 from vjm.report.figures.symptoms import symptom_pictures
 from vjm.report.text import capital, clause, millimetres, named, place, recording_label, short
@@ -123,7 +114,7 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
         without, with_it = Spectrum.of(before), Spectrum.of(after)
         if cause.effect.abscissa == "frequency" and without and with_it:
             labelled = zip((without, with_it), _WITHOUT_AND_WITH, (Color.NOMINAL, Color.IDENTIFIED), strict=True)
-            spectrum_panel(left, [*labelled])
+            Spectrum.draw(left, [*labelled])
             left.set_title("Spectrum of the residual")
         else:
             torque = _torque_evidence(cause.effect, model, comparisons)

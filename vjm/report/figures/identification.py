@@ -14,16 +14,7 @@ from scipy import stats
 from vjm.identification.records import Comparison, Identification
 from vjm.records import Array, Estimate, RecordingComparison, Rig
 from vjm.report.figures.measurements import data_pictures
-from vjm.report.figures.panels import (
-    FALSE_ALARM,
-    Color,
-    PanelFigure,
-    Picture,
-    Spectrum,
-    heat_map,
-    rms_figure,
-    spectrum_panel,
-)
+from vjm.report.figures.panels import FALSE_ALARM, Color, PanelFigure, Picture, Spectrum, heatmap, rms_figure
 from vjm.report.figures.signals import Signal, motion_figure, moving_recordings, one_of_each_repeat
 from vjm.report.text import number, recording_label, short
 from vjm.simulation.model import Model
@@ -81,10 +72,7 @@ def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[str, str
 
 
 def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tuple[RecordingComparison, Signal]]:
-    """Return recordings that move, held-out ones first, then by falling residual; no repeats.
-
-    At most two held-out recordings take the place of training ones.
-    """
+    """Return recordings that move, held-out ones first (at most two instead of training ones), worst first."""
     ordered = moving_recordings(rig, comparisons, "simulated")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
     train = [pair for pair in ordered if pair[0].recording.role == "train"]
@@ -143,7 +131,7 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     heads = [name.partition(".")[2] if len(rig.links) == 1 else name.replace(".", " ", 1) for name in names]
     roomy = len(names) <= _MOST_MAP_COLUMNS
     text = (lambda value: f"{value:.0f}" if value >= 10 else f"{value:.2f}") if len(names) <= 28 else None
-    heat_map(axes, table, (colors, norm), (rows, [short(head, 14) for head in heads]), text, 8.5 if roomy else 6.5)
+    heatmap(axes, table, (colors, norm), (rows, [short(head, 14) for head in heads]), text, 8.5 if roomy else 6.5)
     axes.set(xlabel="marker coordinate", ylabel="recording")
     words = [f"{level:g} times the noise" for level in levels]
     words = [f"{words[0]} or less", *words[1:-1], f"{words[-1]} or more"]
@@ -151,10 +139,7 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
 
 
 def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tuple[list[str], Array, Array]:
-    """Return names of the measured coordinates (C), RMS residuals over noise and numbers of values (R, C).
-
-    A marker's two coordinates are pooled where there are too many.
-    """
+    """Return coordinates (C), pooled by marker if too many, RMS residuals over noise and numbers of values (R, C)."""
     residuals = [each.simulated.marker_residual / each.noise[0] for each in comparisons if each.simulated is not None]
     squares = np.stack([np.nansum(residual**2, axis=0) for residual in residuals])  # (R, k, 2)
     counts = np.stack([np.isfinite(residual).sum(axis=0) for residual in residuals])
@@ -180,7 +165,7 @@ def _residual_spectra(model: Model, spectra: Sequence[tuple[RecordingComparison,
         other = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
         drawn = [(other, "torque method", Color.TORQUE)] if other is not None else []
         modes = model.modes(comparison.recording.payload).frequencies
-        spectrum_panel(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
+        Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
         where = _peak(model, comparison, spectrum)
         axes.set_title(
             f"{recording_label(comparison.recording, 20)}: {'noise only' if where is None else f'largest {where}'}"
@@ -230,7 +215,7 @@ def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
     rows = [f"{short(name, 30)}  {k + 1}" for k, name in enumerate(names[:count])]
     columns = [str(k + 1) for k in range(count)]
     colors, norm = colormaps["PuOr_r"], Normalize(-1.0, 1.0)
-    heat_map(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else 6.0)
+    heatmap(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else 6.0)
     axes.set(xlabel="parameter", ylabel="parameter")
     words = ("+1: rise together", "0: independent", "−1: one for the other")
     return page.finish(areas=dict(zip(words, colors(norm([1.0, 0.0, -1.0])), strict=True)))

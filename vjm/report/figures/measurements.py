@@ -222,6 +222,4 @@ def _torque_errors(fit: Identification) -> Figure:
 
 
 def _rms(errors: Array) -> Array:
-    known = np.isfinite(errors)
-    squares: Array = np.sum(errors**2, axis=0, where=known) / np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return np.sqrt(squares)
+    return np.asarray(np.sqrt(np.ma.masked_invalid(errors**2).mean(axis=0).filled(np.nan)))

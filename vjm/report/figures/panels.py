@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import matplotlib as mpl
@@ -125,7 +124,7 @@ class PanelFigure:
             unused.remove()
         return cls(page.figure, [every[:count]])
 
-    def finish(self, areas: Mapping[str, Any] = MappingProxyType({})) -> Figure:
+    def finish(self, areas: Mapping[str, Any] | None = None) -> Figure:
         """Return the figure, laid out, with one legend above the panels.
 
         It tells the colours of `areas`, by label; without any, all that has a label in the panels, areas last.
@@ -134,7 +133,7 @@ class PanelFigure:
         for axes in self.figure.axes:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 labelled.setdefault(label, handle)
-        patches = [Patch(facecolor=color, edgecolor="#bbbbbb", label=label) for label, color in areas.items()]
+        patches = [Patch(facecolor=color, edgecolor="#bbbbbb", label=label) for label, color in (areas or {}).items()]
         is_area = {handle: isinstance(handle, (Patch, Collection)) for handle in labelled.values()}
         shown: list[Artist] = [*patches] or sorted(is_area, key=is_area.__getitem__)
         self.figure.subfigs[0].legend(handles=shown, loc="outside upper left", ncols=min(6, len(shown)))
@@ -162,7 +161,7 @@ def log_scale(axis: Axis, low: float, high: float) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def heat_map(
+def heatmap(
     axes: Axes, table: Array, shades: tuple[Colormap, Normalize], names: tuple[Sequence[str], Sequence[str]],
     text: Callable[[float], str] | None, fontsize: float = 8.5,
 ) -> None:  # fmt: skip
@@ -242,31 +241,33 @@ class Spectrum:
         limit = white * float(stats.chi2.isf(FALSE_ALARM / power.size, freedom)) / freedom
         return cls(frequency[1:-1], np.sqrt(power), float(np.sqrt(white)), float(np.sqrt(limit)))
 
+    @staticmethod
+    def draw(
+        axes: Axes, spectra: Sequence[tuple[Spectrum, str, str]], modes: Array | Sequence[float] = (), unit: str = "µm"
+    ) -> None:
+        """Draw residual spectra of one recording, with labels and colours, and the white noise of the last one.
 
-def spectrum_panel(
-    axes: Axes, spectra: Sequence[tuple[Spectrum, str, str]], modes: Array | Sequence[float] = (), unit: str = "µm"
-) -> None:
-    """Draw residual spectra of one recording, with labels and colours, and the white noise of the last one.
-
-    `modes` are frequencies to mark [Hz]; `unit` is that of a millionth of an amplitude.
-    """
-    for spectrum, label, color in spectra:
-        axes.plot(spectrum.frequency, 1e6 * spectrum.amplitude, color=color, linestyle="-", linewidth=1.0, label=label)
-    last = spectra[-1][0]
-    axes.axhline(1e6 * last.white, color=Color.MEASURED, linewidth=1.6, label="white noise")
-    axes.axhline(
-        1e6 * last.limit, color=Color.MEASURED, linestyle=(0, (4, 2)), linewidth=1.1, label="its limit (99.9 %)"
-    )
-    low, high = float(last.frequency[0]), float(last.frequency[-1])
-    look: dict[str, Any] = {"color": "#a03060", "linestyle": (0, (1, 1.5)), "zorder": 1}
-    for frequency in modes:
-        if low <= frequency <= high:
-            axes.axvline(float(frequency), label="natural frequency of the model", **look)
-    least = min(last.white, *(float(np.quantile(spectrum.amplitude, 0.02)) for spectrum, *_ in spectra))
-    largest = max(last.limit, *(float(spectrum.amplitude.max()) for spectrum, *_ in spectra))
-    log_scale(axes.xaxis, low, high)
-    log_scale(axes.yaxis, 0.7e6 * least, 1.5e6 * largest)
-    axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{unit}]")
+        `modes` are frequencies to mark [Hz]; `unit` is that of a millionth of an amplitude.
+        """
+        for spectrum, label, color in spectra:
+            axes.plot(
+                spectrum.frequency, 1e6 * spectrum.amplitude, color=color, linestyle="-", linewidth=1.0, label=label
+            )
+        last = spectra[-1][0]
+        axes.axhline(1e6 * last.white, color=Color.MEASURED, linewidth=1.6, label="white noise")
+        axes.axhline(
+            1e6 * last.limit, color=Color.MEASURED, linestyle=(0, (4, 2)), linewidth=1.1, label="its limit (99.9 %)"
+        )
+        low, high = float(last.frequency[0]), float(last.frequency[-1])
+        look: dict[str, Any] = {"color": "#a03060", "linestyle": (0, (1, 1.5)), "zorder": 1}
+        for frequency in modes:
+            if low <= frequency <= high:
+                axes.axvline(float(frequency), label="natural frequency of the model", **look)
+        least = min(last.white, *(float(np.quantile(spectrum.amplitude, 0.02)) for spectrum, *_ in spectra))
+        largest = max(last.limit, *(float(spectrum.amplitude.max()) for spectrum, *_ in spectra))
+        log_scale(axes.xaxis, low, high)
+        log_scale(axes.yaxis, 0.7e6 * least, 1.5e6 * largest)
+        axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{unit}]")
 
 
 def marks_panel(

@@ -110,10 +110,7 @@ def moving_axis(markers: Array) -> int:
 
 
 def _few_periods(time: Array, value: Array) -> tuple[float, float]:
-    """Return how long six periods of a signal (F,) are, and how many of them stay apart across a panel [s].
-
-    Of its strongest oscillation; at least 20 frames, and twice as many. Infinite where nothing oscillates.
-    """
+    """Return how long six periods of a signal (F,) are, and how many stay apart in a panel [s]; infinite at rest."""
     if time.size < 40 or np.ptp(value) == 0:
         return np.inf, np.inf
     grid = np.linspace(time[0], time[-1], time.size)

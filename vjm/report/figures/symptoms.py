@@ -23,10 +23,9 @@ from vjm.report.figures.panels import (
     Picture,
     Spectrum,
     binned_means,
-    heat_map,
+    heatmap,
     log_scale,
     marks_panel,
-    spectrum_panel,
 )
 from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, one_of_each_repeat
 from vjm.report.text import number, short
@@ -127,7 +126,7 @@ def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Fi
         # Small differences show as well.
         norm = FuncNorm((lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)), -largest, largest)
         names = [_frequency(found, mode, 2) for mode in modes] + rest
-        heat_map(axes, table, (colors, norm), ([_file(one, 22) for one in rows], names), _signed, 8.0)
+        heatmap(axes, table, (colors, norm), ([_file(one, 22) for one in rows], names), _signed, 8.0)
         axes.tick_params(labelleft=k == 0)
         axes.set(title=heading, xlabel="mode, or outside the modes [Hz]" if rest else "mode [Hz]")
     page.axes[0][0].set_ylabel("recording")
@@ -205,13 +204,10 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
 
 
 def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: int, look: dict[str, Any]) -> None:
-    """Draw measured and simulated values (P, 2): the model's trend, and what is measured beside it.
-
-    What other motion leaks into the windows is the same in both, and goes with their difference. Neighbours in
-    amplitude are averaged by their errors.
-    """
+    """Draw measured and simulated values (P, 2): the model's trend, and what is measured beside it."""
     abscissa = (amplitude / amplitude.max()) ** power
     model = np.polyval(np.polyfit(abscissa, pairs[:, 1], 1, w=1 / std), abscissa)
+    # What other motion leaks into the windows is the same in both, and goes with their difference.
     measured = model + pairs[:, 0] - pairs[:, 1]
     place, shown, errors = binned_means(amplitude, measured, min(8, amplitude.size // 2), std)
     clear = errors <= 4 * np.median(errors)  # of the others nothing could be seen
@@ -320,7 +316,7 @@ def _quiet(title: str, _: Symptoms, shown: Sequence[tuple[RecordingSymptoms, Sen
     page = PanelFigure.grid(title, len(shown), (2.5, 2.5))
     for axes, (one, rest, spectrum) in zip(page.axes[0], shown, strict=True):
         unit = "µm" if rest.channels.unit == "m" else "µrad"
-        spectrum_panel(axes, [(spectrum, "residual at rest", Color.IDENTIFIED)], unit=unit)
+        Spectrum.draw(axes, [(spectrum, "residual at rest", Color.IDENTIFIED)], unit=unit)
         if rest.tone is not None:
             peak = 1.25e6 * float(np.interp(rest.tone.frequency, spectrum.frequency, spectrum.amplitude))
             axes.plot(rest.tone.frequency, peak, "v", color=Color.NOMINAL, label="a tone")
