@@ -26,14 +26,13 @@ from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
-from vjm.identification.trajectory_method import TrajectoryMethod, first_fit
+from vjm.identification.trajectory_method import TrajectoryMethod, first_fit, simulatable
 from vjm.model.dynamics import Mechanism
 from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, simulate_runs
-from vjm.simulation.system import measured_torque
 
 _LEAST_JOINTS = 8  # of a link: the third mode's frequency is then right to about one per cent (error of order 1/n^2)
 _LARGER_NOISE = 1.1  # times the noise given, from which the measured one is used: its own error is below 10 %
@@ -91,22 +90,15 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
 
 def _further_recordings(
     experiment: Experiment, search: TrajectoryMethod
-) -> tuple[list[Observations], list[Observations], list[str]]:
+) -> tuple[list[Observations], list[Observations], tuple[str, ...]]:
     """Training recordings not yet fitted: those at rest, those that may have changed; and why others are not usable."""
     train = [recording for recording in experiment.cleaned_recordings if recording.role == "train"]
     fitted = {observed.recording.file for observed in search.observed}
     referenced = any(recording.condition == REFERENCE for recording in train)
+    usable, problems = simulatable([recording for recording in train if recording.file not in fitted])
     resting: list[Observations] = []
     changed: list[Observations] = []
-    problems: list[str] = []
-    for recording in train:
-        if recording.file in fitted:
-            continue
-        try:
-            measured_torque(recording)
-        except InsufficientDataError as error:
-            problems.append(str(error))
-            continue
+    for recording in usable:
         observed = Observations.of(experiment.rig, recording, search.observed[0].noise)
         (changed if referenced and recording.condition != REFERENCE else resting).append(observed)
     return resting, changed, problems

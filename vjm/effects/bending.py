@@ -41,8 +41,8 @@ class StructuralDamping(LinkEffect):
 
     def matrix(self, chain: Chain, payload: float) -> Array:
         """Return (nv, nv) C = M Phi diag(loss_factor omega) Phi^T M of the chain's modes at rest [N m s/rad]."""
-        M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
-        modes = modes_of(M, D, K, rest)
+        M, D, K, _ = linearise(chain, payload, (0.0, 0.0))
+        modes = modes_of(M, D, K)
         energies = np.diag(K)[:, None] * modes.shapes**2
         shares = energies[self.virtual_joints(chain)].sum(axis=0) / energies.sum(axis=0)
         momenta, fastest = M @ modes.shapes, _FASTEST / self.units(chain)[2]

@@ -52,16 +52,11 @@ class Parametrisation:
     Stiffness, damping and hub inertia are multiples of the template's scale, in which the torque errors are linear.
     Lengths and masses are logarithms of ratios to the last one, so that they stay positive and keep their total;
     centres and inertias are logits of their fractions of the possible range.
-
-    Attributes:
-        template: the chain at the starting values.
-        kind: `uniform`, `joints`, `lengths` or `full`.
-        hubs: indices of the links whose hub inertia is identified.
     """
 
-    template: Chain
-    kind: str
-    hubs: tuple[int, ...]
+    template: Chain  # at the starting values
+    kind: str  # `uniform`, `joints`, `lengths` or `full`
+    hubs: tuple[int, ...]  # indices of the links whose hub inertia is identified
 
     @cached_property
     def coordinates(self) -> tuple[_Coordinate, ...]:

@@ -88,7 +88,7 @@ class JointChoice:
     requested: bool = False  # True if a user asked for this n
 
     @classmethod
-    def of(cls, link: Link, visible: int, joints: int | None = None) -> Self:
+    def of(cls, link: Link, visible: int, joints: int | None = None, requested: bool = False) -> Self:
         """Choose the smallest n whose chain has the frequencies of the `visible` slowest modes right to 0.1 %.
 
         The link has its nominal values, is the only one and its active joint is free. Of given `joints` only the error
@@ -99,10 +99,10 @@ class JointChoice:
             return modes(Chain(link.name, (uniform_chain(link, layout(link.length, n)),))).frequencies[:visible]
 
         exact = frequencies(2 * _MOST_JOINTS)
-        choice = cls(joints or _MOST_JOINTS, np.inf)
+        choice = cls(joints or _MOST_JOINTS, np.inf, requested)
         for n in range(visible + 1, _MOST_JOINTS + 1) if joints is None else [joints]:
             found = frequencies(n)
-            choice = cls(n, float(np.max(np.abs(found / exact[: found.size] - 1))))
+            choice = cls(n, float(np.max(np.abs(found / exact[: found.size] - 1))), requested)
             if choice.error < FREQUENCY_TOLERANCE:
                 break
         return choice
@@ -257,8 +257,8 @@ def _choose_joints(link: Link, order: int, parameters: str, requested: int | Non
     Fixed lengths need two joints more than there are modes to carry those modes well; free lengths need none.
     """
     distinct = min(order + 2 if parameters == "joints" else order, len(link.markers))
-    choice = JointChoice.of(link, order, requested or (None if parameters == "uniform" else distinct))
-    return replace(choice, requested=requested is not None)
+    joints = requested or (None if parameters == "uniform" else distinct)
+    return JointChoice.of(link, order, joints, requested is not None)
 
 
 def _prepare(

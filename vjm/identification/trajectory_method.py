@@ -84,9 +84,8 @@ class TrajectoryMethod:
     def joint_choices(self, fit: TrajectoryFit) -> tuple[JointChoice, ...]:
         """Return a fit's numbers of joints with their discretisation errors."""
         links = zip(self.data.rig.links, self.data.shape.orders, fit.point.chain.links, strict=True)
-        choices = [JointChoice.of(link, order, own.virtual_joints) for link, order, own in links]
         requested = all(choice.requested for choice in self.data.joints)
-        return tuple(replace(choice, requested=requested) for choice in choices)
+        return tuple(JointChoice.of(link, order, own.virtual_joints, requested) for link, order, own in links)
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
         """The problem of uniform links with so many joints."""
@@ -143,7 +142,13 @@ def first_fit(
         InsufficientDataError: no recording can be simulated.
         SimulationDivergedError: no start can be simulated.
     """
-    recordings, problems = _simulatable(data.recordings)
+    recordings, problems = simulatable(data.recordings)
+    if not recordings:
+        raise InsufficientDataError(
+            "method trajectory",
+            "no torque was measured at the active joints of any training recording, so none can be simulated",
+            "record the column LINK.tau, or use method 'torque'",
+        )
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_torque(data, progress=progress) if data.prepared else None
     rough = rough or data.parameters != "uniform"
@@ -158,8 +163,8 @@ def first_fit(
     return search, fit
 
 
-def _simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """The recordings whose torques are known, and what is wrong with the others."""
+def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
+    """Return the recordings whose torques are known, and what is wrong with the others."""
     kept, problems = [], []
     for recording in recordings:
         try:
@@ -167,12 +172,6 @@ def _simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tupl
             kept.append(recording)
         except InsufficientDataError as error:
             problems.append(str(error))
-    if not kept:
-        raise InsufficientDataError(
-            "method trajectory",
-            "no torque was measured at the active joints of any training recording, so none can be simulated",
-            "record the column LINK.tau, or use method 'torque'",
-        )
     return kept, tuple(problems)
 
 

@@ -25,15 +25,11 @@ _SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e
 
 @dataclass(frozen=True)
 class Information:
-    """Information of weighted residuals r with derivatives J on p coordinates.
+    """Information of weighted residuals r with derivatives J on p coordinates."""
 
-    Attributes:
-        normal: (p, p) J^T J, initial states eliminated.
-        score_covariance: (p, p) covariance of the scores J^T r; equal to `normal` where the residuals are white noise
-            of the standard deviation they were weighted with.
-    """
-
-    normal: Array
+    normal: Array  # (p, p) J^T J, initial states eliminated
+    # (p, p) of the scores J^T r; equal to `normal` where the residuals are white noise of the standard deviation they
+    # were weighted with.
     score_covariance: Array
 
     @classmethod

@@ -24,20 +24,14 @@ AngleMethod = Literal["curvature", "curve", "points"]
 
 @dataclass(frozen=True)
 class ShapeSettings:
-    """Settings of shape functions and of the angles taken from them.
+    """Settings of shape functions and of the angles taken from them."""
 
-    Attributes:
-        family: of the shape functions.
-        orders: for each link, the number of functions.
-        method: `curvature`: shape over arc length, phi = cell times curvature; `curve`: the chain's own curve, which
-            needs a marker a joint; `points`: shape over measured position and representative points, as in the paper.
-        robust: Huber weights against wild markers.
-    """
-
-    family: str
-    orders: tuple[int, ...]
+    family: str  # of the shape functions
+    orders: tuple[int, ...]  # for each link, the number of functions
+    # `curvature`: shape over arc length, phi = cell times curvature; `curve`: the chain's own curve, which needs a
+    # marker a joint; `points`: shape over measured position and representative points, as in the paper.
     method: AngleMethod = "curvature"
-    robust: bool = False
+    robust: bool = False  # Huber weights against wild markers
 
 
 @dataclass(frozen=True, repr=False)

@@ -153,11 +153,7 @@ def _weighted_least_squares(functions: Array, values: Array, weight: Array) -> A
 def choose_order(x: ArrayLike, y: ArrayLike, length: float, family: str = "cantilever") -> int:
     """Return the number of shape functions, at most k - 1, that predicts left-out markers best (cross-validation).
 
-    Args:
-        x: (k,) arc lengths of the markers [m].
-        y: (T, k) lateral positions [m]; frames with missing markers are left out.
-        length: l of the link [m].
-        family: of the shape functions.
+    Markers are at arc lengths x (k,) [m]; frames of their lateral positions y (T, k) [m] that miss some are left out.
     """
     places, lateral = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     complete = lateral[np.isfinite(lateral).all(axis=1)]

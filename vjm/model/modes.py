@@ -24,7 +24,6 @@ class Modes:
     frequencies: Array  # (m,) undamped natural frequencies [Hz]
     damping_ratios: Array  # (m,) fractions of critical damping
     shapes: Array  # (nv, m) joint angles of each mode, with modal mass one
-    equilibrium: Array  # (nv,) joint angles about which the chain was linearised [rad]
 
 
 def linearise(
@@ -74,14 +73,12 @@ def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
     return q
 
 
-def modes(
-    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
-) -> Modes:
+def modes(chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> Modes:
     """Return the vibration modes of the chain with its active joints free to turn; arguments as of `linearise`."""
-    return modes_of(*linearise(chain, payload, gravity, theta))
+    return modes_of(*linearise(chain, payload, gravity)[:3])
 
 
-def modes_of(M: Array, D: Array, K: Array, equilibrium: Array) -> Modes:
+def modes_of(M: Array, D: Array, K: Array) -> Modes:
     """Return the modes of M x'' + D x' + K x = 0; the damping of a mode is its share of D (exact for light damping).
 
     Raises:
@@ -95,4 +92,4 @@ def modes_of(M: Array, D: Array, K: Array, equilibrium: Array) -> Modes:
     omega = np.sqrt(squares[kept])
     shapes = shapes[:, kept]
     ratios = np.einsum("im,ij,jm->m", shapes, D, shapes) / (2 * omega)
-    return Modes(omega / (2 * np.pi), ratios, shapes, equilibrium)
+    return Modes(omega / (2 * np.pi), ratios, shapes)

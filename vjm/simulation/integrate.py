@@ -118,9 +118,9 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
 
 def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
     """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
-    M, D, K, rest = linearise(chain, payload, (0.0, 0.0))
+    M, D, K, _ = linearise(chain, payload, (0.0, 0.0))
     p = chain.passive
-    frequencies = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)], rest[p]).frequencies
+    frequencies = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)]).frequencies
     return float(frequencies[0]), float(frequencies[-1])
 
 
