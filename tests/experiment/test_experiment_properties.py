@@ -82,10 +82,11 @@ def test_junk_in_the_experiment_file(data: st.DataObject) -> None:
 def test_fast_and_slow_path_agree(table: list[list[str]]) -> None:
     body = "\n".join(",".join(line) for line in table).rstrip("\r\n")
     columns = ("a", "b")
-    fast = _parse_at_once(body.encode(), columns) if body.strip() else None
-    if fast is None:
+    parsed = _parse_at_once(body.encode(), columns) if body.strip() else None
+    if parsed is None:
         return
-    slow = _parse_row_by_row(Path("a.csv"), columns, body)[0]
+    (fast, lines), (slow, slow_lines) = parsed, _parse_row_by_row(Path("a.csv"), columns, body)
+    assert lines.tolist() == slow_lines.tolist()
     np.testing.assert_array_max_ulp(fast[np.isfinite(fast)], slow[np.isfinite(slow)], maxulp=1)
     np.testing.assert_array_equal(np.isnan(fast), np.isnan(slow))
 

@@ -19,14 +19,7 @@ _STATUS = "Exit status: 0 done, 2 the input is unusable, 130 interrupted, 1 anyt
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        argv: the arguments; those of the process when None.
-
-    Returns:
-        Exit status: 0 done, 2 the input is unusable, 130 interrupted, 1 anything else.
-    """
+    """Run the command line, with the process's own arguments where `argv` is None, and return its exit status."""
     try:
         arguments = _parse(argv)
         if not sys.warnoptions:

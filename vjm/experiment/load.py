@@ -156,11 +156,7 @@ def _read_recording(file: Path, table: dict[str, Any], rig: Rig) -> Recording:
     check_columns(file, columns, rig, table["kind"], row=1)
     if not body or body.isspace():
         raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
-    values = _parse_at_once(body, columns)
-    if values is None:
-        values, lines = _parse_row_by_row(file, columns, body.decode("utf-8"))
-    else:
-        lines = np.arange(2, len(values) + 2, dtype=np.intp)
+    values, lines = _parse_at_once(body, columns) or _parse_row_by_row(file, columns, body.decode("utf-8"))
     try:
         return Recording.from_dataframe(pd.DataFrame(values, columns=list(columns)), rig, **table)
     except RecordingError as error:
@@ -198,8 +194,8 @@ def _split_header(file: Path, header: str) -> tuple[str, ...]:
     return names
 
 
-def _parse_at_once(body: bytes, columns: tuple[str, ...]) -> Array | None:
-    """Return the (T, c) values of a body whose every line is a full row of finite numbers; None for any other body."""
+def _parse_at_once(body: bytes, columns: tuple[str, ...]) -> tuple[Array, Indices] | None:
+    """Return the (T, c) values and their lines if every line is a full row of finite numbers; None otherwise."""
     separators = body.translate(None, b"0123456789+-.eE \t\r") + b"\n"  # and whatever does not belong in a number
     line = b"," * (len(columns) - 1) + b"\n"
     if separators != line * (len(separators) // len(columns)) or body.count(b"\r") != body.count(b"\r\n"):
@@ -211,11 +207,11 @@ def _parse_at_once(body: bytes, columns: tuple[str, ...]) -> Array | None:
     except ValueError:  # a cell such as 1-2: the slow path says where
         return None
     values = frame.to_numpy(dtype=np.float64)
-    return None if np.isinf(values).any() else values
+    return None if np.isinf(values).any() else (values, np.arange(2, len(values) + 2, dtype=np.intp))
 
 
 def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str) -> tuple[Array, Indices]:
-    """Read text that has a fault, quotes, or blank lines; locate the fault."""
+    """Return (T, c) values and their lines of text that has quotes, blank lines, or a fault, which is located."""
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[list[float]] = []
     lines: list[int] = []

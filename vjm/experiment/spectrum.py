@@ -53,11 +53,9 @@ def _white_noise(samples: Array) -> float:
 
 
 class Oscillators:
-    """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants.
+    """Basis functions of oscillators with given frequencies and damping ratios, at the camera's instants (T,) [s].
 
-    Args:
-        time: (T,) [s].
-        torque: instants (U,) [s] and torques (U, n_a) [N m]; None for free motion.
+    The torque is instants (U,) [s] and torques (U, n_a) [N m]; None for free motion.
     """
 
     def __init__(self, time: Array, torque: tuple[ArrayLike, ArrayLike] | None) -> None:

@@ -27,18 +27,13 @@ _ESTIMATED = ("value", "std", "unit")
 
 
 def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
-    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'.
-
-    A link's bending stiffness EI is the estimate `LINK.bending_stiffness` where there is one; else the mean over the
-    virtual joints of stiffness times cell, the cells being taken as known. A standard error is None where a value rests
-    on nothing that was estimated. Without a covariance (p, p), the estimates count as uncorrelated.
-    """
+    """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'."""
     known = _uncertain(estimates, covariance)
     return {"links": [_link(link, known) for link in chain.links]}
 
 
 def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, Uncertain]:
-    """Return the estimates that have a standard error by name, correlated as their covariance says."""
+    """Return the estimates that have a standard error by name, uncorrelated where there is no covariance (p, p)."""
     estimated = [estimate for estimate in estimates if estimate.std is not None and math.isfinite(estimate.std)]
     stds = np.array([estimate.std for estimate in estimated], dtype=float)
     if covariance is None or covariance.shape != (stds.size, stds.size) or not np.isfinite(covariance).all():
@@ -49,12 +44,14 @@ def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[
 
 
 def _std(value: Uncertain) -> float | None:
+    """Return a standard error; None where a value rests on nothing that was estimated."""
     return float(value.std_dev) if isinstance(value, uncertainties.UFloat) else None
 
 
 def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
     names = [f"{link.name}.stiffness_{j + 1}" for j in range(link.virtual_joints)]
     joints = [known.get(name, float(K)) for name, K in zip(names, link.stiffness, strict=True)]
+    # EI is an estimate, or the mean over the virtual joints of stiffness times cell, the cells being taken as known.
     mean = sum(K * float(cell) for K, cell in zip(joints, link.cells, strict=True)) / link.virtual_joints
     bending = known.get(f"{link.name}.bending_stiffness", mean)
     fields = {"length": link.lengths, "mass_center": link.mass_centers, "mass": link.masses, "inertia": link.inertias}

@@ -89,11 +89,11 @@ def joint_profiles(
     alike: dict[tuple[str, str, int], list[JointProfile]] = {}
     for profile in (profile for own in profiles for profile in own if profile.quantity != "residual"):
         alike.setdefault((profile.sensor, profile.quantity, profile.others.shape[1]), []).append(profile)
-    names = ("values", "std", "position", "velocity", "direction", "groups", "others", "recording")
     pooled = []
-    for members in alike.values():
+    for members in (members for members in alike.values() if len(members) > 1):
+        names = [name for name, value in vars(members[0]).items() if isinstance(value, np.ndarray)]
         arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in members]) for name in names}
-        pooled += [replace(members[0], **arrays)] if len(members) > 1 else []
+        pooled.append(replace(members[0], **arrays))
     return profiles, tuple(pooled)
 
 
