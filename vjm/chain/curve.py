@@ -100,16 +100,13 @@ def rotate(vectors: Array, angle: Array) -> Array:
 def marker_poses(
     chain: Chain, q: ArrayLike, arcs: Sequence[Array], in_link_frame: Sequence[bool]
 ) -> tuple[Array, Array]:
-    """Return markers on the curves of a chain, all links' one after another.
+    """Return the markers of all links: positions (..., k, 2) [m], and headings of the curves there (..., k) [rad].
 
     Args:
         chain: the arm.
         q: (..., nv) joint angles [rad].
         arcs: for each link, (k_i,) the arc lengths of its markers [m].
         in_link_frame: for each link, whether its markers are wanted in its own frame instead of the base frame.
-
-    Returns:
-        Positions (..., k, 2) [m], and headings (..., k) of the curve there [rad].
     """
     angles = np.asarray(q, dtype=float)
     # Of the link's frame Sigma_i in the base frame (eq. 9), active angle included.

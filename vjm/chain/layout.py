@@ -44,17 +44,11 @@ _SINGLE_DISTAL = 9 / _ROOT**4
 
 @dataclass(frozen=True)
 class Layout:
-    """Virtual links and joints of one flexible link.
+    """Virtual links and joints of one flexible link."""
 
-    Attributes:
-        lengths: (n + 1,) virtual links [m].
-        cells: (n,) length of beam each virtual joint stands for [m]; its nominal stiffness is EI / cells.
-        distal: whether the distal end is `free` of moment, or `joined` to a further link.
-    """
-
-    lengths: Array
-    cells: Array
-    distal: Distal = "free"
+    lengths: Array  # (n + 1,) virtual links [m]
+    cells: Array  # (n,) length of beam each virtual joint stands for [m]; its nominal stiffness is EI / cells
+    distal: Distal = "free"  # of moment, or `joined` to a further link
 
 
 Cuts = Layout | LinkChain  # what says where a link is cut

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import deepcopy
 from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass, replace
 from functools import cache
@@ -51,8 +51,8 @@ def check_effect(effect: Effect, seed: int = 0) -> None:
     Raises:
         EffectError: the first clause that is broken, what was found and what was expected.
     """
-    for clause, law in _LAWS.items():
-        _hold(effect, clause, law(effect, seed))
+    for law in _LAWS:
+        _hold(effect, law.__name__.removeprefix("_"), law(effect, seed))
         if not _overridden(effect):
             return  # a name for something that is no physics
 
@@ -467,13 +467,4 @@ def _fitted(start: CandidateFit, bench: _Bench, true: Effect) -> Effect | None:
     return None if best is None else best.effects[0]
 
 
-_LAWS: Mapping[str, Callable[[Effect, int], _Law]] = {
-    "form": _form,
-    "coordinates": _coordinates,
-    "null": _null,
-    "hooks": _hooks,
-    "inputs": _inputs,
-    "action": _action,
-    "energy": _energy,
-    "recovery": _recovery,
-}
+_LAWS = (_form, _coordinates, _null, _hooks, _inputs, _action, _energy, _recovery)

@@ -33,34 +33,22 @@ _UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "Hz": (0, 0, -1), "N"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect.
+    """One parameter of an effect."""
 
-    Attributes:
-        unit: SI; empty without one.
-        typical_magnitude: typical difference from `null` (the value itself if reciprocal or a shape parameter).
-        null: value at which the effect is absent; NaN for a shape parameter, which is irrelevant then.
-        lower, upper: bounds of the value.
-        grid: values of a shape parameter from which searches start.
-        reciprocal: the effect grows with one over the value, whose null is infinite.
-        integer: it is a whole number, which is never varied in a fit.
-        from_spectrum: searches start from peaks of the residuals' spectrum instead of the grid [Hz].
-        in_rig_units: typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length
-            l, its mass m and the time (m l^3 / EI)^(1/2). In these units all uniform beams have the same equation of
-            motion; the first natural frequency of a clamped one is 0.56.
-        name: as in the class.
-    """
-
-    unit: str
-    typical_magnitude: float
-    null: float
-    lower: float = -np.inf
+    unit: str  # SI; empty without one
+    typical_magnitude: float  # difference from `null` (the value itself if reciprocal or a shape parameter)
+    null: float  # value at which the effect is absent; NaN for a shape parameter, which is irrelevant then
+    lower: float = -np.inf  # bounds of the value
     upper: float = np.inf
-    grid: tuple[float, ...] = ()
-    reciprocal: bool = False
-    integer: bool = False
-    from_spectrum: bool = False
+    grid: tuple[float, ...] = ()  # values of a shape parameter from which searches start
+    reciprocal: bool = False  # the effect grows with one over the value, whose null is infinite
+    integer: bool = False  # it is a whole number, which is never varied in a fit
+    from_spectrum: bool = False  # searches start from peaks of the residuals' spectrum instead of the grid [Hz]
+    # Typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length l, its mass m
+    # and the time (m l^3 / EI)^(1/2). In these units all uniform beams have the same equation of motion; the first
+    # natural frequency of a clamped one is 0.56.
     in_rig_units: bool = False
-    name: str = ""
+    name: str = ""  # as in the class
 
     @property
     def shape_parameter(self) -> bool:

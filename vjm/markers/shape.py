@@ -21,7 +21,9 @@ FAMILIES: tuple[str, ...] = get_args(FamilyName)
 
 
 def basis(family: str, order: int, x: ArrayLike, length: float, derivative: int = 0) -> Array:
-    """Return the basis functions Y_1 .. Y_order, or one of their derivatives by x.
+    """Return the basis functions Y_1 .. Y_order (..., order), or a derivative of theirs by x [m^-derivative].
+
+    They are scaled so that each is of order one at the tip.
 
     Args:
         family: `polynomial`, x^1 .. x^order as in the paper's eq. (2); `clamped-polynomial`, x^2 .. x^(order + 1), with
@@ -31,9 +33,6 @@ def basis(family: str, order: int, x: ArrayLike, length: float, derivative: int 
         x: (...) places along the link [m].
         length: l of the link [m].
         derivative: 0, 1 or 2.
-
-    Returns:
-        (..., order), scaled so that each function is of order one at the tip [m^-derivative].
     """
     scaled = np.asarray(x, dtype=float)[..., None] / length
     return _FUNCTIONS[family](scaled, np.arange(1, order + 1), derivative) / length**derivative

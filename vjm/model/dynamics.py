@@ -158,19 +158,16 @@ def torque_errors(
     payload: float = 0.0,
     gravity: tuple[float, float] | None = None,
 ) -> Array:
-    """Return active and passive torque errors (eq. 14), from one batched RNEA.
+    """Return active and passive torque errors (eq. 14), (T, nv) in the chain's order [N m], from one batched RNEA.
 
     tau_ea = tau_a - M11 theta'' - M12 phi'' - h1 and tau_ep = -(M21 theta'' + M22 phi'' + h2 + K phi + D phi').
 
     Args:
         chain: the arm.
         q, v, a: (T, nv) angles [rad], rates [rad/s], accelerations [rad/s^2].
-        torque: (T, n_a) active joint torques [N m]; NaN where not measured.
+        torque: (T, n_a) active joint torques [N m]; NaN where not measured, as errors of these rows are.
         payload: extra point mass on the tip [kg].
         gravity: in the plane [m/s^2]; the chain's when None.
-
-    Returns:
-        (T, nv) errors in the chain's order [N m]; NaN on active rows without measured torque.
 
     Raises:
         ShapeError: arrays that do not fit the chain.

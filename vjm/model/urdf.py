@@ -183,8 +183,7 @@ def _hub_shape(link: LinkChain) -> _Shape:
 def _section(link: LinkChain) -> tuple[float, float]:
     """Width (along z) and thickness (along y) [m]; 2 % of the length where unknown: planar motion cannot tell."""
     default = 0.02 * link.length
-    width = default if link.width is None else float(link.width)
-    return width, default if link.thickness is None else float(link.thickness)
+    return float(link.width or default), float(link.thickness or default)
 
 
 def _check(chain: Chain, friction: Mapping[str, float]) -> None:
