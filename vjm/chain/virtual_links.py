@@ -25,52 +25,32 @@ class LinkChain(Record):
     Virtual link 0 starts at the proximal end, along the x axis of the link frame Sigma_i; virtual joint j
     (from 1) sits between virtual links j - 1 and j.
 
-    Attributes:
-        name: the flexible link's name.
-        joint: `revolute`, an active joint at the proximal end, or `clamped`.
-        lengths: (n + 1,) length l of each virtual link [m].
-        masses: (n + 1,) mass m of each virtual link [kg].
-        mass_centers: (n + 1,) distance of the centre of mass from the virtual link's proximal end [m].
-        inertias: (n + 1,) moment of inertia about the centre of mass [kg m^2].
-        stiffness: (n,) K of each virtual joint [N m/rad].
-        damping: (n,) D of each virtual joint [N m s/rad].
-        cells: (n,) length of beam whose bending each virtual joint stands for [m]: phi_j = cells_j kappa(s_j).
-        hub_inertia: about the active joint's axis [kg m^2].
-        payload: point mass at the distal end [kg].
-        distal: `free`, the distal end carries no moment, or `joined`, another link is driven from there.
-        joint_stiffness, joint_damping: of the active joint, back to zero [N m/rad] and viscous [N m s/rad].
-        root_stiffness: of a passive joint between the hub, or the ground, and virtual link 0 [N m/rad]; None: there is
-            no such joint.
-        root_damping: of that joint [N m s/rad].
-        root_inertia: of what turns with virtual link 0 beyond that joint, about its axis [kg m^2].
-        rest_curvature: of the unloaded link, an arc [1/m]; the virtual joints' angles are measured from there.
-        width: parallel to the joint axes [m], for pictures; None where unknown.
-        thickness: in the bending plane [m], for pictures; None where unknown.
-
     Raises:
         ShapeError: arrays whose sizes do not fit, or values out of range.
     """
 
-    name: str
-    joint: Literal["revolute", "clamped"]
-    lengths: _Values
-    masses: _Values
-    mass_centers: _Values
-    inertias: _Values
-    stiffness: _Values
-    damping: _Values
-    cells: _Values
-    hub_inertia: _NotNegative = 0.0
-    payload: _NotNegative = 0.0
-    distal: Distal = "free"
-    joint_stiffness: _NotNegative = 0.0
-    joint_damping: _NotNegative = 0.0
+    name: str  # the flexible link's
+    joint: Literal["revolute", "clamped"]  # an active joint at the proximal end, or none
+    lengths: _Values  # (n + 1,) length l of each virtual link [m]
+    masses: _Values  # (n + 1,) mass m of each virtual link [kg]
+    mass_centers: _Values  # (n + 1,) distance of the centre of mass from the virtual link's proximal end [m]
+    inertias: _Values  # (n + 1,) moment of inertia about the centre of mass [kg m^2]
+    stiffness: _Values  # (n,) K of each virtual joint [N m/rad]
+    damping: _Values  # (n,) D of each virtual joint [N m s/rad]
+    cells: _Values  # (n,) length of beam whose bending each virtual joint stands for [m]: phi_j = cells_j kappa(s_j)
+    hub_inertia: _NotNegative = 0.0  # about the active joint's axis [kg m^2]
+    payload: _NotNegative = 0.0  # point mass at the distal end [kg]
+    distal: Distal = "free"  # the distal end carries no moment, or `joined`: another link is driven from there
+    joint_stiffness: _NotNegative = 0.0  # of the active joint, back to zero [N m/rad]
+    joint_damping: _NotNegative = 0.0  # of the active joint, viscous [N m s/rad]
+    # Of a passive joint between the hub, or the ground, and virtual link 0 [N m/rad]; None: there is no such joint.
     root_stiffness: _NotNegative | None = None
-    root_damping: _NotNegative = 0.0
-    root_inertia: _NotNegative = 0.0
+    root_damping: _NotNegative = 0.0  # of that joint [N m s/rad]
+    root_inertia: _NotNegative = 0.0  # of what turns with virtual link 0 beyond that joint, about its axis [kg m^2]
+    # Of the unloaded link, an arc [1/m]; the virtual joints' angles are measured from there.
     rest_curvature: float = 0.0
-    width: _Positive | None = None
-    thickness: _Positive | None = None
+    width: _Positive | None = None  # parallel to the joint axes [m], for pictures; None where unknown
+    thickness: _Positive | None = None  # in the bending plane [m], for pictures; None where unknown
 
     def __post_init__(self) -> None:
         n = np.size(self.stiffness)
@@ -143,16 +123,11 @@ class Chain(Record):
 
     Coordinates q run from the base outwards: for each link its active angle theta (revolute links only), the angle of
     its root joint (where there is one), then its virtual joints' angles phi.
-
-    Attributes:
-        name: of the arm.
-        links: from the base outwards.
-        gravity: in the plane, (x, y) of the base frame [m/s^2].
     """
 
-    name: str
-    links: Annotated[tuple[LinkChain, ...], Field(min_length=1)]
-    gravity: tuple[float, float] = (0.0, 0.0)
+    name: str  # of the arm
+    links: Annotated[tuple[LinkChain, ...], Field(min_length=1)]  # from the base outwards
+    gravity: tuple[float, float] = (0.0, 0.0)  # in the plane, (x, y) of the base frame [m/s^2]
 
     @property
     def size(self) -> int:

@@ -130,16 +130,13 @@ def shape_parameter(unit: str, typical_magnitude: float, lower: float = 0.0, **a
 
 @dataclass(frozen=True)
 class Effect:
-    """Something that a model may lack; a subclass adds parameters and overrides the hooks it needs.
+    """Something that a model may lack; a subclass adds parameters and overrides the hooks it needs."""
 
-    Attributes:
-        link: index of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
-        rig_units: length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
-        smooth: True in an arm whose derivatives are taken: what sticks or touches then does so gradually.
-    """
-
+    # Index of the link, or of the joint at its proximal end, where it acts; None for what is camera-wide.
     link: int | None = field(default=None, kw_only=True)
+    # Length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
+    # True in an arm whose derivatives are taken: what sticks or touches then does so gradually.
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
     # The class's name in snake case where it is not given.
@@ -397,12 +394,9 @@ class JointEffect(LinkEffect):
 
 @dataclass(frozen=True)
 class ColumnEffect(JointEffect):
-    """An effect on an active joint's column of recorded torques or angles.
+    """An effect on an active joint's column of recorded torques or angles."""
 
-    Attributes:
-        column: its number; None: the link's index, right if no link before it is clamped.
-    """
-
+    # Its number; None: the link's index, right if no link before it is clamped.
     column: int | None = field(default=None, kw_only=True)
 
     # The field of a recording that has the column.

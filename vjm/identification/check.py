@@ -28,23 +28,15 @@ _MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
 
 @dataclass(frozen=True, repr=False)
 class Check(Result):
-    """Doubts about an experiment, and which parameters its recordings determine.
-
-    Attributes:
-        experiment: the experiment.
-        warnings: what is wrong or doubtful.
-        modes: (m,) natural frequencies expected from the nominal values [Hz].
-        virtual_joints: n of each link that `identify` would take; empty where nothing can be identified.
-        identifiable: for each parametrisation, the parameters and whether the training recordings determine them.
-        problem: why nothing can be identified; empty where something can.
-    """
+    """Doubts about an experiment, and which parameters its recordings determine."""
 
     experiment: Experiment
-    warnings: tuple[str, ...]
-    modes: Array
-    virtual_joints: tuple[int, ...]
+    warnings: tuple[str, ...]  # what is wrong or doubtful
+    modes: Array  # (m,) natural frequencies expected from the nominal values [Hz]
+    virtual_joints: tuple[int, ...]  # n of each link that `identify` would take; empty where nothing can be identified
+    # For each parametrisation, the parameters and whether the training recordings determine them.
     identifiable: dict[str, tuple[Estimate, ...]]
-    problem: str = ""
+    problem: str = ""  # why nothing can be identified; empty where something can
 
 
 def check(experiment: Experiment) -> Check:

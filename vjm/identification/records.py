@@ -20,22 +20,14 @@ METHODS: tuple[str, ...] = get_args(Method)
 
 @dataclass(frozen=True)
 class ModeComparison:
-    """One natural mode, of the model and as measured (the paper's Table 2).
+    """One natural mode, of the model and as measured (the paper's Table 2)."""
 
-    Attributes:
-        frequency_model: [Hz].
-        frequency_measured: [Hz]; None where the recordings do not show the mode.
-        frequency_std: standard error of the measured frequency [Hz].
-        damping_model: fraction of critical.
-        damping_measured: fraction of critical; None where not measured.
-        mac: modal assurance criterion of the two shapes at the markers, one where they agree; None where not measured.
-    """
-
-    frequency_model: float
-    frequency_measured: float | None
-    frequency_std: float | None
-    damping_model: float
-    damping_measured: float | None
+    frequency_model: float  # [Hz]
+    frequency_measured: float | None  # [Hz]; None where the recordings do not show the mode
+    frequency_std: float | None  # standard error of the measured frequency [Hz]
+    damping_model: float  # fraction of critical
+    damping_measured: float | None  # fraction of critical; None where not measured
+    # Modal assurance criterion of the two shapes at the markers, one where they agree; None where not measured.
     mac: float | None = None
 
 
@@ -136,16 +128,9 @@ class Identification(Comparison):
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Test of a recording's weighted residuals for white noise.
+    """Test of a recording's weighted residuals for white noise."""
 
-    Attributes:
-        file: the recording's.
-        chi2: their mean square: one where they are noise.
-        correlation: largest correlation of a residual with those up to ten samples later, over all sensors.
-        coloured: True if they are certainly no white noise.
-    """
-
-    file: str
-    chi2: float
-    correlation: float
-    coloured: bool
+    file: str  # the recording's
+    chi2: float  # their mean square: one where they are noise
+    correlation: float  # largest one of a residual with those up to ten samples later, over all sensors
+    coloured: bool  # True if they are certainly no white noise
