@@ -25,9 +25,7 @@ class FolderError(InputError):
     """
 
     def __init__(self, path: Path | str, problem: str, remedy: str) -> None:
-        self.path = Path(path)
-        self.problem = problem
-        self.remedy = remedy
+        self.path, self.problem, self.remedy = Path(path), problem, remedy
         super().__init__(f"{path}: {problem}; {remedy}")
 
 

@@ -36,7 +36,6 @@ _Metres = Annotated[float, Gt(0), "a finite positive number [m]"]
 _OptionalMetres = Annotated[float | None, Gt(0), "a finite positive number [m]"]
 
 T = TypeVar("T")
-_ARRAYS = ("time", "markers", "theta", "tau")
 _CELL = "a finite number, or NaN where nothing was measured"
 
 _MIN_FRAMES = 10  # usable ones, for a recording to be worth anything
@@ -293,7 +292,7 @@ class Recording:
 
     def __repr__(self) -> str:
         span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if self.time.size else ""
-        arrays = ", ".join(f"{key} {getattr(self, key).shape}" for key in _ARRAYS[1:])
+        arrays = ", ".join(f"{key} {getattr(self, key).shape}" for key in ("markers", "theta", "tau"))
         return f"Recording({self.file!r}, {self.kind}, {self.role}: {self.time.size} samples{span}, {arrays})"
 
     @property

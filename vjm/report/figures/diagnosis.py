@@ -22,8 +22,6 @@ from vjm.report.figures.symptoms import symptom_pictures
 from vjm.report.text import capital, clause, millimetres, named, place, recording_label, short
 from vjm.simulation.model import Model
 
-_MOST_CAUSES = 4
-_MOST_HELD_OUT = 3
 _LABELS = {
     "reference": "without the causes",
     "alternative": "next best explanation",
@@ -43,7 +41,7 @@ def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     first = diagnosis.most_improved
     if first is None:
         return
-    for k, cause in enumerate(diagnosis.causes[:_MOST_CAUSES]):
+    for k, cause in enumerate(diagnosis.causes[:4]):
         shown = [first, *(each for each in diagnosis.recordings if each is not first)]
         beside = "the model fitted without it"
         if len(diagnosis.causes) > 1:
@@ -80,7 +78,7 @@ def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
     ordered = moving_recordings(diagnosis.model.rig, usable, "reference")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
     changed = [pair for pair in held_out if pair[0].recording.condition != REFERENCE]
-    return (changed or held_out)[:_MOST_HELD_OUT] or ordered[:1]
+    return (changed or held_out)[:3] or ordered[:1]
 
 
 def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure:

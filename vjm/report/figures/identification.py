@@ -19,7 +19,6 @@ from vjm.report.figures.signals import Signal, motion_figure, moving_recordings,
 from vjm.report.text import number, recording_label, short
 from vjm.simulation.model import Model
 
-_MOST_TIPS = 4
 _MOST_ROWS = 40  # recordings in the RMS figure
 _MOST_MAP_ROWS, _MOST_MAP_COLUMNS = 24, 14
 
@@ -76,7 +75,7 @@ def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tu
     ordered = moving_recordings(rig, comparisons, "simulated")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
     train = [pair for pair in ordered if pair[0].recording.role == "train"]
-    chosen = one_of_each_repeat([*held_out[:2], *train, *held_out[2:]], lambda pair: pair[0].recording)[:_MOST_TIPS]
+    chosen = one_of_each_repeat([*held_out[:2], *train, *held_out[2:]], lambda pair: pair[0].recording)[:4]
     return sorted(chosen, key=lambda pair: pair[0].recording.role != "holdout")
 
 
