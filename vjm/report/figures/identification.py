@@ -221,10 +221,10 @@ def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
 
 
 def _correlation_title(names: Sequence[str], matrix: Array) -> str:
-    size = np.abs(matrix) - 2 * np.eye(len(names))
+    size = np.triu(np.abs(matrix), 1)  # each pair once: rounding must not choose the order of its names
     row, column = divmod(int(np.argmax(size)), len(names))
     pair = f"{short(names[row], 30)} and {short(names[column], 30)} ({_signed(float(matrix[row, column]))})"
-    strong = int(np.count_nonzero(size > 0.9)) // 2
+    strong = int(np.count_nonzero(size > 0.9))
     if strong > 1:
         return f"{strong} pairs of parameters are correlated beyond 0.9, above all {pair}"
     if strong == 1:
