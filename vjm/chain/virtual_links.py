@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field, GetPydanticSchema
 
 from vjm.errors import ShapeError
@@ -57,7 +56,8 @@ class LinkChain(Record):
         if n < 1:
             raise ShapeError("stiffness", "no virtual joint", "at least one")
         for field, size in _SIZES.items():
-            values = _read_only(getattr(self, field))
+            values = np.array(getattr(self, field), dtype=float)
+            values.setflags(write=False)
             if values.shape != (n + size,):
                 raise ShapeError(f"{self.name}.{field}", f"shape {values.shape}", f"shape ({n + size},)")
             if not np.isfinite(values).all() or (values < 0).any():
@@ -185,10 +185,3 @@ class Chain(Record):
             values += [getattr(link, f"{kind}_{field}") for kind in link.joint_kinds if kind != "virtual"]
             values.append(getattr(link, field))
         return np.hstack(values)
-
-
-def _read_only(values: ArrayLike) -> Array:
-    """Return a read-only float copy."""
-    array = np.array(values, dtype=float)
-    array.setflags(write=False)
-    return array

@@ -139,27 +139,20 @@ class Effect:
     # True in an arm whose derivatives are taken: what sticks or touches then does so gradually.
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
-    # The class's name in snake case where it is not given.
-    id: ClassVar[str] = ""
-    # The effect in a few words, as a noun phrase.
-    description: ClassVar[str] = ""
-    # The same with its numbers, as the verdict states it: "{link}" stands for the link's name and each parameter's
-    # name for its value in an everyday unit. Without one, the description is followed by the values.
+    id: ClassVar[str] = ""  # the class's name in snake case where it is not given
+    description: ClassVar[str] = ""  # the effect in a few words, as a noun phrase
+    # The same with its numbers, as the verdict states it: "{link}" stands for the link's name and each parameter's name
+    # for its value in an everyday unit. Without one, the description is followed by the values.
     clause: ClassVar[str] = ""
-    # The publication in which the model is described.
-    reference: ClassVar[str] = ""
-    # The recording that distinguishes it from effects that look alike.
-    distinguishing_experiment: ClassVar[str] = ""
+    reference: ClassVar[str] = ""  # the publication in which the model is described
+    distinguishing_experiment: ClassVar[str] = ""  # the recording that distinguishes it from effects that look alike
     # Abscissa of the picture that shows the residual without and with it: `time`; `amplitude`, the local one of the
     # motion; `velocity` or `position` of a marker's coordinate; `radial` or `tangential`, the distance from the base of
     # residuals along or across it; `marker`; `frequency`; of a missing torque `joint_angle` or `joint_rate`.
     abscissa: ClassVar[str] = "time"
-    # It is a frequent cause, whose smallest detectable magnitude is reported first.
-    common: ClassVar[bool] = False
-    # It can only take energy out of the arm.
-    dissipative: ClassVar[bool] = False
-    # A URDF can carry it.
-    in_urdf: ClassVar[bool] = False
+    common: ClassVar[bool] = False  # it is a frequent cause, whose smallest detectable magnitude is reported first
+    dissipative: ClassVar[bool] = False  # it can only take energy out of the arm
+    in_urdf: ClassVar[bool] = False  # a URDF can carry it
     # It makes the motion nonsmooth, as sticking or rattling does: searches for it hold simulated joints near their
     # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
