@@ -134,10 +134,6 @@ class _Motion(NamedTuple):
     unit: str
     path: CubicSpline
 
-    def at(self, time: Array) -> tuple[Array, Array]:
-        """Return position and velocity (F,), (F,) at instants (F,)."""
-        return self.path(time), self.path(time, 1)
-
     def shows(self, position: Array, sensor: Channels) -> bool:
         """Return True if there are enough positions, over a range that stands out of the noise of a sensor of it."""
         noise = sensor.noise if self.unit == sensor.unit else 0.0
@@ -158,7 +154,7 @@ def _direction(velocity: Array) -> Array:
 
 def _residual(sensor: Channels, c: int, motion: _Motion) -> JointProfile | None:
     rows = sensor.known[:, c]
-    position, velocity = motion.at(sensor.time[rows])
+    position, velocity = motion.path(sensor.time[rows]), motion.path(sensor.time[rows], 1)
     if not motion.shows(position, sensor):
         return None
     values = sensor.residual[rows, c] * sensor.noise
@@ -205,7 +201,7 @@ def _acceleration(
     time = sensor.time[rows]
     if time.size < 5 * _LEAST_POINTS:
         return None
-    position, velocity = motion.at(time)
+    position, velocity = motion.path(time), motion.path(time, 1)
     # At most 64 stretches, for the noise of their accelerations grows fast, but one from turn to turn of the motion.
     turns, duration = int(np.count_nonzero(np.diff(np.sign(velocity)))), float(time[-1] - time[0])
     step = float(np.median(np.diff(time)))

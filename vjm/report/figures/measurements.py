@@ -16,7 +16,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.identification.records import Identification
 from vjm.identification.training_data import PreparedRecording
 from vjm.records import Array, Indices, Recording, Rig
-from vjm.report.figures.panels import LINES, MARKS, Color, PanelFigure, Picture, log_scale, marks_panel
+from vjm.report.figures.panels import LINES, MARKS, Color, PanelFigure, Picture, draw_marks, log_axis
 from vjm.report.figures.signals import Signal, liveliest_window, moving_axis, one_of_each_repeat
 from vjm.report.text import counted, listed, millimetres, number, short
 
@@ -214,9 +214,9 @@ def _torque_errors(fit: Identification) -> Figure:
         lower, values = page.axes[1][0], 1e3 * np.stack([noise, before, after])
         labels = {"noise": "expected from noise", "reference": "nominal, RMS", "simulated": "identified, RMS"}
         marks = [(label, rms, None, MARKS[kind]) for (kind, label), rms in zip(labels.items(), values, strict=True)]
-        marks_panel(lower, chain.joint_names, marks)
+        draw_marks(lower, chain.joint_names, marks)
         known = values[np.isfinite(values) & (values > 0)]
-        log_scale(lower.xaxis, known.min() / 1.4, known.max() * 1.4)
+        log_axis(lower.xaxis, known.min() / 1.4, known.max() * 1.4)
         lower.set(xlabel="RMS error, over all training recordings [mN m]", ylabel="joint")
     return page.finish()
 

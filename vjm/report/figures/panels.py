@@ -151,7 +151,7 @@ class PanelFigure:
         return self.figure
 
 
-def log_scale(axis: Axis, low: float, high: float) -> None:
+def log_axis(axis: Axis, low: float, high: float) -> None:
     """Make an axis logarithmic between two limits, with its ticks in plain numbers."""
     name = axis.axis_name  # type: ignore[attr-defined]
     axis.axes.set(**{f"{name}scale": "log", f"{name}lim": (low, high)})
@@ -265,12 +265,12 @@ class Spectrum:
                 axes.axvline(float(frequency), label="natural frequency of the model", **look)
         least = min(last.white, *(float(np.quantile(spectrum.amplitude, 0.02)) for spectrum, *_ in spectra))
         largest = max(last.limit, *(float(spectrum.amplitude.max()) for spectrum, *_ in spectra))
-        log_scale(axes.xaxis, low, high)
-        log_scale(axes.yaxis, 0.7e6 * least, 1.5e6 * largest)
+        log_axis(axes.xaxis, low, high)
+        log_axis(axes.yaxis, 0.7e6 * least, 1.5e6 * largest)
         axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{unit}]")
 
 
-def marks_panel(
+def draw_marks(
     axes: Axes, names: Sequence[str], marks: Sequence[tuple[str, Array, Array | None, Mapping[str, Any]]],
     apart: float = 0.0,
 ) -> None:  # fmt: skip
@@ -306,8 +306,8 @@ def rms_figure(
         label = recording_label(each.recording, 24)
         names.append(label if known else f"{label[:-1]}, not simulated)")
     axes.hlines(range(len(names)), np.fmin.reduce(every[1:]), np.fmax.reduce(every[1:]), color="#bbbbbb", zorder=1)
-    marks_panel(axes, names, marks)
-    log_scale(axes.xaxis, np.nanmin(every) / 1.15, np.nanmax(every) * 1.15)
+    draw_marks(axes, names, marks)
+    log_axis(axes.xaxis, np.nanmin(every) / 1.15, np.nanmax(every) * 1.15)
     unit_name = "times the noise" if in_noise else "mm"
     axes.set(xlabel=f"marker residual over the whole recording, open loop, RMS [{unit_name}]", ylabel="recording")
     return page.finish()

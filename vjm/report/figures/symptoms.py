@@ -17,16 +17,7 @@ from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
 from vjm.diagnosis.symptoms.joints import JointProfile
 from vjm.diagnosis.symptoms.modes import FreeMotion, ModeDifference
 from vjm.records import Array, RecordingComparison
-from vjm.report.figures.panels import (
-    Color,
-    PanelFigure,
-    Picture,
-    Spectrum,
-    binned_means,
-    heatmap,
-    log_scale,
-    marks_panel,
-)
+from vjm.report.figures.panels import Color, PanelFigure, Picture, Spectrum, binned_means, draw_marks, heatmap, log_axis
 from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, one_of_each_repeat
 from vjm.report.text import number, short
 
@@ -189,7 +180,7 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
             low, high = axes.get_ylim()
             margin = max(least - (high - low), 0.0) / 2
             axes.set_ylim(low - margin, high + margin)
-            log_scale(axes.xaxis, float(every.min()) / 1.15, float(every.max()) * 1.15)
+            log_axis(axes.xaxis, float(every.min()) / 1.15, float(every.max()) * 1.15)
             axes.ticklabel_format(axis="y", useOffset=False)
         upper.set(ylabel="frequency, off the model's [%]", title=f"mode at {_frequency(found, mode, 3)} Hz")
         upper.tick_params(labelbottom=False)
@@ -301,7 +292,7 @@ def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Fi
         values, errors = (np.array([1e3 * getattr(delay, name) for delay in delays]) for name in ("value", "std"))
         look = {"color": color, "marker": marker, "markersize": 4.5, "markerfacecolor": face}
         marks.append((label, values, 2 * errors, look))
-    marks_panel(axes, [_file(one, 22) for one in shown], marks, apart=0.22)
+    draw_marks(axes, [_file(one, 22) for one in shown], marks, apart=0.22)
     axes.set(xlabel="delay, two standard errors [ms]", ylabel="recording")
     return page.finish()
 
