@@ -59,13 +59,10 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     best, alternative = model((payload, offset), 1000.0), Alternative(MarkerOffset(), 3.0)
     start = model((), 50_000.0)
     tried = {frozenset({offset.key}): model((offset,), 9000.0)}
-    trials = SimpleNamespace(tried=tried, without=lambda best, effect, record: model((payload,), 30_000.0))
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: {8000.0: 1e-9, 29_000.0: 0.5}[decrease])
-    search = SimpleNamespace(
-        trials=trials, start=start, search_start=SimpleNamespace(reference_misfit=reference_misfit)
-    )
-    result = SimpleNamespace(best=best, first=family, p_values={payload.key: 1e-3, offset.key: 1e-5})
-    causes = estimate_causes(cast(Any, result), cast(Any, search), {payload.key: (alternative,)})
+    search = SimpleNamespace(start=start, without=lambda best, effect, fits: model((payload,), 30_000.0))
+    result = SimpleNamespace(best=best, first=family, p_values={payload.key: 1e-3, offset.key: 1e-5}, fits=tried)
+    causes = estimate_causes(cast(Any, result), cast(Any, search), {payload.key: (alternative,)}, reference_misfit)
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]

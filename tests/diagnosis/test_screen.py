@@ -221,7 +221,7 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     chain = chain_of()
     tone = replace(sized(bound(ExternalTone()), 1.0), frequency=9.3)
     point = point_of(chain, (), recorded(Arm.of(chain, (tone,)), 7, noise=noise), noise)
-    candidate_set = CandidateSet.of([ExternalTone()], RIG, point)
+    candidate_set = CandidateSet.of([ExternalTone()], RIG, [run.observed.recording for run in point.runs], point.runs)
     frequencies = [effect.values["frequency"] for effect in candidate_set.variants]
     assert min(abs(frequency - 9.3) for frequency in frequencies) < 0.25
     # A force that takes longer than the recordings is another cause, and no search may end there.

@@ -35,7 +35,6 @@ from vjm.model.modes import linearise, modes, modes_of
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
-from vjm.simulation.sensitivity import follow_internal_states
 
 HUB = chain_of(LINK)
 # What has internal states may give back what it took: the contract follows it over a motion.
@@ -155,7 +154,7 @@ def test_friction_takes_its_torque_times_the_joint_s_whole_way() -> None:
     q, v = np.zeros((2, time.size, HUB.size))
     q[:, 0], v[:, 0] = 0.3 * np.sin(4 * time), 1.2 * np.cos(4 * time)
     arm = Arm.of(HUB, (CoulombFriction(torque=0.008),))
-    z = follow_internal_states(arm, time, q, v)
+    z = arm.follow(time, q)
     push = arm.forces(0.0)
     assert push is not None
     work = np.trapezoid((push(time, q, v, z) * v).sum(axis=1), time)

@@ -117,7 +117,7 @@ _NOT_NEGATIVE = ("joint_stiffness", "joint_damping", "root_stiffness", "root_dam
 _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffness": 0, "damping": 0, "cells": 0}
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Chain(Record):
     """An arm of flexible links as virtual-joint chains.
 

@@ -6,15 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import CandidateFit
-from vjm.diagnosis.fit_cache import ALIKE, LOST_MISFIT
+from vjm.diagnosis.candidate_fit import CandidateFit, start_size
 from vjm.diagnosis.records import Alternative, Cause
 from vjm.diagnosis.screen import Directions, Screen
-from vjm.diagnosis.selection import Search, SearchResult
+from vjm.diagnosis.selection import Fits, Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.records import Array, Estimate
 
+_EQUIVALENT = 10.0  # chi^2 below which models are not distinguished: a likelihood ratio of e^5, decisive by Jeffreys
 _MOST = 6  # alternatives refitted for each cause
 _ALIKE = 0.5  # cosine from which a nonsmooth effect, slow to fit, is tried
 _NEAR = 5.0  # times the tolerance that a linear guess may be off
@@ -28,9 +28,9 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
         search: fits the models with alternatives.
     """
     best, causes = result.best, result.best.new_effects
-    if not causes or best.misfit >= LOST_MISFIT:  # what does not follow the recordings is no model others could equal
+    if not causes:
         return {}
-    tolerance = ALIKE * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
+    tolerance = _EQUIVALENT * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
     variants = [v for v in search.candidate_set.variants if v.key not in best.names]
     # Stick-slip and play are slow to try: only where they may look like the cause.
     wanted = {
@@ -50,20 +50,18 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
         screened = beside.screen(present=(cause, part), chosen=chosen)
         others = [effect for effect in best.effects if effect is not cause]
         guesses = _near(screened, cause, tolerance)
-        search.replacements(best, others, [screened.effects[k] for k in guesses], [*guesses.values()])
-        alternatives[cause.key] = _as_good(search, best, cause, tolerance)
+        models = [(*others, start_size(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()]
+        search.fit(best, models, best.chi2 + tolerance, result.fits)
+        alternatives[cause.key] = _as_good(best, cause, result.fits, tolerance)
     return alternatives
 
 
-def _as_good(search: Search, best: CandidateFit, cause: Effect, tolerance: float) -> tuple[Alternative, ...]:
+def _as_good(best: CandidateFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
     """Models fitted with another effect in a cause's place that leave about as little, the best first."""
     rest, alternatives = best.names - {cause.key}, []
-    for names, tried in search.trials.tried.items():
+    for names, tried in fits.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
-        same = (
-            len(names) == len(best.names) and rest <= names and len(new) == 1 and names not in search.trials.uncorrected
-        )
-        if same and new[0].key != cause.key:
+        if len(names) == len(best.names) and rest <= names and len(new) == 1 and new[0].key != cause.key:
             worse = tried.chi2 - best.chi2
             if worse < tolerance:
                 alternatives.append(Alternative(new[0], float(worse)))
@@ -98,7 +96,10 @@ def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]
 
 
 def estimate_causes(
-    result: SearchResult, search: Search, alternatives: Mapping[Key, tuple[Alternative, ...]]
+    result: SearchResult,
+    search: Search,
+    alternatives: Mapping[Key, tuple[Alternative, ...]],
+    reference_misfit: float,
 ) -> tuple[Cause, ...]:
     """Return the best model's new effects, the one without which most is missed first.
 
@@ -106,6 +107,7 @@ def estimate_causes(
         result: of the search.
         search: fits the best model without an effect where that was not done on the way.
         alternatives: effects that explain the recordings as well, by the cause in whose place.
+        reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
     """
     best, causes = result.best, []
     spread = best.information.covariance
@@ -113,16 +115,13 @@ def estimate_causes(
     for effect, estimate, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][
         best.reference_effects :
     ]:
-        without = (
-            search.trials.tried.get(best.names - {effect.key})
-            or search.trials.without(best, effect, np.inf)
-            or search.start
-        )
+        names = best.names - {effect.key}
+        without = result.fits.get(names) or search.without(best, effect, result.fits) or search.start
         decrease = without.chi2 - best.chi2
         # Where the best model leaves more than noise, what it leaves is the measure.
         p_of_fit = result.first.p_of_fit(effect, decrease / max(1.0, best.misfit**2))
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
-        unit = "the noise" if search.search_start.reference_misfit == 1 else "what was missing before the change"
+        unit = "the noise" if reference_misfit == 1 else "what was missing before the change"
         evidence = (
             f"without it the model misses the training recordings by {without.misfit:.3g} times {unit}, with it by "
             f"{best.misfit:.3g}; chi^2 falls by {decrease:.3g}"

@@ -18,7 +18,7 @@ import numpy as np
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
-from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, Extension, refit
+from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, Extension
 from vjm.diagnosis.noise import Noise
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
@@ -27,7 +27,7 @@ from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
 from vjm.identification.trajectory_method import TrajectoryMethod, first_fit, simulatable
-from vjm.model.dynamics import Mechanism
+from vjm.model.dynamics import mechanism_of
 from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
@@ -42,9 +42,6 @@ _REFINEMENT = 3  # times as many joints: leaves a ninth of the error, which the 
 _EXTRAPOLATION = _REFINEMENT**2 / (_REFINEMENT**2 - 1)  # Richardson's, for an error of order 1/n^2
 _PASSES = 4  # corrections; each reduces the rest of the error by the error itself
 _CONVERGED = 1e-4  # relative decrease of chi^2 from one pass to the next, below a tenth of a typical noise of chi^2
-# Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): 1.4 a quarter of a period off. Up
-# to this one (phi = 17 deg) it is linear in phi within 0.5 %, so that derivatives lead back.
-_FOLLOWED = 0.3
 
 
 @dataclass(frozen=True)
@@ -129,11 +126,9 @@ def _prepared(observed: Observations, size: tuple[float, float], noise: Noise) -
 
 @dataclass(frozen=True)
 class SearchStart:
-    """Start of the search for effects."""
+    """Model from which the search for effects starts."""
 
     reference: CandidateFit  # the model as it was before any change, simulated in all training recordings
-    start: CandidateFit  # the best model without new effects, to which effects are added
-    diverges_from_data: bool = False  # True if it loses the changed recordings: then no derivative is a guide
     reference_misfit: float = 1.0  # misfit of the reference recordings that counts as noise; one where it is noise
 
     @classmethod
@@ -145,7 +140,7 @@ class SearchStart:
             reference: the same fit, with effects that were there before any change.
         """
         if not baseline.changed:
-            return cls(reference, reference)
+            return cls(reference)
         point, problem = reference.point, reference.point.problem
         misfit = point.misfit if point.misfit > INCOMPLETE else 1.0
         known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
@@ -154,23 +149,11 @@ class SearchStart:
         new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
         runs = [*(known if misfit > 1 else point.runs), *new]
         problem = replace(problem, observed=tuple(run.observed for run in runs))
-        reference = CandidateFit.unfitted(problem, point.x, runs)
-        if not all(_is_followed(run) for run in new):
-            return cls(reference, reference, True, misfit)
-        return cls(reference, refit(reference, reference.effects) or reference, False, misfit)
+        return cls(CandidateFit.unfitted(problem, point.x, runs), misfit)
 
 
 def _with_larger_noise(observed: Observations, factor: float) -> Observations:
     return replace(observed, noise=(factor * observed.noise[0], factor * observed.noise[1]))
-
-
-def _is_followed(run: Run) -> bool:
-    """True if the markers' residual is small beside their motion."""
-    observed = run.observed
-    residual, _ = observed.on_grid(observed.values - observed.predicted(run.arm, run.trajectory))
-    measured, _ = observed.on_grid(observed.values)
-    motion = np.nanstd(measured, axis=0)
-    return not np.sqrt(np.nanmean(residual**2)) > _FOLLOWED * np.sqrt(np.mean(motion**2))
 
 
 @dataclass(frozen=True)
@@ -258,8 +241,8 @@ def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
         return state
     recording = run.observed.recording
     (q, v), (finer_q, finer_v) = np.split(run.state, 2), np.split(state, 2)
-    mass = Mechanism(run.chain, run.arm.inputs(recording).payload).mass_matrix(q[None])[0]
-    finer_mass = Mechanism(arm.chain, arm.inputs(recording).payload).mass_matrix(finer_q[None])[0]
+    mass = mechanism_of(run.chain, run.arm.inputs(recording).payload).mass_matrix(q[None])[0]
+    finer_mass = mechanism_of(arm.chain, arm.inputs(recording).payload).mass_matrix(finer_q[None])[0]
     missing = (mass @ v)[run.chain.active] - (finer_mass @ finer_v)[active]
     finer_v[active] += np.linalg.solve(finer_mass[np.ix_(active, active)], missing)
     return np.concatenate([finer_q, finer_v])

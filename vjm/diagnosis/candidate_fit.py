@@ -6,16 +6,17 @@ by each effect's sizes (in units of typical magnitudes, zero where absent) and s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
+from scipy import stats
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Key
+from vjm.effects.effect import Effect, Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
 from vjm.identification.parameters import Parametrisation
@@ -23,15 +24,26 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import REFERENCE, Array, Recording, Rig
 from vjm.simulation.arm import Arm
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
+from vjm.simulation.system import Trajectory
 
 Names = frozenset[Key]
 
 INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
-DIVERGED_MISFIT = 4.0  # the same from which an open-loop simulation has lost the phase of the recording
 _SHAPE_STEP = 1.0  # of a shape parameter's logarithm in one step: a factor e
 _LEAST_JOINT = 1e-3  # bound below which the joint would vanish, and the chain with it change its size
+# Sizes that fits start from, in typical magnitudes.
+_LARGEST_START = 5.0  # a linear guess beyond that is no guide
+_NONSMOOTH_START = 0.5  # less friction or play does nothing that derivatives show
+_LEAST_JOINT_START = 0.1  # a joint that is nearly rigid has next to no derivative
+_FEW = 4  # simulations by which initial states come near enough for a fit of all parameters
+_FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
+_MISSED = 1e-3  # significance level at which a recording is missed
+_STUCK, _LITTLE = 5, 0.002  # steps, and the share of chi^2 that they must gain for a fit to go on
+_MARGIN = 0.1  # of a segment, simulated beyond its values: sensors that are early or late are so by less
 
 
 @dataclass(frozen=True)
@@ -176,35 +188,54 @@ class CandidateFit:
         """Ids and places of the effects."""
         return named(self.effects)
 
-    @property
-    def uses_feedback(self) -> bool:
-        """True if simulations are held near the angles that encoders measured."""
-        return self.point.problem.with_feedback
-
-    @property
-    def follows(self) -> bool:
-        """True if simulations keep the phase of the recordings to their ends, as they always do with feedback."""
-        return self.uses_feedback or self.misfit <= DIVERGED_MISFIT
-
 
 def named(effects: Sequence[Effect]) -> Names:
     """Return the ids and places of effects."""
     return frozenset(effect.key for effect in effects)
 
 
-def refit(
-    start: CandidateFit,
-    effects: Sequence[Effect],
-    hopeless: Callable[[Point, float], bool] | None = None,
-    whole: TrajectoryProblem | None = None,
-) -> CandidateFit | None:
-    """Fit a model with other effects, from a fit with some of them or with none.
+class StoppingRule:
+    """Stopping rule of a fit among several: it ends a fit that cannot become the best, or gains next to nothing.
+
+    Args:
+        record: chi^2 of the best so far; a fit whose next three steps would not come near it is given up, the next one
+            being the best of them as long as the linearised problem is any guide.
+        most: number of steps.
+    """
+
+    def __init__(self, record: float = np.inf, most: float = np.inf) -> None:
+        self.record, self.most = record, most
+        self.history: list[float] = []
+
+    def __call__(self, point: Point, predicted: float) -> bool:
+        """Return True to end the fit at a point, given the predicted decrease of chi^2 by its next step."""
+        self.history.append(point.chi2)
+        stuck = len(self.history) > _STUCK and point.chi2 > (1 - _LITTLE) * self.history[-_STUCK]
+        return len(self.history) > self.most or stuck or point.chi2 - 3 * predicted > self.record
+
+
+def start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
+    """Return an effect of a size from which a fit may start.
+
+    Args:
+        effect: with its shape parameters.
+        guess: (s,) sizes by a screen, in typical magnitudes.
+        chain: to which it is added.
+    """
+    coordinates = effect.coordinates
+    smooth = _LEAST_JOINT_START if adds_joint(effect, chain) else -_LARGEST_START
+    least = _NONSMOOTH_START if effect.nonsmooth else smooth
+    coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
+    return effect.at(np.clip(coordinates, *effect.bounds))
+
+
+def refit(start: CandidateFit, effects: Sequence[Effect], stop: StoppingRule | None = None) -> CandidateFit | None:
+    """Fit a model with other effects to the same recordings, from a fit with some of them or with none.
 
     Args:
         start: where to begin.
         effects: those wanted, with the parameters from which their search starts.
-        hopeless: may end the search, as of `fit_trajectory`.
-        whole: the problem to solve where the start has the recordings' first seconds only; None: the start's.
+        stop: ends the search; None: as by default.
 
     Returns:
         The fit; None where it cannot be simulated.
@@ -213,27 +244,137 @@ def refit(
     extension = Extension(base, tuple(effects), start.reference_effects)
     chain = start.point.x[: len(base.coordinates)]
     x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *extension.bounds)
-    problem = replace(whole or start.point.problem, extension=extension)
-    arms = problem.arms(x)
-    states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in zip(start.point.runs, arms, strict=True)]
-    known = _followed_for(start, extension.effects) if whole is None else start.point.problem.longest
+    problem = replace(start.point.problem, extension=extension)
+    while True:
+        arms = problem.arms(x)
+        pairs = zip(start.point.runs, arms, strict=True)
+        states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
+        try:
+            return CandidateFit(_minimum(problem, x, states, StoppingRule() if stop is None else stop))
+        except (SimulationDivergedError, InsufficientDataError):
+            if problem.step_multiple == 1.0:
+                return None
+        problem = replace(problem, step_multiple=1.0)
+
+
+def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
+    """Fit coordinates and initial states from (p,) and (2 nv,) each.
+
+    Where something sticks or rattles, the likelihood of an initial state has many maxima, from which no slope leads
+    away: after a few steps each recording that is missed is begun otherwise as well, as long as that helps.
+    """
+    effects = problem.extension.present(x) if isinstance(problem.extension, Extension) else ()
+    if not is_nonsmooth(effects) or stop.most < _FEW_STEPS:
+        return fit_trajectory(problem, x, None, states, stop=stop)
+    record, iterations = np.inf, 0  # slopes tell whether a record can be reached once the initial states are likely
+    before = np.inf
+    while True:
+        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(record, _FEW_STEPS))
+        record, iterations = stop.record, iterations + fit.iterations
+        point = replace(fit.point, runs=_begun_otherwise(fit.point))
+        if before - point.chi2 < _LITTLE * point.chi2:
+            return replace(fit, point=point, iterations=iterations)
+        before, x, states = point.chi2, point.x, point.states
+
+
+def _begun_otherwise(point: Point) -> tuple[Run, ...]:
+    """Runs, of badly followed segments the best from further initial states.
+
+    They are rest of the active joints, and the state in which the segment before ends.
+    """
+    n, active = point.chain.size, point.chain.active
+    best, trials = [*point.runs], []
+    for k, run in enumerate(point.runs):
+        if run.chi2 < stats.chi2.isf(_MISSED, run.observed.count):
+            continue
+        resting = run.state.copy()
+        resting[n + active] = 0.0
+        trials.append((k, resting))
+        if _before(point.runs, run.observed):
+            trials.append((k, state_at(_before(point.runs, run.observed), run.observed)))
+    if not trials:
+        return point.runs
+    arms, observed = point.problem.arms(point.x), point.problem.observed
+    indices, states = [k for k, _ in trials], [state for _, state in trials]
     try:
-        return CandidateFit(fit_trajectory(problem, x, None, states, known_duration=known, stop=hopeless))
-    except (SimulationDivergedError, InsufficientDataError):
-        if problem.step_multiple == 1.0:
-            return None
-    finer = replace(start.point, problem=replace(start.point.problem, step_multiple=1.0))
-    whole = None if whole is None else replace(whole, step_multiple=1.0)
-    return refit(replace(start, fit=replace(start.fit, point=finer)), effects, hopeless, whole)
+        likely = fit_initial_states(
+            [arms[k] for k in indices], [observed[k] for k in indices], states, point.problem.step_multiple, most=_FEW
+        )
+    except SimulationDivergedError:
+        return point.runs
+    for k, (run, _) in zip(indices, likely, strict=True):
+        best[k] = min(best[k], run, key=lambda run: run.cost)
+    return tuple(best)
 
 
-def _followed_for(start: CandidateFit, effects: Sequence[Effect]) -> float:
-    """Time for which a model with other effects is known to follow the recordings from a start [s]."""
-    new = [effect for effect in effects if effect.key not in start.names]
-    gone = [effect for effect in start.effects if effect.key not in named(effects)]
-    # A joint more or less changes frequencies: over many periods a wrong one fits any phase.
-    if any(adds_joint(effect, start.point.chain) and not effect.nonsmooth for effect in (*new, *gone)):
-        return 0.0
-    # Open loop, stick-slip is found from the first periods only.
-    stick_slip = any(effect.nonsmooth for effect in new) and not start.uses_feedback
-    return np.inf if start.follows and not stick_slip else 0.0
+def cut(fit: CandidateFit, whole: Sequence[Observations], duration: float, stop: StoppingRule) -> CandidateFit:
+    """Fit a model to the segments of recordings, each with an initial state of its own (multiple shooting).
+
+    Over a segment of one or two periods nothing is lost in phase, whatever the model lacks, so that slopes guide from
+    far away (Bock, Recent advances in parameter identification techniques for O.D.E., 1983; Ribeiro et al.,
+    Automatica 121, 2020). Segments show less of frequencies than whole recordings do.
+
+    Args:
+        fit: to other segments of the same recordings, or to the recordings.
+        whole: the recordings.
+        duration: of a segment [s]; infinite: the recordings themselves.
+        stop: ends the fit.
+
+    Raises:
+        SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
+    """
+    observed = [part for one in whole for part in segments(one, duration)]
+    if len(fit.point.runs) != len(whole):
+        observed = _remembering(observed, fit.point.runs)
+    problem = replace(fit.point.problem, observed=tuple(observed))
+    states = [state_at(fit.point.runs, part) for part in observed]
+    if len(fit.point.runs) == len(whole):  # the simulation of a whole recording may be anywhere at their beginnings
+        likely = fit_initial_states(problem.arms(fit.point.x), observed, states, problem.step_multiple, most=_FEW)
+        states = [run.state for run, _ in likely]
+    found = _minimum(problem, fit.point.x, states, stop)
+    # What was estimated last is remembered by effects that are fitted from here.
+    observed = _remembering([run.observed for run in found.point.runs], found.point.runs)
+    runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
+    problem = replace(problem, observed=tuple(observed))
+    return CandidateFit(replace(found, point=Point(problem, found.point.x, tuple(runs))), fit.shift)
+
+
+def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:
+    """Return a recording's parts of a duration [s]; a quiet one, in which nothing gets out of phase, stays whole."""
+    if observed.recording.kind == "quiet" or not np.isfinite(duration):
+        return (observed,)
+    return observed.segments(duration, _MARGIN * duration)
+
+
+def _remembering(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
+    """Return segments with the motion of their recordings, as last simulated from one segment to the next."""
+    parts: dict[str, list[Run]] = {}
+    for run in sorted(runs, key=lambda run: float(run.trajectory.time[0])):
+        parts.setdefault(run.observed.recording.file, []).append(run)
+    motions = {file: _joined([run.trajectory for run in own], own[0].chain) for file, own in parts.items()}
+    return [
+        replace(part, preceding=motions[part.recording.file]) if part.start is not None else part for part in observed
+    ]
+
+
+def _joined(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
+    """Trajectories one after another, each up to where the next begins."""
+    ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
+    shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
+    time = np.concatenate([path.elapsed(path.time)[own] for path, own in shown])
+    return PrecedingMotion(chain, time, np.concatenate([path.q[own] for path, own in shown]))
+
+
+def _before(runs: Sequence[Run], observed: Observations) -> list[Run]:
+    """Return the simulations of the same recording that begin earlier than a part of it."""
+    own = [run for run in runs if run.observed.recording.file == observed.recording.file]
+    return [run for run in own if run.trajectory.time[0] < observed.recording.time[0]]
+
+
+def state_at(runs: Sequence[Run], observed: Observations) -> Array:
+    """Return the state (2 nv,) at which an observation begins, from the simulations of the same recording."""
+    instant = observed.recording.time[:1]
+    paths = [run.trajectory for run in runs if run.observed.recording.file == observed.recording.file]
+    begun = [path for path in paths if path.time[0] <= instant[0]]
+    path = max(begun, key=lambda path: float(path.time[0]), default=paths[0])
+    return np.concatenate([values[0] for values in path.sample(instant)])

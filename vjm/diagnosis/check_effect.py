@@ -17,8 +17,7 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.curve import transfer_state
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidate_fit import CandidateFit, refit
-from vjm.diagnosis.fit_cache import NOISE, StoppingRule
+from vjm.diagnosis.candidate_fit import CandidateFit, StoppingRule, refit
 from vjm.diagnosis.screen import CandidateSet, Screen
 from vjm.effects.effect import SENSING_HOOKS, Effect
 from vjm.errors import EffectError, SimulationDivergedError
@@ -28,7 +27,6 @@ from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
-from vjm.simulation.sensitivity import follow_internal_states
 
 _Law = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
 _HOOKS = ("chain", "true_inputs", "force", *SENSING_HOOKS, "initial_states", "state_rates", "rate_independent_update")
@@ -374,7 +372,7 @@ def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
     angle = time[:, None, None] * pulsation + phase
     q, v = 0.3 * (np.sin(angle) - np.sin(phase)).sum(axis=1), 0.3 * (pulsation * np.cos(angle)).sum(axis=1)
     v *= 1.0 if stateful else 10 ** -random.uniform(0, 3, (time.size, 1))  # slow states too
-    z = follow_internal_states(arm, time, q, v)
+    z = arm.follow(time, q)
     force = arm.forces(_PAYLOAD)
     torque = np.zeros_like(q) if force is None else force(time, q, v, z)
     for joint, change in zip(arm.chain.active, (arm.inputs(recording).tau - recording.tau).T, strict=True):
@@ -397,10 +395,10 @@ def _recovery(effect: Effect, seed: int) -> _Law:
     true = bench.typical(effect)
     problem = _problem(bench, true, seed)
     free = problem.parametrisation.start.size
-    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(4))
+    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(most=4))
     # Standard errors of the magnitudes at their true values, everything else being free.
-    exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(0))
-    extended = refit(CandidateFit(exact), (true,), StoppingRule(0))
+    exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(most=0))
+    extended = refit(CandidateFit(exact), (true,), StoppingRule(most=0))
     yield extended, f"with {_values(true)} nothing can be simulated", "finite motion"
     assert extended  # for type checkers: this is not reached otherwise
     R = extended.point.reduced()[0].R[:, :-1]
@@ -453,16 +451,16 @@ def _problem(bench: _Bench, true: Effect, seed: int) -> TrajectoryProblem:
 def _fitted(start: CandidateFit, bench: _Bench, true: Effect) -> Effect | None:
     """Fit the most promising variant at the true place, from half and twice its typical magnitudes."""
     same = ["link", *(one.name for one in true.parameters if one.integer)]
-    variants = CandidateSet.of([true], bench.rig, start.point).variants
+    variants = CandidateSet.of([true], bench.rig, bench.recordings, start.point.runs).variants
     variants = tuple(one for one in variants if all(getattr(one, name) == getattr(true, name) for name in same))
     variant = variants[int(np.argmax(Screen.of(start.point, (), variants).statistics))]
     best: CandidateFit | None = None
     for size in (0.5, 2.0):
         coordinates = np.r_[np.full(true.magnitude_count, size), variant.coordinates[true.magnitude_count :]]
         wanted = variant.at(np.clip(coordinates, *variant.bounds))
-        found = refit(start, (wanted,), StoppingRule(np.inf, nonsmooth=true.nonsmooth))
+        found = refit(start, (wanted,), StoppingRule())
         best = min((one for one in (best, found) if one is not None), key=lambda one: one.chi2, default=None)
-        if best is not None and best.misfit < NOISE:
+        if best is not None and best.misfit < 1.02:
             break
     return None if best is None else best.effects[0]
 

@@ -15,26 +15,21 @@ import numpy as np
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
 from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
 from vjm.diagnosis.candidate_fit import CandidateFit
-from vjm.diagnosis.encoder_feedback import simulate_open_loop, without_feedback
 from vjm.diagnosis.next_experiment import propose_recordings
-from vjm.diagnosis.records import Diagnosis
+from vjm.diagnosis.records import Cause, Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.screen import Workers
-from vjm.diagnosis.selection import (
-    Rules,
-    Search,
-    SearchResult,
-    find_preexisting_effects,
-    select_effects,
-)
+from vjm.diagnosis.selection import Rules, Search, SearchResult, find_preexisting_effects
 from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
-from vjm.records import REFERENCE, Experiment, Progress, RecordingComparison, SimulatedRecording
+from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording
+from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
+from vjm.simulation.run import Run
 
 # Decrease of chi^2 over what is left from which an effect of a change matters where something is missing already in the
 # reference recordings: as much as is left, since the old error, in another motion, may well explain less.
@@ -80,17 +75,13 @@ def diagnose(
         reference, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers)
         start = SearchStart.of(baseline, reference)
         matters = _LEAST_CHANGE if start.reference_misfit > 1 else Rules.matters
-        search = Search(
-            experiment.rig, start, chosen, Rules(matters=matters, most=max_effects, seed=seed), tell, workers
-        )
-        screened = search.screen(start.start)
-        tested = screened.table(search.rules.alpha, search.least_decrease(start.start))
-        candidates = (*tested, *search.candidate_set.untestable)
-        if insufficient:
-            start = SearchStart(baseline.fit, baseline.fit)
-            result = SearchResult.nothing(baseline.fit, screened)
-        else:
-            search, result = select_effects(search, SearchResult.nothing(start.start, screened))
+        rules = Rules(matters=matters, most=max_effects, seed=seed)
+        search = Search(experiment.rig, start.reference, chosen, rules, tell, workers)
+        result = search.nothing() if insufficient else search.run()
+        # Whole recordings show more than segments, but what a model loses in them only segments show.
+        tested = result.first if result.best.effects else result.last
+        table = tested.table(rules.alpha, rules.least_decrease(search.start))
+        candidates = (*table, *search.candidate_set.untestable)
         findings = replace(
             _findings(experiment, baseline, start, search, result),
             candidates=candidates,
@@ -108,12 +99,13 @@ def _findings(
 ) -> Diagnosis:
     """Results of the steps that follow the search."""
     best, rig, noise = result.best, experiment.rig, baseline.fit.point.runs[0].observed.noise
+    open_loop, rules = search.open_loop(best), search.rules
     search.tell("looking for effects that cannot be distinguished")
     alternatives = find_alternatives(result, search)
-    causes = estimate_causes(result, search, alternatives)
+    causes = estimate_causes(result, search, alternatives, start.reference_misfit)
     search.tell("simulating the recordings")
-    next_best = search.trials.next_best(best) or result.next_best
-    recordings = _compare_recordings(experiment, noise, start.reference, best, next_best)
+    next_best = search.next_best(result)
+    recordings = _compare_recordings(experiment, noise, start.reference, open_loop, next_best)
     model, reference = best.model(rig, noise), start.reference.model(rig, noise)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
@@ -131,15 +123,28 @@ def _findings(
         baseline_misfit=baseline.fit.misfit,
         reference_misfit=start.reference_misfit,
         changed_misfit=start.reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
-        decrease=(search.start.chi2 - best.chi2) / best.chi2,
+        decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
         least_decrease=search.least_decrease(best),
-        proposals=propose_recordings(best, search.trials.with_replaced(best, ambiguous)) if ambiguous else (),
+        proposals=propose_recordings(open_loop, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,
         notes=_notes(baseline, start, best),
-        seed=search.rules.seed,
+        seed=rules.seed,
     )
     return _simulate_without_each_cause(findings)
+
+
+def _without_effects(result: SearchResult, search: Search) -> CandidateFit:
+    """The model without new effects, fitted to the recordings or segments of the best one where that was done."""
+    segments = len(result.best.point.runs) != len(search.whole)
+    return (result.segment_fits if segments else result.fits).get(search.start.names, search.start)
+
+
+def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> list[CandidateFit]:
+    """Fits in which alternatives stand in a cause's place, in whole recordings."""
+    others = result.best.names - {cause.effect.key}
+    names = [others | {alternative.effect.key} for alternative in cause.alternatives]
+    return [search.open_loop(result.fits[each]) for each in names if each in result.fits]
 
 
 def _compare_recordings(
@@ -151,20 +156,20 @@ def _compare_recordings(
 ) -> tuple[RecordingComparison, ...]:
     """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
 
-    Recordings that were fitted have been simulated. With encoder feedback they are simulated again without it.
+    Recordings that were fitted have been simulated.
     """
     known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
     further = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
     observed, by_best = replay_without_outliers(
-        partial(simulate_open_loop, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
+        partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
     )
     recordings = known | {one.recording.file: one.recording for one in observed}
 
     def by_file(model: CandidateFit | None) -> dict[str, SimulatedRecording]:
         if model is None:
             return {}
-        fitted = [(run, True) for run in without_feedback(model, reference).point.runs]
-        others = by_best if model is best else replay_each(partial(simulate_open_loop, model), observed)
+        fitted = [(run, True) for run in model.point.runs]
+        others = by_best if model is best else replay_each(partial(_simulate, model), observed)
         runs = [result for result in (*fitted, *others) if not isinstance(result, str)]
         return {run.observed.recording.file: run.simulated_recording(converged) for run, converged in runs}
 
@@ -173,6 +178,14 @@ def _compare_recordings(
         RecordingComparison(recordings[file], noise, after.get(file), before.get(file), alternative.get(file))
         for file in (recording.file for recording in experiment.recordings)
     )
+
+
+def _simulate(
+    model: CandidateFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
+) -> list[tuple[Run, bool]]:
+    """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
+    arms = model.point.problem.varied.arms(model.point.x, [one.recording for one in observed])
+    return fit_initial_states(arms, observed, states, model.point.problem.step_multiple)
 
 
 def _simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
@@ -206,15 +219,12 @@ def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[
     joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in baseline.fit.point.chain.links)
     known = "was not measured" if best.shift is None else "is measured against a finer chain"
     notes = [f"virtual joints of the search's chain: {joints}; the error of so few {known}"]
-    if start.diverges_from_data:
+    longest = max(float(np.ptp(run.observed.recording.time)) for run in best.point.runs)
+    if longest < max(float(np.ptp(run.observed.recording.time)) for run in start.reference.point.runs):
         notes.append(
-            "without a change the model follows so little of the changed recordings that the table of candidates, "
-            "which is linear, is no guide: each was fitted"
-        )
-    if best.uses_feedback:
-        notes.append(
-            "dry friction or play: while fitting, a weak spring and damper held the simulated joint near its encoder's "
-            "angles; misfits and parameters are those of such simulations, simulated recordings and gain are open loop"
+            f"dry friction or play: the model was fitted to segments of {longest:.2g} s, each with an initial state of "
+            "its own, since it follows nothing longer; misfits and parameters are those of segments, simulated "
+            "recordings and gain are open loop over whole recordings"
         )
     if best.effects and not best.fit.converged:
         notes.append("the last fit was ended once further steps no longer mattered")

@@ -28,7 +28,7 @@ from vjm.diagnosis.records import Candidate
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
-from vjm.records import REFERENCE, Array, Mask, Rig
+from vjm.records import REFERENCE, Array, Mask, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
@@ -359,15 +359,15 @@ class CandidateSet:
     untestable: tuple[Candidate, ...]
 
     @classmethod
-    def of(cls, effects: Sequence[Effect], rig: Rig, point: Point) -> Self:
-        """Collect the variants of effects that a fit's recordings can show.
+    def of(cls, effects: Sequence[Effect], rig: Rig, recordings: Sequence[Recording], runs: Sequence[Run]) -> Self:
+        """Collect the variants of effects that recordings can show.
 
         Args:
             effects: absent effects, without a place.
             rig: the arm.
-            point: a fit; frequencies of periodic forces are looked for in its residuals.
+            recordings: what was measured.
+            runs: simulations of these or of their segments; frequencies of periodic forces are those of the residuals.
         """
-        recordings = [run.observed.recording for run in point.runs]
         variants: list[Effect] = []
         multiplicity: list[float] = []
         untestable: list[Candidate] = []
@@ -379,7 +379,7 @@ class CandidateSet:
             own, tests = effect.variants(rig, recordings), 1.0
             for parameter in effect.parameters:
                 if parameter.from_spectrum:
-                    peaks, frequencies = _residual_peaks(point.runs)
+                    peaks, frequencies = _residual_peaks(recordings, runs)
                     places = {variant.link: variant for variant in own}.values()
                     changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
                     own = tuple(replace(variant, **change) for variant in places for change in changes)
@@ -389,12 +389,12 @@ class CandidateSet:
         return cls(tuple(variants), np.array(multiplicity), tuple(untestable))
 
 
-def _residual_peaks(runs: Sequence[Run]) -> tuple[list[float], float]:
+def _residual_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> tuple[list[float], float]:
     """Frequencies of the residuals' highest spectral peaks [Hz], and the number of independent frequencies searched.
 
     Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
     """
-    time = max((run.observed.recording.time[run.observed.frames] for run in runs), key=lambda t: float(np.ptp(t)))
+    time = max((recording.time[recording.frames] for recording in recordings), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
     highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its image
     frequencies = np.arange(1 / duration, highest, 1 / (4 * duration))  # between two, a peak loses 5 % at most
@@ -413,14 +413,20 @@ def _residual_peaks(runs: Sequence[Run]) -> tuple[list[float], float]:
 def _power(runs: Sequence[Run], frequencies: Array) -> Array:
     """Power of the residuals (F,), all recordings, marker coordinates and encoders together."""
     power = np.zeros(frequencies.size)
-    for run in runs:
-        observed, time = run.observed, run.observed.recording.time - run.observed.recording.time[0]
-        markers, angles = observed.on_grid(run.residual)
-        for instants, residual in ((time[observed.frames], markers), (time, angles)):
+    for file in dict.fromkeys(run.observed.recording.file for run in runs):
+        parts = [run for run in runs if run.observed.recording.file == file]
+        grids = [(run.observed.recording.time, *run.observed.on_grid(run.residual)) for run in parts]
+        frames = [time[run.observed.frames] for run, (time, _, _) in zip(parts, grids, strict=True)]
+        end = max(float(time[-1]) for time, _, _ in grids) - parts[0].observed.began
+        for times, residuals in (
+            (frames, [markers for _, markers, _ in grids]),
+            ([time for time, _, _ in grids], [angles for _, _, angles in grids]),
+        ):
+            instants, residual = np.concatenate(times) - parts[0].observed.began, np.concatenate(residuals)
             known = np.isfinite(residual).any(axis=1)
             if known.any():
                 # Hann's window: what drifts slowly must not leak into all other frequencies.
-                window = np.sin(np.pi * instants[known] / max(float(time[-1]), 1e-300)) ** 2
+                window = np.sin(np.pi * instants[known] / max(end, 1e-300)) ** 2
                 waves = np.exp(-2j * np.pi * np.outer(frequencies, instants[known])) * window
                 power += np.sum(np.abs(waves @ np.nan_to_num(residual[known])) ** 2, axis=1) / np.sum(window**2)
     return power
@@ -452,7 +458,17 @@ class FamilyTest:
     @property
     def p_values(self) -> Array:
         """(V,) probability that noise alone makes any candidate look as needed."""
-        return _smallest_of(_smallest_of(self.screen.tail(self.screen.statistics), self.multiplicity), self.tests)
+        return self.p_values_in(1.0)
+
+    def p_values_in(self, unit: float) -> Array:
+        """Return the same for noise whose mean square is so large."""
+        tail = self.screen.tail(self.screen.statistics / unit)
+        return _smallest_of(_smallest_of(tail, self.multiplicity), self.tests)
+
+    def p_value(self, key: Key) -> float:
+        """Return the smallest p-value of an effect's variants; one where it was not among the candidates."""
+        found = zip(self.screen.effects, self.p_values.tolist(), strict=True)
+        return min((p for effect, p in found if effect.key == key), default=1.0)
 
     def p_of_fit(self, effect: Effect, decrease: float) -> float:
         """Return the p-value of a fitted effect that lowers chi^2 by so much (likelihood ratio)."""

@@ -1,46 +1,55 @@
-"""Selection of effects: forward steps by score tests and refits, with backward elimination, until nothing is needed.
+"""Selection of effects: forward steps by score tests and fits, with backward elimination, until nothing is needed.
 
-Each round screens the candidates beside the best model, refits the most significant, and keeps the best if it lowers
-chi^2 by more than chance and by more than matters. Joints that stick, slip or rattle are looked for with simulations
-held near the encoders' angles. The same search in the reference recordings alone finds what was there before a change.
+Recordings are cut into segments, over which whatever a model lacks does not cost its phase. Each step tests the
+candidates beside the best model, fits those that may explain most, keeps the best if it lowers chi^2 by more than
+chance and by more than matters, and drops what it makes needless. The segments are lengthened until they are whole
+recordings, in which small effects show more, and further effects are looked for in each. The same search in the
+reference recordings alone finds what was there before a change.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
+from scipy import stats
 
-from vjm.diagnosis.baseline import Baseline, SearchStart
+from vjm.diagnosis.baseline import Baseline, DiscretizationBias
 from vjm.diagnosis.candidate_fit import (
-    DIVERGED_MISFIT,
     INCOMPLETE,
     CandidateFit,
     Extension,
     Names,
-    named,
+    StoppingRule,
+    adds_joint,
+    cut,
+    refit,
+    segments,
+    start_size,
+    state_at,
 )
-from vjm.diagnosis.encoder_feedback import (
-    feedback_possible,
-    fit_open_loop,
-    fit_with_feedback,
-    nominal_with_feedback,
-)
-from vjm.diagnosis.fit_cache import COARSE, NOISE, FitCache, FitJob, Tell
 from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
-from vjm.records import REFERENCE, Array, Rig
+from vjm.records import REFERENCE, Rig
+from vjm.simulation.initial_state import fit_initial_states
 
-Step = tuple[CandidateFit, Sequence[int]]
+Tell = Callable[[str], None]
+Fits = dict[Names, CandidateFit]
 
-# Share of the decrease of chi^2 by stick-slip or play that a good fit may leave: impacts are not exact.
-_NONSMOOTH_REST = 0.001
-_BEST = 8  # candidates refitted a round
-FEW = 3  # candidates refitted a round among which stick-slip must be beside other effects
-_PAIRS = 4  # pairs refitted that no single step leads to
+_FIRST_SEGMENT = 0.5  # of the first horizon, three periods: a frequency wrong by 30 % is then half a cycle late
+# Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): up to this one (phi = 17 deg) it
+# is linear in phi within 0.5 %, so that derivatives lead back.
+_FOLLOWED = 0.3
+_GROWTH = 3.0  # of segments: a frequency fitted to some periods is right to far less than the sixth part of a cycle
+_LINEAR = 0.5  # share of a linear forecast that a fit has never fallen short of, beside effects without slopes
+_NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that a good fit may leave
+_PAIRS = 2  # pairs fitted that no single step leads to
+CLOSE = 2.0  # misfit up to which the chain's discretization error can be told from what is missing
 
 
 @dataclass(frozen=True)
@@ -59,9 +68,9 @@ class Rules:
     most: int = 3
     seed: int = 0
 
-    def least(self, chi2: float) -> float:
-        """Return the decrease of chi^2 from which an effect matters."""
-        return chi2 * self.matters / (1 + self.matters)
+    def least_decrease(self, fit: CandidateFit) -> float:
+        """Return the decrease of chi^2 from which an effect matters, a share of the noise or of what is less."""
+        return min(fit.chi2, fit.point.count) * self.matters / (1 + self.matters)
 
 
 @dataclass(frozen=True)
@@ -69,211 +78,266 @@ class SearchResult:
     """Result of a search.
 
     Attributes:
-        best: the best model.
-        first: the screen beside the model without effects, and its p-values.
+        best: the best model, fitted to whole recordings, or to segments where it follows nothing longer.
+        first: score tests beside the model without effects, in segments.
         last: the same beside the best model.
         p_values: of each effect of the best model, when it was added.
-        next_best: the next best of as many effects, where another search found both; None: this one knows.
+        fits: models fitted to the recordings or segments of the best one.
+        segment_fits: models fitted to the first segments.
     """
 
     best: CandidateFit
     first: FamilyTest
     last: FamilyTest
     p_values: dict[Key, float] = field(default_factory=dict)
-    next_best: CandidateFit | None = None
-
-    @classmethod
-    def nothing(cls, start: CandidateFit, first: FamilyTest) -> SearchResult:
-        """Return the result before anything was looked for."""
-        return cls(start, first, first)
+    fits: Fits = field(default_factory=dict)
+    segment_fits: Fits = field(default_factory=dict)
 
 
 class Search:
-    """Search for effects, with all that it has fitted."""
+    """Search for effects beside some recordings.
+
+    Attributes:
+        rig: the arm.
+        start: the model to which effects are added, with whole recordings.
+        effects: what is looked for.
+        rules: when the search goes on.
+        tell: told what is being done.
+        workers: share the work.
+    """
 
     def __init__(
         self,
         rig: Rig,
-        search_start: SearchStart,
+        start: CandidateFit,
         effects: Sequence[Effect],
         rules: Rules,
         tell: Tell,
         workers: Workers = ALONE,
     ) -> None:
-        self.rig = rig
-        self.effects = effects
-        self.rules = rules
-        self.tell = tell
-        self.search_start = search_start
-        self.start = search_start.start
-        self.workers = workers
-        self.trials = FitCache(rig, search_start, tell, workers)
-        self.candidate_set = self._candidates(self.start)
+        self.rig, self.start, self.effects, self.rules = rig, start, effects, rules
+        self.tell, self.workers = tell, workers
+        self.whole = tuple(replace(run.observed, discretization_offset=None) for run in start.point.runs)
+        self.recordings = [one.recording for one in self.whole]
+        self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
+        self.p_values: dict[Key, float] = {}
+        self._decreases: dict[Key, float] = {}
 
-    def restarted(self, start: CandidateFit) -> Search:
-        """Return the same search from another start, which follows the recordings."""
-        search_start = replace(self.search_start, start=start, diverges_from_data=False)
-        return Search(self.rig, search_start, self.effects, self.rules, self.tell, self.workers)
+    def run(self) -> SearchResult:
+        """Find the effects that are needed."""
+        nothing = self.nothing()
+        best, first, family = nothing.best, nothing.first, nothing.last
+        fits = segment_fits = {best.names: best}
+        best, family = self._extended(best, family, first, fits)
+        for duration in self._durations()[1:]:
+            longer = self._lengthened(best, duration)
+            if longer is None:
+                break
+            fits = {longer.names: longer}
+            best, family = self._extended(longer, self.screen(longer), first, fits)
+        return SearchResult(best, first, family, self.p_values, fits, segment_fits)
 
-    def run(self, so_far: SearchResult, ended: Callable[[SearchResult], bool] = lambda found: False) -> SearchResult:
-        """Add effects while they are needed.
+    def nothing(self) -> SearchResult:
+        """Return the result before anything was looked for: the model without effects, in segments."""
+        self.tell("fitting segments")
+        base = cut(self.start, self.whole, self._durations()[0], StoppingRule())
+        family = self.screen(base)
+        return SearchResult(base, family, family)
 
-        Args:
-            so_far: where to go on.
-            ended: whether the search should go no further.
+    def open_loop(self, fit: CandidateFit) -> CandidateFit:
+        """Return a model in whole recordings, from their most likely initial states where it was not fitted to them."""
+        if len(fit.point.runs) == len(self.whole):
+            return fit
+        problem = replace(fit.point.problem, observed=self.whole)
+        states = [state_at(fit.point.runs, one) for one in self.whole]
+        likely = fit_initial_states(problem.arms(fit.point.x), self.whole, states, problem.step_multiple)
+        return CandidateFit.unfitted(problem, fit.point.x, [run for run, _ in likely])
+
+    def next_best(self, result: SearchResult) -> CandidateFit | None:
+        """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
+        best = result.best
+        for fits in (result.fits, result.segment_fits):
+            others = [one for one in fits.values() if len(one.new_effects) == len(best.new_effects) > 0]
+            others = [one for one in others if one.names != best.names]
+            # Stick-slip is slow to fit: it is no second choice where there is none in the first.
+            others = [one for one in others if not is_nonsmooth(one.effects) or is_nonsmooth(best.effects)]
+            if others:
+                self.tell("fitting the next best")
+                second = min(others, key=lambda one: one.chi2)
+                try:
+                    if is_nonsmooth(second.effects) or fits is result.fits:
+                        return self.open_loop(second)
+                    return cut(second, self.whole, np.inf, StoppingRule())
+                except (SimulationDivergedError, InsufficientDataError):
+                    return None
+        return None
+
+    def screen(self, fit: CandidateFit) -> FamilyTest:
+        """Test the candidates beside a model."""
+        self.tell("testing candidates")
+        candidates = CandidateSet.of(self.effects, self.rig, self.recordings, fit.point.runs)
+        kept = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.names]
+        screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in kept], self.workers)
+        return FamilyTest.of(screened, candidates.multiplicity[kept], self.rules.alpha, self.rules.seed)
+
+    def least_decrease(self, fit: CandidateFit) -> float:
+        """Return the decrease of chi^2 from which a further effect matters beside a model.
+
+        Stick-slip and play are followed only so well: what they leave is not another effect.
         """
-        best, family, p_values = so_far.best, so_far.last, dict(so_far.p_values)
-        found = so_far
-        while len(best.effects) < self.rules.most + len(self.start.effects) and not ended(found):
+        left = [self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth]
+        return max([self.rules.least_decrease(fit), *(_NONSMOOTH_REST * decrease for decrease in left)])
+
+    def needed(self, fit: CandidateFit, family: FamilyTest) -> list[int]:
+        """Return candidates that are significant and matter beside a model, one variant each, the most needed first."""
+        screened, unit = family.screen, max(1.0, fit.misfit) ** 2
+        significant = family.p_values_in(unit) < self.rules.alpha
+        matters = screened.statistics > self.least_decrease(fit)
+        return screened.one_each(np.flatnonzero(significant & matters).tolist())
+
+    def _is_followed(self, fit: CandidateFit) -> bool:
+        """Return True if a model follows each recording's motion, so that slopes tell what it lacks."""
+        for one in self.whole:
+            runs = [run for run in fit.point.runs if run.observed.recording.file == one.recording.file]
+            missed = sum(run.chi2 - run.observed.count for run in runs)
+            if one.recording.kind != "quiet" and missed > _FOLLOWED**2 * one.motion:
+                return False
+        return True
+
+    def _durations(self) -> list[float]:
+        """Durations of segments [s], one after another; the last is infinite, for whole recordings."""
+        point = self.start.point
+        duration = _FIRST_SEGMENT * point.problem.first_horizon(point.x)
+        longest = max(float(np.ptp(one.recording.time)) for one in self.whole)
+        durations = []
+        while duration < longest / 1.5:  # or the whole would hardly be longer
+            durations.append(duration)
+            duration *= _GROWTH
+        return [*durations, np.inf]
+
+    def _extended(
+        self, best: CandidateFit, family: FamilyTest, first: FamilyTest, fits: Fits
+    ) -> tuple[CandidateFit, FamilyTest]:
+        """Add effects to a model while they are needed; return it, and the tests beside it."""
+        while len(best.new_effects) < self.rules.most:
             needed = self.needed(best, family)
             if not needed:
                 break
-            trial = self._best_addition(best, so_far.first, family, needed)
-            if trial is None or not self._worth(best, trial):
+            trial = self._best_addition(best, family, first, needed, fits)
+            if trial is None or not self._is_worth(best, trial):
                 break
-            best = self.trials.correct_discretization(self.trials.converge(self._without_idle(trial)))
-            p_values |= {
-                key: min(_p_value(each, key) for each in (family, so_far.first)) for key in best.names - p_values.keys()
+            self._decreases |= {
+                effect.key: best.chi2 - trial.chi2 for effect in trial.effects if effect.key not in best.names
             }
+            best = self._without_needless(trial, fits)
+            new = best.names - self.p_values.keys()
+            self.p_values |= {key: min(family.p_value(key), first.p_value(key)) for key in new}
             family = self.screen(best)
-            found = SearchResult(best, so_far.first, family, p_values)
-        return found
+        return best, family
 
     def _best_addition(
-        self, best: CandidateFit, first: FamilyTest, family: FamilyTest, needed: Sequence[int]
+        self, best: CandidateFit, family: FamilyTest, first: FamilyTest, needed: Sequence[int], fits: Fits
     ) -> CandidateFit | None:
-        """Best model with one effect more."""
-        steps: list[Step] = [(best, [k]) for k in needed[: None if self.trials.screen_unreliable(best) else _BEST]]
-        if best.uses_feedback and not is_nonsmooth(best.effects):
-            # Derivatives show little of stick-slip and play; with encoder feedback they can be tried.
-            chosen = {k for _, (k,) in steps}
-            variants = family.screen.one_each(k for k, each in enumerate(family.screen.effects) if each.nonsmooth)
-            steps += [(best, [k]) for k in variants if k not in chosen]
-        near = is_nonsmooth(best.effects) and best.misfit < COARSE
-        if (
-            len(best.effects) == len(self.start.effects) + 1
-            and not near
-            and not self.trials.screen_unreliable(self.start)
-        ):
-            steps += self._pairs(first, best)
-        smooth, nonsmooth = self._apart(family, first, best, steps)
-        if self.trials.linearization_point(best) is not best or best.uses_feedback:
-            smooth, nonsmooth = steps, []  # over first periods only, or with feedback, nothing takes long
-        self.refit_candidates(best, family, first, smooth)
-        if not self.trials.explained(len(best.effects) + 1):
-            self.refit_candidates(best, family, first, nonsmooth)
-        return self.trials.best(len(best.effects) + 1)
+        """Fit models with one effect more, and return the best.
 
-    def screen(self, candidate_fit: CandidateFit) -> FamilyTest:
-        """Test the candidates beside a model."""
-        self.tell("looking for what is missing")
-        names = candidate_fit.names
-        candidate_set = self.candidate_set if candidate_fit is self.start else self._candidates(candidate_fit)
-        # Stick-slip is slow to try, and cannot be what remains where all but noise is explained.
-        quick = candidate_fit is not self.start and candidate_fit.misfit < NOISE
-        kept = [
-            k
-            for k, variant in enumerate(candidate_set.variants)
-            if variant.key not in names and not (quick and variant.nonsmooth)
-        ]
-        variants = [candidate_set.variants[k] for k in kept]
-        linearization_point = self.trials.linearization_point(candidate_fit)
-        screened = Screen.of(linearization_point.point, linearization_point.effects, variants, self.workers)
-        return FamilyTest.of(screened, candidate_set.multiplicity[kept], self.rules.alpha, self.rules.seed)
-
-    def _candidates(self, candidate_fit: CandidateFit) -> CandidateSet:
-        """Candidates, with tones where the residuals have peaks."""
-        return CandidateSet.of(self.effects, self.rig, self.trials.linearization_point(candidate_fit).point)
-
-    def least_decrease(self, candidate_fit: CandidateFit) -> float:
-        """Return the decrease of the chi^2 they are tested by from which candidates beside a model matter.
-
-        It is a share of the noise: a model that lacks something else may leave much more.
+        Effects with slopes are tried in the order of what these promise, as long as that may be most; all of them where
+        the model is too far from the recordings for slopes to tell. These tell little of stick-slip, play and joints of
+        their own, which are tried wherever more than noise is left.
         """
-        linearization_point = self.trials.linearization_point(candidate_fit)
-        least = self.rules.least(min(linearization_point.chi2, linearization_point.point.count))
-        for effect in candidate_fit.effects:
-            if effect.nonsmooth:
-                without = self.trials.tried.get(candidate_fit.names - {effect.key}, self.start)
-                least = max(
-                    least, _NONSMOOTH_REST * (self.trials.linearization_point(without).chi2 - linearization_point.chi2)
-                )
-        return least
+        screened, found = family.screen, None
+        followed = self._is_followed(best)
+        for batch in _batches(needed, self.workers.count):
+            gained = 0.0 if found is None else best.chi2 - found.chi2
+            if self._explains_all(found, best) or (followed and screened.statistics[batch[0]] < _LINEAR * gained):
+                break
+            found = self._fitted(best, [self._with(best, family, [k]) for k in batch], found, fits)
+        base = fits.get(self.start.names)
+        if base is None or self._explains_all(found, best):
+            return found  # in longer segments slopes show what is left, and fits of what they do not show take long
+        hidden = screened.one_each(k for k, effect in enumerate(screened.effects) if self._is_hidden(effect, best))
+        for batch in _batches(hidden, self.workers.count):
+            found = self._fitted(best, [self._with(best, family, [k]) for k in batch], found, fits)
+            if self._explains_all(found, best):
+                return found
+        if len(best.new_effects) == 1:
+            found = self._fitted(base, self._pairs(base, best, first), found, fits)
+        return found
 
-    def refit_candidates(
-        self, best: CandidateFit, family: FamilyTest, first: FamilyTest, steps: Sequence[Step]
-    ) -> None:
-        """Refit models, giving up those that will not come near the best."""
-        jobs = []
-        for start, chosen in steps:
-            job = self.trials.job(start, (family if start is best else first).screen, chosen)
-            if len(named(job.effects)) == len(job.effects):
-                jobs.append(job)
-        self.trials.fit(jobs)
+    def _fitted(
+        self, start: CandidateFit, steps: Sequence[Sequence[Effect]], found: CandidateFit | None, fits: Fits
+    ) -> CandidateFit | None:
+        """Fit models from a start, and return the best of them and of the one found so far."""
+        trials = self.fit(start, steps, np.inf if found is None else found.chi2, fits)
+        return min([*trials, *([] if found is None else [found])], key=lambda one: one.chi2, default=None)
 
-    def replacements(
-        self, best: CandidateFit, others: Sequence[Effect], added: Sequence[Effect], guesses: Sequence[Array]
-    ) -> None:
-        """Fit models in which a cause is replaced, from the best without it.
+    def fit(
+        self, start: CandidateFit, models: Sequence[Sequence[Effect]], record: float, fits: Fits
+    ) -> list[CandidateFit]:
+        """Fit several models with other effects from a start, as far as they can be simulated.
 
         Args:
-            best: the best model.
-            others: its effects but the cause.
-            added: what may stand in its place, one at a time.
-            guesses: (s,) how large each must be to do what the cause does, in typical magnitudes.
+            start: where to begin.
+            models: effects of each, with the parameters from which its search starts.
+            record: chi^2 of no interest beyond.
+            fits: known ones, which are not fitted again, and the new ones.
         """
-        names, trials = named(others), self.trials
-        trials.refresh([names | {effect.key} for effect in added])
-        sizes = {k: size for k, size in enumerate(guesses) if names | {added[k].key} not in trials.tried}
-        new = [added[k] for k in sizes]
-        start = trials.tried.get(names, self.start)
-        if new and start.names == names:
-            linearization_point = trials.linearization_point(start)
-            screened = Screen.of(linearization_point.point, linearization_point.effects, new, self.workers)
-            trials.fit([trials.job(start, screened, [k]) for k in range(len(new))], every=True)
-        elif new:  # the others were never fitted without the cause
-            trials.fit([FitJob.of(best, others, [added[k]], size) for k, size in sizes.items()], every=True)
+        keys = [frozenset(one.key for one in effects) for effects in models]
+        new = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
+        if new:
+            added = sorted({one.id for effects in new for one in effects} - {one.id for one in start.effects})
+            self.tell("fitting " + ", ".join(added))
+            trials = self.workers.map(partial(_fit, start, record), new)
+            fits |= {trial.names: trial for trial in trials if trial is not None}
+        return [fits[names] for names in keys if names in fits]
 
-    def _apart(
-        self, family: FamilyTest, first: FamilyTest, best: CandidateFit, steps: Sequence[Step]
-    ) -> tuple[list[Step], list[Step]]:
-        """Separate steps that are quickly fitted from those with stick-slip."""
-        smooth: list[Step] = []
-        nonsmooth: list[Step] = []
-        for start, chosen in steps:
-            screened = family.screen if start is best else first.screen
-            (nonsmooth if any(screened.effects[k].nonsmooth for k in chosen) else smooth).append((start, chosen))
-        return smooth, nonsmooth
+    def _with(self, fit: CandidateFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
+        """Effects of a model, with further ones of the sizes that slopes promise."""
+        added = [family.screen.effects[k] for k in chosen]
+        guess = family.screen.guess(chosen)
+        parts = np.split(guess, np.cumsum([one.magnitude_count for one in added])[:-1])
+        sized = [start_size(one, own, fit.point.chain) for one, own in zip(added, parts, strict=True)]
+        return (*fit.effects, *sized)
 
-    def needed(self, best: CandidateFit, family: FamilyTest) -> list[int]:
-        """Return candidates that are needed beside a model, one variant each, the most needed first."""
-        screened, least, unreliable = (
-            family.screen,
-            self.least_decrease(best),
-            self.trials.screen_unreliable(best),
-        )
-        needed = screened.one_each(
-            k
-            for k in range(len(screened.effects))
-            if (unreliable and not screened.absorbed[k])
-            or (family.p_values[k] < self.rules.alpha and screened.statistics[k] > least)
-        )
-        if best is self.start:
-            return needed
-        # Stick-slip takes as long to try as all else together: only where it is among the most needed.
-        return [k for place, k in enumerate(needed) if place < FEW or not screened.effects[k].nonsmooth]
+    def _is_hidden(self, effect: Effect, fit: CandidateFit) -> bool:
+        """True for effects whose slopes about their null tell little of them."""
+        return effect.nonsmooth or adds_joint(effect, fit.point.chain)
 
-    def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
-        """Return candidates that are significant and matter beside the best model, the most needed first."""
-        screened, least = result.last.screen, self.least_decrease(result.best)
-        significant = (result.last.p_values < self.rules.alpha) & (screened.statistics > least)
-        return tuple(screened.effects[k] for k in screened.one_each(np.flatnonzero(significant).tolist()))
+    def _explains_all(self, fit: CandidateFit | None, fewer: CandidateFit) -> bool:
+        """True if nothing but noise is left, within five standard deviations, or what stick-slip or play may leave."""
+        if fit is None:
+            return False
+        rest = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
+        return bool(fit.chi2 < fit.point.count + 5 * np.sqrt(2 * fit.point.count) + rest)
 
-    def _pairs(self, first: FamilyTest, best: CandidateFit) -> list[Step]:
-        """Pairs that explain most by the first screen, without the best single effect.
+    def _is_worth(self, fewer: CandidateFit, more: CandidateFit) -> bool:
+        return fewer.chi2 - more.chi2 > self.least_decrease(more)
 
-        Of several variants, as of a marker that is off, the best may be another beside another effect than alone.
+    def _without_needless(self, fit: CandidateFit, fits: Fits) -> CandidateFit:
+        """Drop effects that the others make needless."""
+        for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
+            fewer = self.without(fit, effect, fits, fit.chi2 + self.least_decrease(fit))
+            if fewer is not None and not self._is_worth(fewer, fit):
+                return self._without_needless(fewer, fits)
+        return fit
+
+    def without(self, fit: CandidateFit, effect: Effect, fits: Fits, record: float = np.inf) -> CandidateFit | None:
+        """Fit a model again without one of its effects; None where that cannot be simulated.
+
+        Args:
+            fit: the model.
+            effect: one of its effects.
+            fits: known ones, and the new one.
+            record: chi^2 of no interest beyond.
         """
+        kept = tuple(one for one in fit.effects if one is not effect)
+        fewer, known = refit(fit, kept, StoppingRule(record)), fits.get(fit.names - {effect.key})
+        best = min((one for one in (fewer, known) if one is not None), key=lambda one: one.chi2, default=None)
+        if best is not None:
+            fits[best.names] = best
+        return best
+
+    def _pairs(self, base: CandidateFit, best: CandidateFit, first: FamilyTest) -> list[tuple[Effect, ...]]:
+        """Pairs without the best single effect that explain most by their slopes beside the model without effects."""
         screened = first.screen
         others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.names]
         scored = [
@@ -282,104 +346,44 @@ class Search:
             for j in others[:n]
             if screened.effects[i].key != screened.effects[j].key
         ]
-        found: dict[Names, list[int]] = {}
+        chosen: dict[Names, list[int]] = {}
         for _, i, j in sorted(scored, reverse=True):
-            found.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
-        return [(self.start, pair) for pair in [*found.values()][:_PAIRS]]
+            chosen.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
+        return [self._with(base, first, pair) for pair in [*chosen.values()][:_PAIRS]]
 
-    def _worth(self, fewer: CandidateFit, more: CandidateFit) -> bool:
-        return fewer.chi2 - more.chi2 > max(self.rules.least(fewer.chi2), self.least_decrease(fewer))
+    def _lengthened(self, fit: CandidateFit, duration: float) -> CandidateFit | None:
+        """Fit a model to longer segments; None where it does not follow them.
 
-    def _without_idle(self, candidate_fit: CandidateFit) -> CandidateFit:
-        """Drop effects that the others make needless."""
-        new = candidate_fit.effects[len(self.start.effects) :]
-        for effect in new if len(new) > 1 else ():  # the step to a first effect is judged against the start
-            fewer = self.trials.without(candidate_fit, effect, candidate_fit.chi2 * (1 + self.rules.matters))
-            if fewer is not None and not self._worth(fewer, candidate_fit):
-                return self._without_idle(fewer)
-        return candidate_fit
+        What sticks or rattles must follow them as well as the shorter ones: fewer initial states raise chi^2 by about
+        their number where the model is right. Other models must not lose so much that derivatives tell nothing more.
+        """
+        self.tell("lengthening segments")
+        limit = np.inf
+        if is_nonsmooth(fit.effects):
+            parts = [part for one in self.whole for part in segments(one, duration)]
+            states = 2 * sum(run.basis.slow_count for run in fit.point.runs[: len(fit.point.runs) - len(parts)])
+            limit = fit.chi2 + max(1.0, fit.misfit) ** 2 * stats.chi2.isf(self.rules.alpha, max(states, 1))
+        try:
+            longer = cut(fit, self.whole, duration, StoppingRule(limit))
+        except (SimulationDivergedError, InsufficientDataError):
+            return None
+        if longer.chi2 > limit:
+            return None
+        if longer.misfit > INCOMPLETE * max(1.0, fit.misfit):
+            return None
+        if np.isfinite(duration) or is_nonsmooth(fit.effects) or longer.misfit > CLOSE:
+            return longer
+        self.tell("measuring the discretization error")
+        bias = DiscretizationBias.of(longer.point, self.rig)
+        return bias.corrected(longer) if bias else longer
 
-
-def _p_value(family: FamilyTest, key: Key) -> float:
-    """The smallest of an effect's variants; one where it was not among the candidates."""
-    found = zip(family.screen.effects, family.p_values.tolist(), strict=True)
-    return min((p for effect, p in found if effect.key == key), default=1.0)
-
-
-def select_effects(search: Search, so_far: SearchResult) -> tuple[Search, SearchResult]:
-    """Add effects while they are needed, fitted open loop as far as that is a guide.
-
-    A joint that sticks a moment too early is off for good, so that open-loop fits of stick-slip are lost among local
-    minima: it is looked for with encoder feedback. All else is fitted open loop, which shows more.
-
-    Args:
-        search: open loop.
-        so_far: what it has found so far.
-
-    Returns:
-        The search that found the best model, and its result.
-    """
-    if not feedback_possible(search.start):
-        return search, search.run(so_far)
-    found, asked = so_far, set[Names]()
-    while True:
-        found = search.run(found, lambda each: each.best.names not in asked and _may_stick(search, each))
-        if found.best.names in asked or not _may_stick(search, found):
-            return search, found
-        asked.add(found.best.names)
-        search.tell("fitting with encoder feedback")
-        with_feedback = _held(search, found)
-        if with_feedback is None:
-            continue
-        other, beside = with_feedback
-        if _is_needed(other, beside) or _is_adrift(search, found):
-            beside = other.run(beside)
-            if is_nonsmooth(beside.best.effects):
-                return other, beside
-            found = _released(search, found, beside.best, other.trials.next_best(beside.best))
-            asked.add(found.best.names)
+    def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
+        """Return candidates that are significant and matter beside the best model, the most needed first."""
+        return tuple(result.last.screen.effects[k] for k in self.needed(result.best, result.last))
 
 
-def _may_stick(search: Search, found: SearchResult) -> bool:
-    """Stick-slip may be needed: it is among the most significant, or hidden where the model loses the recordings."""
-    return bool(search.needed(found.best, found.last)) and (_is_adrift(search, found) or _is_needed(search, found))
-
-
-def _is_adrift(search: Search, found: SearchResult) -> bool:
-    """The search begins where the model loses the recordings."""
-    return found.best is search.start and found.best.misfit > DIVERGED_MISFIT
-
-
-def _is_needed(search: Search, found: SearchResult) -> bool:
-    """Stick-slip is among the most significant candidates."""
-    return any(found.last.screen.effects[k].nonsmooth for k in search.needed(found.best, found.last)[:FEW])
-
-
-def _held(search: Search, found: SearchResult) -> tuple[Search, SearchResult] | None:
-    """Search with encoder feedback, and what it would have found so far; None where that cannot be simulated."""
-    start = fit_with_feedback(search.start)
-    best = start if found.best is search.start else fit_with_feedback(found.best)
-    if start is None or best is None:
-        return None
-    if best is start and start.misfit > DIVERGED_MISFIT:
-        # Parameters that follow nothing, even with feedback, lead away from what is missing.
-        best = start = nominal_with_feedback(search.start) or start
-    other = search.restarted(start)
-    first = other.screen(start)
-    if best is start:
-        return other, SearchResult.nothing(start, first)
-    other.trials.tried[best.names] = best
-    return other, SearchResult(best, first, other.screen(best), found.p_values)
-
-
-def _released(search: Search, found: SearchResult, best: CandidateFit, next_best: CandidateFit | None) -> SearchResult:
-    """Result with encoder feedback, fitted open loop; the one before where that cannot be simulated."""
-    free = None if best.names == found.best.names else fit_open_loop(best, search.start)
-    if free is None:
-        return found
-    search.trials.tried[free.names] = free
-    free = search.trials.correct_discretization(search.trials.converge(free))
-    return SearchResult(free, found.first, search.screen(free), found.p_values, next_best)
+def _fit(start: CandidateFit, record: float, effects: Sequence[Effect]) -> CandidateFit | None:
+    return refit(start, effects, StoppingRule(record))
 
 
 _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
@@ -409,8 +413,7 @@ def find_preexisting_effects(
     )
     start = CandidateFit(replace(baseline.fit.fit, point=_as(baseline.fit.point, None)))
     smooth = [effect for effect in effects if not effect.nonsmooth]
-    search = Search(rig, SearchStart(start, start), smooth, _MUCH, tell, workers)
-    best = search.run(SearchResult.nothing(start, search.screen(start))).best
+    best = Search(rig, start, smooth, _MUCH, tell, workers).run().best
     if not best.effects:
         return baseline.fit, f"{warning}; no single candidate explains it"
     problem = best.point.problem
@@ -430,3 +433,8 @@ def _as(point: Point, condition: str | None) -> Point:
         for run in point.runs
     )
     return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
+
+
+def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:
+    """Candidates that are fitted side by side."""
+    return [chosen[k : k + count] for k in range(0, len(chosen), count)]

@@ -86,11 +86,6 @@ class TrajectoryProblem(Record):
         """Duration of the longest recording [s]."""
         return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
 
-    @property
-    def with_feedback(self) -> bool:
-        """True if simulations are held near the angles that encoders measured."""
-        return any(each.feedback is not None for each in self.observed)
-
     def until(self, duration: float) -> TrajectoryProblem:
         """Return the problem of the recordings' first seconds only."""
         parts = [each.truncated(float(each.recording.time[0]) + duration) for each in self.observed]

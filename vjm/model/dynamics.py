@@ -9,7 +9,7 @@ Equation of motion (eq. 8), split into active (a) and passive (p) coordinates:
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -114,6 +114,12 @@ class Mechanism:
         rest = np.zeros_like(angles)
         pin.computeRNEADerivatives(self.model, self._data, angles, rest, rest)
         return np.array(self._data.dtau_dq)
+
+
+@lru_cache(maxsize=256)
+def mechanism_of(chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> Mechanism:
+    """Return the mechanism of a chain; the last ones are remembered."""
+    return Mechanism(chain, payload, gravity)
 
 
 def _add_chain(model: pin.Model, chain: Chain, payload: float, suffix: str) -> None:

@@ -10,7 +10,7 @@ from scipy import linalg, optimize
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
-from vjm.model.dynamics import Mechanism
+from vjm.model.dynamics import Mechanism, mechanism_of
 from vjm.records import Array
 
 _RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
@@ -40,7 +40,7 @@ def linearise(
     Raises:
         InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
     """
-    mechanism = Mechanism(chain, payload, gravity)
+    mechanism = mechanism_of(chain, payload, gravity)
     q = np.zeros(chain.size)
     q[chain.active] = theta
     if any(chain.gravity if gravity is None else gravity):

@@ -118,7 +118,7 @@ class _InitialStateSearch(LevenbergMarquardt[Run, _StateStep]):
 
     def is_rough_minimum(self, trial: Run | None) -> bool:
         recent = self.decreases[-4:]
-        rough = self.point.observed.feedback is not None and is_nonsmooth(self.point.arm.effects)
+        rough = is_nonsmooth(self.point.arm.effects)
         return rough and len(recent) == 4 and sum(recent) < _TOLERANCE * self.point.cost
 
 

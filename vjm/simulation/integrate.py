@@ -7,12 +7,14 @@ torque, by fourth-order exponential time differencing.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError, SimulationDivergedError
+from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording
 from vjm.simulation.arm import Arm
@@ -23,7 +25,7 @@ _LEAST_STEPS = 20  # of a short recording
 # elbow changes the arm's shape altogether.
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
-_MOST_TOGETHER = 128  # coordinates; what Pinocchio keeps for a model grows with their third power, 10 GB for 432
+_MOST_TOGETHER = 64  # coordinates; what Pinocchio keeps for a model grows with their third power
 _DIVERGED = 1e3  # rad; no joint turns so far
 _ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 
@@ -36,6 +38,8 @@ def simulate_trajectories(
     step: float | None = None,
     step_multiple: float = 1.0,
     longest: float = np.inf,
+    began: Sequence[float] | None = None,
+    z: Sequence[Array] | None = None,
 ) -> list[Trajectory]:
     """Simulate several recordings, or several copies over one, all advanced together where they are alike.
 
@@ -46,6 +50,8 @@ def simulate_trajectories(
         step: [s]; None: `default_step`.
         step_multiple: multiple of the default step to take.
         longest: step allowed [s].
+        began: C instants at which the recordings began [s], where they are parts of longer ones; None: their first.
+        z: C initial internal states (nz,); None: those of a recording's start.
 
     Returns:
         C trajectories, from the recording's first instant to its last or a little beyond: their numbers of steps are
@@ -57,6 +63,7 @@ def simulate_trajectories(
         SimulationDivergedError: a trajectory left the finite numbers.
     """
     driven = [arm.inputs(recording) for arm, recording in zip(arms, recordings, strict=True)]
+    starts = [float(recording.time[0]) for recording in driven] if began is None else began
     trajectories: dict[int, Trajectory] = {}
     for group in _similar(arms, driven):
         first, copies = driven[group[0]], [arms[k] for k in group]
@@ -67,15 +74,15 @@ def simulate_trajectories(
             h = min(h, _duration(first) / _LEAST_STEPS)
         h = min(h, longest, min(arm.longest_step for arm in copies) * min(step_multiple, 2.0))
         counts = [_step_count(arms[k].chain, driven[k], h) for k in group]
-        drive = Drive.of([driven[k] for k in group], h, max(counts))
+        drive = Drive.of([driven[k] for k in group], [starts[k] for k in group], h, max(counts))
         system = System.of(copies, [driven[k].payload for k in group], first.gravity)
         angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
-        states = np.stack([arm.initial_states(angle) for arm, angle in zip(copies, angles, strict=True)])
+        states = np.stack([arms[k].initial_states(np.asarray(q[k])) if z is None else z[k] for k in group])
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is noticed, and raised
             together = _integrate(system, angles, rates, states, drive)
         for c, (k, count) in enumerate(zip(group, counts, strict=True)):
             motion = (values[: count + 1, c] for values in together.motion)
-            trajectories[k] = Trajectory(driven[k].time[0] + together.time[: count + 1], *motion)
+            trajectories[k] = Trajectory(driven[k].time[0] + together.time[: count + 1], *motion, start=starts[k])
     return [trajectories[k] for k in range(len(arms))]
 
 
@@ -116,6 +123,7 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
     return float(sum(link.length for link in chain.links) ** -0.25 / (steps_a_period * slowest))
 
 
+@lru_cache(maxsize=64)
 def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
     """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
     M, D, K, _ = linearise(chain, payload, (0.0, 0.0))
@@ -145,7 +153,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
     that this becomes where the linear part is zero.
     """
-    n, count, step = q.shape[1], len(drive.start), drive.step
+    n, count, step, elapsed = q.shape[1], len(drive.start), drive.step, drive.first - drive.began
     propagator = _LinearPropagator(system, step)
     path = Trajectory(step * np.arange(count + 1.0), *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
     # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
@@ -162,7 +170,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
         if not system.has_further_forces:
             return system.acceleration(x, springs + torque), z
-        force, rates = system.further_forces(k * step, x[:, :n], x[:, n:], z)
+        force, rates = system.further_forces(elapsed + k * step, x[:, :n], x[:, n:], z)
         return system.acceleration(x, springs + torque + force), rates
 
     def update(x: Array, z: Array, to: Array) -> Array:
@@ -260,11 +268,10 @@ class _LinearPropagator:
 
     def _inertia(self, places: Array) -> Array:
         """(C, nv, nv) the copies' mass matrices at zero angles, but for the elbows'."""
-        copies, n = self.system.stiffness.shape
-        q = np.zeros((copies, n))
+        q = np.zeros(self.system.stiffness.shape)
         q[:, self.elbows] = _ELBOW_GRID * places
-        full = self.system.mechanism.mass_matrix(q.reshape(1, -1))[0]
-        return np.stack([full[c * n : (c + 1) * n, c * n : (c + 1) * n] for c in range(copies)])
+        arms = zip(self.system.arms, self.system.payloads, q, strict=True)
+        return np.stack([mechanism_of(arm.chain, payload).mass_matrix(at[None])[0] for arm, payload, at in arms])
 
     def _weights(self, inertia: Array, copies: list[int]) -> _Weights:
         """Matrices of some copies, from their mass matrices (c, nv, nv)."""

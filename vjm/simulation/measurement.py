@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from vjm.chain.curve import marker_poses
+from vjm.chain.curve import marker_poses, transfer_state
 from vjm.chain.virtual_links import Chain
+from vjm.effects.effect import Effect
 from vjm.records import Array, Indices, Recording, Rig, Simulation
-from vjm.simulation.arm import Arm, EncoderFeedback
+from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import LINEAR, Loss
 from vjm.simulation.system import Trajectory
 
@@ -62,7 +64,7 @@ class MarkerArcs:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
         seen = time
         if arm.sensors:
-            stamps = time - trajectory.time[0]
+            stamps = trajectory.elapsed(time)
             positions = self.positions(arm.chain, trajectory.angles(time))
             for effect in arm.sensors:
                 seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
@@ -80,6 +82,40 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
     return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
 
 
+@dataclass(frozen=True, eq=False)
+class PrecedingMotion:
+    """Estimated motion of an arm in a recording, of which effects with a memory remember what is before a segment.
+
+    Attributes:
+        chain: that moved.
+        time: (I,) since the recording's start [s].
+        q: (I, nv) angles [rad].
+    """
+
+    chain: Chain
+    time: Array
+    q: Array
+    _known: dict[tuple[int, tuple[Effect, ...]], tuple[Array, Array]] = field(default_factory=dict, repr=False)
+
+    def internal_states(self, arm: Arm, time: float, q: Array) -> Array:
+        """Return the internal states (nz,) of an arm's effects at a time [s] and angles q (nv,) [rad]."""
+        last = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
+        angles, states = self._along(arm)
+        return arm.update_states(angles[last], states[last], q)
+
+    def _along(self, arm: Arm) -> tuple[Array, Array]:
+        """Angles (I, nv) of an arm and internal states (I, nz) of its effects, which depend on no stiffness."""
+        counts = zip(arm.effects, arm.states, strict=True)
+        key = arm.chain.size, tuple(effect for effect, count in counts if count)
+        if key not in self._known:
+            q = self.q
+            if arm.chain.size != self.chain.size:
+                states = np.hstack([q, np.zeros(q.shape)])
+                q = transfer_state(self.chain, arm.chain, states.T).T[:, : arm.chain.size]
+            self._known[key] = q, Arm(arm.chain, key[1]).follow(self.time, q)
+        return self._known[key]
+
+
 @dataclass(frozen=True)
 class Observations:
     """Values measured in one recording: marker coordinates first, then active joints' angles, each in order of time.
@@ -95,7 +131,8 @@ class Observations:
         loss: of the weighted residuals.
         whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
         discretization_offset: (N_m + N_t,) added to predictions [m, rad]; None: nothing.
-        feedback: in simulations; None: they run open loop.
+        start: instant at which the recording began, where this is part of a longer one [s]; None: its first.
+        preceding: motion of the whole recording; None: not known, effects remember nothing.
     """
 
     recording: Recording
@@ -108,7 +145,8 @@ class Observations:
     loss: Loss = LINEAR
     whitening: sparse.csr_array | None = None
     discretization_offset: Array | None = None
-    feedback: EncoderFeedback | None = None
+    start: float | None = None
+    preceding: PrecedingMotion | None = None
 
     @classmethod
     def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
@@ -136,6 +174,17 @@ class Observations:
     def count(self) -> int:
         """Number of measured values."""
         return int(self.values.size)
+
+    @property
+    def motion(self) -> float:
+        """Sum of the squared weighted values about each sensor's mean."""
+        return float(
+            sum(
+                np.nansum((each - np.nanmean(each, axis=0)) ** 2)
+                for each in self.on_grid(self.weights * self.values)
+                if np.isfinite(each).any()
+            )
+        )
 
     def predicted(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return the (N_m + N_t,) values predicted by a trajectory of one copy [m, rad]."""
@@ -170,23 +219,55 @@ class Observations:
         angles.ravel()[self.angles] = values[self.markers.size :]
         return markers, angles
 
-    def truncated(self, end: float) -> Self:
+    @property
+    def began(self) -> float:
+        """Instant at which the recording began [s]."""
+        return float(self.recording.time[0]) if self.start is None else self.start
+
+    def internal_states(self, arm: Arm, q: Array) -> Array:
+        """Return the internal states (nz,) of an arm's effects at the first instant, at angles q (nv,) [rad]."""
+        if self.preceding is None or not sum(arm.states):
+            return arm.initial_states(q)
+        return self.preceding.internal_states(arm, float(self.recording.time[0]) - self.began, q)
+
+    def truncated(self, end: float) -> Observations:
         """Return the values measured up to an instant [s]."""
-        rows = int(np.searchsorted(self.recording.time, end, side="right"))
-        if rows >= self.recording.time.size:
-            return self
-        columns = {name: getattr(self.recording, name)[:rows] for name in ("time", "theta", "tau", "markers")}
-        part = self._only(self.instants < rows)
-        return replace(part, recording=replace(self.recording, **columns), frames=self.frames[self.frames < rows])
+        return self.between(0, int(np.searchsorted(self.recording.time, end, side="right")), 0.0)
 
-    def with_feedback(self, feedback: EncoderFeedback | None) -> Self:
-        """Return the values for simulations with feedback, without the angles that it uses: they are no evidence then.
+    def segments(self, duration: float, margin: float) -> tuple[Observations, ...]:
+        """Cut the recording into parts of equal length, each with its own initial state (multiple shooting).
 
-        Counted, the encoder's noise would be in the simulation as in the measurement, and bias the parameters.
+        Args:
+            duration: of a part, about [s].
+            margin: by which a simulation begins before its first value and ends after its last [s], for effects that
+                take what was measured to be earlier or later than its time stamp.
         """
-        if feedback is None:
+        time = self.recording.time
+        count = max(1, round(float(time[-1] - time[0]) / duration))
+        edges = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1))
+        edges[-1] = time.size
+        parts = [self.between(first, last, margin) for first, last in pairwise(edges.tolist())]
+        return tuple(part for part in parts if part.count)
+
+    def between(self, first: int, last: int, margin: float) -> Observations:
+        """Return the values measured in rows from `first` up to `last`, simulated a margin [s] beyond them."""
+        time, joints = self.recording.time, self.recording.theta.shape[1]
+        if first <= 0 and last >= time.size:
             return self
-        return replace(self._only(np.arange(self.count) < self.markers.size), feedback=feedback)
+        begin = int(np.searchsorted(time, time[first] - margin))
+        end = int(np.searchsorted(time, time[last - 1] + margin, side="right"))
+        rows = slice(begin, end)
+        columns = {name: getattr(self.recording, name)[rows] for name in ("time", "theta", "tau", "markers")}
+        frames = np.searchsorted(self.frames, (begin, end))
+        part = self._only((self.instants >= first) & (self.instants < last))
+        return replace(
+            part,
+            recording=replace(self.recording, **columns),
+            frames=self.frames[frames[0] : frames[1]] - begin,
+            markers=part.markers - frames[0] * self._width,
+            angles=part.angles - begin * joints,
+            start=self.began,
+        )
 
     def _only(self, kept: NDArray[np.bool_]) -> Self:
         """Part of the values, by a mask (N_m + N_t,)."""

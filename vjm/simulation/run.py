@@ -132,7 +132,7 @@ class Run:
         trajectory = self.trajectory
         if kept.size < trajectory.z.shape[1]:
             trajectory = replace(trajectory, z=trajectory.z[:, kept])
-        smooth = [PerturbedArm(other.with_feedback(arm.feedback).smooth[0], step) for other, step in perturbed]
+        smooth = [PerturbedArm(other.smooth[0], step) for other, step in perturbed]
         parts = Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride).jacobian()
         if self.observed.whitening is None:
             yield from parts
@@ -227,9 +227,10 @@ def simulate_runs(
     """
     recordings = [values.recording for values in observed]
     q, v = zip(*(np.split(state, 2) for state in states), strict=True)
-    arms = [arm.with_feedback(values.feedback) for arm, values in zip(arms, observed, strict=True)]
+    began = [values.began for values in observed]
+    z = [values.internal_states(arm, angles) for values, arm, angles in zip(observed, arms, q, strict=True)]
     longest = _longest_step(arms[0].chain, recordings)
-    trajectories = simulate_trajectories(arms, recordings, q, v, step_multiple=step_multiple, longest=longest)
+    trajectories = simulate_trajectories(arms, recordings, q, v, None, step_multiple, longest, began, z)
     if priors is None:
         priors = [InitialStatePrior.of(arm, recording) for arm, recording in zip(arms, recordings, strict=True)]
     return [Run(*parts) for parts in zip(observed, priors, arms, states, trajectories, strict=True)]

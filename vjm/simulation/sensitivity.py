@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from vjm.chain.virtual_links import Chain
-from vjm.model.dynamics import Mechanism
+from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
@@ -73,46 +73,41 @@ class PerturbedArm(NamedTuple):
 
 
 class _EquationsOfMotion:
-    """An arm's equations of motion along a given motion of I instants, whose time is since the recording's start."""
+    """An arm's equations of motion along a given motion of I instants."""
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
         self.arm = arm
         self.driven = arm.inputs(recording)
-        self.mechanism = Mechanism(arm.chain, self.driven.payload, self.driven.gravity)
+        self.mechanism = mechanism_of(arm.chain, self.driven.payload, self.driven.gravity)
         self.force = arm.forces(self.driven.payload)
-        self.has_further_forces = self.force is not None or arm.feedback is not None
+        self.has_further_forces = self.force is not None
 
     def inertial_torque(self, motion: Trajectory) -> Array:
         """Return M a + h (I, nv)."""
         return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
 
     def further_torque(self, motion: Trajectory) -> Array:
-        """Return forces of effects and feedback, with reversed sign (I, nv)."""
-        torque = np.zeros(motion.q.shape)
-        if self.force is not None:
-            torque = -self.force(motion.time, motion.q, motion.v, motion.z)
-        if self.arm.feedback is not None:
-            active = self.arm.chain.active
-            theta, rate = self.arm.read_encoders(motion.q[:, active], motion.v[:, active])
-            torque[:, active] -= self.arm.feedback.torque(motion.time, theta, rate)
-        return torque
+        """Return the effects' forces, with reversed sign (I, nv)."""
+        if self.force is None:
+            return np.zeros(motion.q.shape)
+        return -self.force(motion.elapsed(motion.time), motion.q, motion.v, motion.z)
 
     def state_rates(self, motion: Trajectory) -> Array:
         """Return rates of change of the internal states (I, nz)."""
-        return self.arm.state_rates(motion.time, motion.q, motion.v, motion.z)
+        return self.arm.state_rates(motion.elapsed(motion.time), motion.q, motion.v, motion.z)
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _coefficients(
-    arm: Arm, basis: ModalBasis, perturbed: Sequence[PerturbedArm], recording: Recording, motion: Trajectory
+    arm: Arm, basis: ModalBasis, perturbed: Sequence[PerturbedArm], observed: Observations, motion: Trajectory
 ) -> tuple[Array, Array]:
     """Coefficients of the variational equations along a motion of I instants, by forward differences.
 
     They are the derivatives of modal rates' and internal states' rates of change, by the unknowns (m modal coordinates,
     m modal rates, nz internal states; (I, m + nz, 2 m + nz)) and by the parameters (I, m + nz, p).
     """
-    equations, chain = _EquationsOfMotion(arm, recording), arm.chain
+    equations, chain = _EquationsOfMotion(arm, observed.recording), arm.chain
     inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
     state_rates = equations.state_rates(motion)
     m, nz = basis.shapes.shape[1], motion.z.shape[1]
@@ -136,7 +131,7 @@ def _coefficients(
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / _STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / _STEP
     for k, other_arm in enumerate(perturbed):
-        change = _parameter_derivatives(equations, other_arm, recording, motion, (inertial, further, state_rates))
+        change = _parameter_derivatives(equations, other_arm, observed, motion, (inertial, further, state_rates))
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
     solved = -np.linalg.solve(basis.shapes.T @ inertia, basis.shapes.T @ forces)
     lower = np.concatenate([solved, rates], axis=1)
@@ -146,7 +141,7 @@ def _coefficients(
 def _parameter_derivatives(
     equations: _EquationsOfMotion,
     perturbed: PerturbedArm,
-    recording: Recording,
+    observed: Observations,
     motion: Trajectory,
     nominal: tuple[Array, Array, Array],
 ) -> tuple[Array, Array]:
@@ -158,37 +153,22 @@ def _parameter_derivatives(
     rates = np.zeros(motion.z.shape)
     if other_arm.effects == equations.arm.effects and _equal(chain, other, _OF_BODIES):
         if equations.has_further_forces and not np.array_equal(other.stiffness, chain.stiffness):
-            forces = forces + _EquationsOfMotion(other_arm, recording).further_torque(motion) - further
+            forces = forces + _EquationsOfMotion(other_arm, observed.recording).further_torque(motion) - further
         return forces / step, rates
-    changed, nz = _EquationsOfMotion(other_arm, recording), motion.z.shape[1]
+    changed, nz = _EquationsOfMotion(other_arm, observed.recording), motion.z.shape[1]
     if changed.driven.gravity != equations.driven.gravity or not _equal(chain, other, _OF_BODIES):
         forces = forces + changed.inertial_torque(motion) - inertial
     # Internal states that only the perturbed arm has follow the motion as it is.
     if sum(other_arm.states) > nz:
-        motion = replace(motion, z=follow_internal_states(other_arm, motion.time, motion.q, motion.v))
+        start = observed.internal_states(other_arm, motion.q[0])
+        motion = replace(motion, z=other_arm.follow(motion.elapsed(motion.time), motion.q, start))
     if equations.has_further_forces or changed.has_further_forces:
         forces = forces + changed.further_torque(motion) - further
     if nz:
         rates = changed.state_rates(motion)[:, :nz] - state_rates
     if not np.array_equal(changed.driven.tau, equations.driven.tau, equal_nan=True):
-        time = recording.time[0] + motion.time
-        forces[:, chain.active] -= torque_at(changed.driven, time) - torque_at(equations.driven, time)
+        forces[:, chain.active] -= torque_at(changed.driven, motion.time) - torque_at(equations.driven, motion.time)
     return forces / step, rates / step
-
-
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def follow_internal_states(arm: Arm, time: Array, q: Array, v: Array) -> Array:
-    """Return the internal states (I, nz) of an arm's effects along a given motion, integrated by Heun's method.
-
-    The motion is angles q and rates v (I, nv) [rad, rad/s] at times since the recording's start (I,) [s].
-    """
-    z = np.empty((len(q), sum(arm.states)))
-    z[:] = arm.initial_states(q[0])
-    for k, step in enumerate(np.diff(time) if z.size else ()):
-        slope = arm.state_rates(time[k], q[k], v[k], z[k])
-        later = arm.state_rates(time[k + 1], q[k + 1], v[k + 1], z[k] + step * slope)
-        z[k + 1] = arm.update_states(q[k], z[k] + step / 2 * (slope + later), q[k + 1])
-    return z
 
 
 def _equal(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
@@ -262,7 +242,7 @@ class Linearization:
 
     def _stretches(self) -> Iterator[Trajectory]:
         """Derivatives of the motion as trajectories of 2 slow + p copies with m modal coordinates."""
-        basis, trajectory, recording = self.basis, self.trajectory, self.observed.recording
+        basis, trajectory = self.basis, self.trajectory
         size, slow_count, nz = basis.shapes.shape[1], basis.slow_count, trajectory.z.shape[1]
         count = 2 * slow_count + len(self.perturbed)
         rows = np.arange(0, len(trajectory.time), self.stride)
@@ -276,9 +256,10 @@ class Linearization:
             most = rows.size  # internal states that only these have are followed from the start
         for first in range(0, rows.size - 1, most):
             part = rows[first : first + most + 1]
-            motion = Trajectory(*(values[part] for values in (trajectory.time, *trajectory.motion)))
-            motion = replace(motion, time=motion.time - trajectory.time[0])
-            by_state, by_parameters = _coefficients(self.arm, basis, self.perturbed, recording, motion)
+            motion = Trajectory(
+                *(values[part] for values in (trajectory.time, *trajectory.motion)), start=trajectory.began
+            )
+            by_state, by_parameters = _coefficients(self.arm, basis, self.perturbed, self.observed, motion)
             flow, forced = _propagators(by_state, by_parameters, 2 * self.stride * trajectory.step)
             states = np.empty((len(flow) + 1, 2 * size + nz, count))
             states[0] = state
@@ -295,11 +276,12 @@ class Linearization:
     def _initial_internal_states(self) -> Array:
         """(nz, 2 slow + p) derivatives of the internal states at the start."""
         q, slow_count = self.trajectory.q[0], self.basis.slow_count
-        z = self.arm.initial_states(q)
+        observed = self.observed
+        z = observed.internal_states(self.arm, q)
         shapes = self.basis.shapes[:, :slow_count].T
-        by_angles = [(self.arm.initial_states(q + _STEP * shape) - z) / _STEP for shape in shapes]
+        by_angles = [(observed.internal_states(self.arm, q + _STEP * shape) - z) / _STEP for shape in shapes]
         by_rates = [np.zeros(z.size)] * slow_count
-        by_parameters = [(arm.initial_states(q)[: z.size] - z) / step for arm, step in self.perturbed]
+        by_parameters = [(observed.internal_states(arm, q)[: z.size] - z) / step for arm, step in self.perturbed]
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
     def _marker_slopes(self, part: Trajectory, exposures: Array, stamps: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from vjm.effects.effect import Motion
 from vjm.errors import InsufficientDataError
 from vjm.model.dynamics import Mechanism
 from vjm.records import Array, Indices, Recording
-from vjm.simulation.arm import Arm, EncoderFeedback
+from vjm.simulation.arm import Arm
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Drive:
         start, middle, end: (S, C, n_a) the quadratic's values at the steps' ends and middles [N m].
         ends: (S + 1, C, n_a) the torque itself at the steps' ends [N m].
         first: (C,) instants of the first step's start [s].
+        began: (C,) instants at which the recordings began [s].
         step: [s].
     """
 
@@ -35,18 +36,26 @@ class Drive:
     end: Array
     ends: Array
     first: Array
+    began: Array
     step: float
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], step: float, count: int) -> Drive:
+    def of(cls, recordings: Sequence[Recording], began: Sequence[float], step: float, count: int) -> Drive:
         """Return the torques of C recordings, each from its first instant; none act after a recording's end.
+
+        Args:
+            recordings: the recordings.
+            began: instants at which they began, before their first where they are parts of longer ones [s].
+            step: [s].
+            count: number of steps.
 
         Raises:
             InsufficientDataError: an active joint without measured torque.
         """
         parts = [_fit_quadratics(recording, step, count) for recording in recordings]
         start, middle, end, ends = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
-        return cls(start, middle, end, ends, np.array([recording.time[0] for recording in recordings]), step)
+        first = np.array([recording.time[0] for recording in recordings])
+        return cls(start, middle, end, ends, first, np.array(began), step)
 
 
 def measured_torque(recording: Recording) -> tuple[Array, Array]:
@@ -123,8 +132,8 @@ class System:
         stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
         active: coordinates that torques drive.
         arms: one a copy.
+        payloads: extra point mass on each copy's tip [kg].
         acting: effects that exert forces or have internal states, copies with the same ones together.
-        feedback: of encoders on the active joints; None: none.
     """
 
     mechanism: Mechanism
@@ -132,8 +141,8 @@ class System:
     damping: Array
     active: NDArray[np.intp]
     arms: tuple[Arm, ...]
+    payloads: tuple[float, ...]
     acting: tuple[_Acting, ...]
-    feedback: EncoderFeedback | None
 
     @classmethod
     def of(cls, arms: Sequence[Arm], payloads: Sequence[float], gravity: tuple[float, float]) -> System:
@@ -145,31 +154,27 @@ class System:
             np.stack([chain.damping for chain in chains]),
             chains[0].active,
             tuple(arms),
+            tuple(payloads),
             _acting_effects(arms, payloads),
-            EncoderFeedback.stacked([arm.feedback for arm in arms]),
         )
 
     @property
     def has_further_forces(self) -> bool:
         """True if anything acts beyond springs, dampers and torques."""
-        return bool(self.acting) or self.feedback is not None
+        return bool(self.acting)
 
-    def further_forces(self, time: float, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
-        """Return forces of effects and feedback (C, nv) [N m] and rates of internal states (C, nz) at a time [s]."""
+    def further_forces(self, time: Array, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
+        """Return effects' forces (C, nv) [N m] and rates of internal states (C, nz) at times (C,) [s].
+
+        Times are since each copy's recording began.
+        """
         force, rates = np.zeros(q.shape), np.zeros(z.shape)
         for copies, arm, exerted in self.acting:
             motion = q[copies], v[copies], z[copies]
-            instants = np.full(len(motion[0]), time)
             if exerted is not None:
-                force[copies] = exerted(instants, *motion)
+                force[copies] = exerted(time[copies], *motion)
             if z.size:
-                rates[copies] = arm.state_rates(instants, *motion)
-        if self.feedback is not None:
-            angles, speeds = q[:, self.active], v[:, self.active]
-            if any(arm.sensors for arm in self.arms):
-                read = [arm.read_encoders(*row) for arm, *row in zip(self.arms, angles, speeds, strict=True)]
-                angles, speeds = (np.stack(column) for column in zip(*read, strict=True))
-            force[:, self.active] += self.feedback.torque(time, angles, speeds)
+                rates[copies] = arm.state_rates(time[copies], *motion)
         return force, rates
 
     def update_states(self, q: Array, z: Array, to: Array) -> Array:
@@ -208,6 +213,7 @@ class Trajectory:
         time: (S + 1,) evenly spaced [s].
         q, v, a: (S + 1, ..., nv) angles [rad], rates [rad/s] and accelerations [rad/s^2]; copies are in the middle.
         z: (S + 1, ..., nz) internal states of the effects.
+        start: instant at which the recording began, from which effects count time [s]; None: the first.
     """
 
     time: Array
@@ -215,6 +221,17 @@ class Trajectory:
     v: Array
     a: Array
     z: Array
+    _: KW_ONLY
+    start: float | None = None
+
+    @property
+    def began(self) -> float:
+        """Instant at which the recording began [s]."""
+        return float(self.time[0]) if self.start is None else self.start
+
+    def elapsed(self, time: Array) -> Array:
+        """Return instants (...) [s] as times since the recording began."""
+        return time - self.began
 
     @property
     def motion(self) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,115 @@
+"""Segments of recordings, each simulated from a state of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.diagnosis.rigs import NOISE, RIG, chain_of, recorded
+from vjm.effects import (
+    ClockScale,
+    CoulombFriction,
+    Effect,
+    ExternalTone,
+    Hysteresis,
+    StiffnessDrift,
+    TimeOffset,
+    ViscoelasticCreep,
+)
+from vjm.simulation.arm import Arm
+from vjm.simulation.measurement import Observations, PrecedingMotion
+from vjm.simulation.run import Run, simulate_runs
+from vjm.simulation.sensitivity import PerturbedArm
+
+TIMED = (
+    (),
+    (StiffnessDrift(link=0, rate=-0.05),),
+    (ExternalTone(link=0, amplitude=0.01, frequency=1.7, phase=0.4),),
+    (ClockScale(scale=1.01),),
+    (TimeOffset(delay=0.01),),
+)
+
+
+def run_of(arm: Arm, observed: Observations, state: np.ndarray) -> Run:
+    return simulate_runs([arm], [observed], None, [state], 0.5)[0]
+
+
+def parts_of(effects: Sequence[Effect]) -> tuple[Run, list[Run]]:
+    """A recording, and its segments from the states of the whole at their beginnings."""
+    arm = Arm.of(chain_of(), effects)
+    observed = Observations.of(RIG, recorded(arm, 1)[1], NOISE)
+    whole = run_of(arm, observed, np.zeros(2 * arm.chain.size))
+    parts = []
+    for part in observed.segments(0.5, 0.05):
+        q, v = whole.trajectory.sample(part.recording.time[:1])
+        parts.append(run_of(arm, part, np.concatenate([q[0], v[0]])))
+    return whole, parts
+
+
+@pytest.mark.parametrize("effects", TIMED, ids=lambda effects: effects[0].id if effects else "nothing")
+def test_segments_from_the_states_of_the_whole_predict_what_it_predicts(effects: tuple[Effect, ...]) -> None:
+    """Effects count time from where the recording began, not from where a segment does."""
+    whole, parts = parts_of(effects)
+    assert len(parts) == 4
+    assert sum(part.observed.count for part in parts) == whole.observed.count
+    assert sum(part.chi2 for part in parts) == pytest.approx(whole.chi2, rel=2e-3)
+
+
+@pytest.mark.parametrize("effects", TIMED[1:], ids=lambda effects: effects[0].id)
+def test_derivatives_in_segments_are_those_of_differences(effects: tuple[Effect, ...]) -> None:
+    """Two routes to what a size does in the last segment: variational equations, and simulations."""
+    _, parts = parts_of(effects)
+    last, (effect,) = parts[-1], effects
+    coordinates = effect.coordinates.copy()
+    step = 1e-4 * max(abs(coordinates[0]), 1.0)
+    coordinates[0] += step
+    other = Arm.of(chain_of(), (effect.at(coordinates),))
+    moved = run_of(other, last.observed, last.state)
+    slopes = np.empty(last.observed.count)
+    for measured, part in last.slopes([PerturbedArm(other, step)]):
+        slopes[measured] = part[:, -1]
+    expected = (last.residual - moved.residual) / step
+    assert np.linalg.norm(slopes - expected) < 0.02 * np.linalg.norm(expected)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.05, 5.0), st.floats(0.0, 0.3))
+def test_every_value_is_in_exactly_one_segment(duration: float, margin: float) -> None:
+    observed = Observations.of(RIG, recorded(Arm(chain_of()), 1)[0], NOISE)
+    parts = observed.segments(duration, margin)
+    markers = np.concatenate([part.values[: part.markers.size] for part in parts])
+    angles = np.concatenate([part.values[part.markers.size :] for part in parts])
+    assert np.array_equal(np.concatenate([markers, angles]), observed.values)
+    for part in parts:
+        time = part.recording.time[np.unique(part.instants)]
+        assert part.recording.time[0] <= max(time[0] - margin, observed.recording.time[0]) + 0.006
+        assert part.began == observed.began
+        grids = part.on_grid(part.values)
+        measured = np.concatenate([grid[np.isfinite(grid)] for grid in grids])
+        assert np.array_equal(np.sort(measured), np.sort(part.values))
+
+
+REMEMBERING = (
+    CoulombFriction(link=0, torque=0.01),
+    ViscoelasticCreep(link=0, ratio=0.05, time_constant=0.1),
+    Hysteresis(link=0, ratio=0.05, yield_angle=0.02),
+)
+
+
+@pytest.mark.parametrize("effect", REMEMBERING, ids=lambda effect: effect.id)
+def test_effects_with_a_memory_remember_the_motion_before_a_segment(effect: Effect) -> None:
+    whole, parts = parts_of((effect,))
+    path = whole.trajectory
+    forgetful = sum(part.chi2 for part in parts)
+    remembering = 0.0
+    for part in parts:
+        time = np.linspace(path.time[0], part.trajectory.time[0], 1000)
+        motion = PrecedingMotion(whole.chain, path.elapsed(time), np.hstack(path.sample(time)))
+        observed = replace(part.observed, preceding=motion if part is not parts[0] else None)
+        remembering += run_of(part.arm, observed, part.state).chi2
+    assert abs(remembering - whole.chi2) < 0.1 * (forgetful - whole.chi2)
