@@ -181,12 +181,14 @@ class Search:
         return FamilyTest.of(screened, candidates.multiplicity[kept], self.rules.alpha, self.rules.seed)
 
     def least_decrease(self, fit: CandidateFit) -> float:
-        """Return the decrease of chi^2 from which a further effect matters beside a model.
+        """Return the decrease of chi^2 from which a further effect matters beside a model: a share of what remains.
 
-        Stick-slip and play are followed only so well: what they leave is not another effect.
+        Large causes come before small ones. Stick-slip and play are followed only so well: what they leave is not
+        another effect.
         """
         left = [self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth]
-        return max([self.rules.least_decrease(fit), *(_NONSMOOTH_REST * decrease for decrease in left)])
+        share = self.rules.matters / (1 + self.rules.matters)
+        return max([share * fit.chi2, *(_NONSMOOTH_REST * decrease for decrease in left)])
 
     def needed(self, fit: CandidateFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first."""
