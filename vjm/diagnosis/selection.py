@@ -191,10 +191,13 @@ class Search:
         return max([share * fit.chi2, *(_NONSMOOTH_REST * decrease for decrease in left)])
 
     def needed(self, fit: CandidateFit, family: FamilyTest) -> list[int]:
-        """Return candidates that are significant and matter beside a model, one variant each, the most needed first."""
+        """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
+
+        Whether one matters shows in its fit where the model is too far from the recordings for slopes to tell.
+        """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
         significant = family.p_values_in(unit) < self.rules.alpha
-        matters = screened.statistics > self.least_decrease(fit)
+        matters = (screened.statistics > self.least_decrease(fit)) | (not self._is_followed(fit))
         return screened.one_each(np.flatnonzero(significant & matters).tolist())
 
     def _is_followed(self, fit: CandidateFit) -> bool:
