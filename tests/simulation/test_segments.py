@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, recorded
 from vjm.effects import (
     ClockScale,
-    CoulombFriction,
     Effect,
     ExternalTone,
     Hysteresis,
@@ -95,7 +94,6 @@ def test_every_value_is_in_exactly_one_segment(duration: float, margin: float) -
 
 
 REMEMBERING = (
-    CoulombFriction(link=0, torque=0.01),
     ViscoelasticCreep(link=0, ratio=0.05, time_constant=0.1),
     Hysteresis(link=0, ratio=0.05, yield_angle=0.02),
 )
@@ -108,8 +106,6 @@ def test_effects_with_a_memory_remember_the_motion_before_a_segment(effect: Effe
     forgetful = sum(part.chi2 for part in parts)
     remembering = 0.0
     for part in parts:
-        time = np.linspace(path.time[0], part.trajectory.time[0], 1000)
-        motion = PrecedingMotion(whole.chain, path.elapsed(time), np.hstack(path.sample(time)))
-        observed = replace(part.observed, preceding=motion if part is not parts[0] else None)
+        observed = replace(part.observed, preceding=PrecedingMotion(whole.chain, path.elapsed(path.time), path.q))
         remembering += run_of(part.arm, observed, part.state).chi2
     assert abs(remembering - whole.chi2) < 0.1 * (forgetful - whole.chi2)

@@ -99,9 +99,12 @@ class PrecedingMotion:
 
     def internal_states(self, arm: Arm, time: float, q: Array) -> Array:
         """Return the internal states (nz,) of an arm's effects at a time [s] and angles q (nv,) [rad]."""
-        last = max(int(np.searchsorted(self.time, time, side="right")) - 1, 0)
-        angles, states = self._along(arm)
-        return arm.update_states(angles[last], states[last], q)
+        later = int(np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1))
+        share = np.clip((time - self.time[later - 1]) / (self.time[later] - self.time[later - 1]), 0.0, 1.0)
+        angles, states = (
+            values[later - 1] + share * (values[later] - values[later - 1]) for values in self._along(arm)
+        )
+        return arm.update_states(angles, states, q)
 
     def _along(self, arm: Arm) -> tuple[Array, Array]:
         """Angles (I, nv) of an arm and internal states (I, nz) of its effects, which depend on no stiffness."""
