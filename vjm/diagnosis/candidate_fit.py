@@ -37,8 +37,7 @@ _SHAPE_STEP = 1.0  # of a shape parameter's logarithm in one step: a factor e
 _LEAST_JOINT = 1e-3  # bound below which the joint would vanish, and the chain with it change its size
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
-_NONSMOOTH_START = 0.5  # less friction or play does nothing that derivatives show
-_LEAST_JOINT_START = 0.1  # a joint that is nearly rigid has next to no derivative
+_LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
 _FEW = 4  # simulations by which initial states come near enough for a fit of all parameters
 _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
 _MISSED = 1e-3  # significance level at which a recording is missed
@@ -223,8 +222,7 @@ def start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
         chain: to which it is added.
     """
     coordinates = effect.coordinates
-    smooth = _LEAST_JOINT_START if adds_joint(effect, chain) else -_LARGEST_START
-    least = _NONSMOOTH_START if effect.nonsmooth else smooth
+    least = _LEAST_START if effect.nonsmooth or adds_joint(effect, chain) else -_LARGEST_START
     coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(coordinates, *effect.bounds))
 

@@ -259,7 +259,9 @@ class Search:
         base = fits.get(self.start.names)
         if base is None or self._explains_all(found, best):
             return found  # in longer segments slopes show what is left, and fits of what they do not show take long
-        hidden = screened.one_each(k for k, effect in enumerate(screened.effects) if self._is_hidden(effect, best))
+        hidden = [k for k, effect in enumerate(screened.effects) if self._is_hidden(effect, best)]
+        hidden.sort(key=lambda k: (screened.effects[k].nonsmooth, -screened.statistics[k]))  # stick-slip is slow to fit
+        hidden = screened.first_of_each(hidden)
         for batch in _batches(hidden, self.workers.count):
             found = self._fitted(best, [self._with(best, family, [k]) for k in batch], found, fits)
             if self._explains_all(found, best):

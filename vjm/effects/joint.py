@@ -7,7 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.effects.effect import ColumnEffect, JointEffect, LinkEffect, Motion, RateIndependentUpdate, magnitude
+from vjm.effects.effect import (
+    ColumnEffect,
+    JointEffect,
+    LinkEffect,
+    Motion,
+    RateIndependentUpdate,
+    magnitude,
+    shape_parameter,
+)
 from vjm.records import Array, Recording
 
 # Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows. In the link's
@@ -162,9 +170,10 @@ class ClampCompliance(LinkEffect):
 
 @dataclass(frozen=True)
 class GearElasticity(JointEffect):
-    """A spring between the motor, where the encoder is, and the hub; each has half of the hub's inertia."""
+    """A spring between the motor, where the encoder is, and the hub; the motor has a share of the hub's inertia."""
 
     stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
+    motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
 
     description = "an elastic gear or shaft between the motor's encoder and the hub"
     clause = "an elastic gear or shaft of {stiffness} between motor and hub of {link}"
@@ -176,17 +185,18 @@ class GearElasticity(JointEffect):
         if self.is_null:
             return chain
         link = self.link_of(chain)
-        return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link))
+        return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link, self.motor_share))
 
 
 @dataclass(frozen=True)
 class Backlash(JointEffect):
-    """A dead zone, of whole width gap, between motor and hub; each has half of the hub's inertia.
+    """A dead zone, of whole width gap, between motor and hub; the motor has a share of the hub's inertia.
 
     Its flanks push and never pull: they exert k d + c d' at a depth d, as long as that is positive.
     """
 
     gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
+    motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
 
     nonsmooth = True
     description = "play between the motor and the hub"
@@ -201,7 +211,7 @@ class Backlash(JointEffect):
         link, (length, mass, time) = self.link_of(chain), self.units(chain)
         unit = mass * length**2 / time**2
         flank = _in_series(link, _FLANK_STIFFNESS * unit, _FLANK_DAMPING * unit * time)
-        return self.with_link(chain, **flank, **_behind_gear(link))
+        return self.with_link(chain, **flank, **_behind_gear(link, self.motor_share))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the torque that cancels the root joint's spring and damper inside the gap."""
@@ -249,9 +259,9 @@ def _in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> dict[
     return {"root_stiffness": total, "root_damping": losses}
 
 
-def _behind_gear(link: LinkChain) -> dict[str, float]:
-    """Half of the hub's inertia beyond the root joint, the motor's remaining before it, unless it is there already."""
+def _behind_gear(link: LinkChain, motor_share: float) -> dict[str, float]:
+    """What the motor leaves of the hub's inertia beyond the root joint, unless it is there already."""
     if link.root_inertia > 0:
         return {}
-    motor = 0.5 * link.hub_inertia
+    motor = motor_share * link.hub_inertia
     return {"hub_inertia": motor, "root_inertia": link.hub_inertia - motor}
