@@ -154,7 +154,7 @@ def test_friction_takes_its_torque_times_the_joint_s_whole_way() -> None:
     q, v = np.zeros((2, time.size, HUB.size))
     q[:, 0], v[:, 0] = 0.3 * np.sin(4 * time), 1.2 * np.cos(4 * time)
     arm = Arm.of(HUB, (CoulombFriction(torque=0.008),))
-    z = arm.follow(time, q)
+    z = arm.follow(time, q, v)
     push = arm.forces(0.0)
     assert push is not None
     work = np.trapezoid((push(time, q, v, z) * v).sum(axis=1), time)

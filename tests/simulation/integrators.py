@@ -56,7 +56,7 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
 
     def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
-        force, rates = system.further_forces(time, q, v, z)
+        force, rates = system.further_forces(np.full(len(q), time), q, v, z)
         force = force - system.stiffness * q - system.damping * v
         force[:, system.active] += torque
         return system.acceleration(np.concatenate([q, v], axis=1), force), rates

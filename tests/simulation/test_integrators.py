@@ -29,7 +29,7 @@ from tests.simulation.setups import (
     two_link_arm,
 )
 from vjm.chain.virtual_links import Chain
-from vjm.model import dynamics
+from vjm.model.dynamics import Mechanism
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
@@ -232,13 +232,13 @@ def test_copies_together_move_as_each_alone(integrator: str, same: bool) -> None
 
 def test_many_copies_are_advanced_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pinocchio keeps tensors of the third order for a model: 10 GB for 48 copies of nine joints."""
-    sizes, build = [], dynamics.build
+    sizes, whole = [], Mechanism.__init__
 
-    def watched(chains: Chain | Sequence[Chain], *rest: Any) -> dynamics.Mechanism:
+    def watched(self: Mechanism, chains: Chain | Sequence[Chain], *rest: Any) -> None:
         sizes.append(chains.size if isinstance(chains, Chain) else sum(chain.size for chain in chains))
-        return build(chains, *rest)
+        whole(self, chains, *rest)
 
-    monkeypatch.setattr(dynamics, "build", watched)
+    monkeypatch.setattr(Mechanism, "__init__", watched)
     chain = arm_of(steel_link(8, "revolute"))
     recording = recording_of(chain, np.arange(21) / 100.0, jerky_torque(1, 7))
     rates = np.random.default_rng(9).normal(0, 0.5, (48, 9))

@@ -106,6 +106,8 @@ def test_effects_with_a_memory_remember_the_motion_before_a_segment(effect: Effe
     forgetful = sum(part.chi2 for part in parts)
     remembering = 0.0
     for part in parts:
-        observed = replace(part.observed, preceding=PrecedingMotion(whole.chain, path.elapsed(path.time), path.q))
+        observed = replace(
+            part.observed, preceding=PrecedingMotion(whole.chain, path.elapsed(path.time), path.q, path.v)
+        )
         remembering += run_of(part.arm, observed, part.state).chi2
     assert abs(remembering - whole.chi2) < 0.1 * (forgetful - whole.chi2)

@@ -360,7 +360,8 @@ def _joined(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
     ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
     shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
     time = np.concatenate([path.elapsed(path.time)[own] for path, own in shown])
-    return PrecedingMotion(chain, time, np.concatenate([path.q[own] for path, own in shown]))
+    q, v = (np.concatenate([getattr(path, name)[own] for path, own in shown]) for name in ("q", "v"))
+    return PrecedingMotion(chain, time, q, v)
 
 
 def _before(runs: Sequence[Run], observed: Observations) -> list[Run]:

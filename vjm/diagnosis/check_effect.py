@@ -372,7 +372,7 @@ def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
     angle = time[:, None, None] * pulsation + phase
     q, v = 0.3 * (np.sin(angle) - np.sin(phase)).sum(axis=1), 0.3 * (pulsation * np.cos(angle)).sum(axis=1)
     v *= 1.0 if stateful else 10 ** -random.uniform(0, 3, (time.size, 1))  # slow states too
-    z = arm.follow(time, q)
+    z = arm.follow(time, q, v)
     force = arm.forces(_PAYLOAD)
     torque = np.zeros_like(q) if force is None else force(time, q, v, z)
     for joint, change in zip(arm.chain.active, (arm.inputs(recording).tau - recording.tau).T, strict=True):

@@ -91,22 +91,21 @@ class Arm:
             updated[..., part] = function(q, z[..., part], to)
         return updated
 
-    def follow(self, time: Array, q: Array, z: Array | None = None) -> Array:
+    def follow(self, time: Array, q: Array, v: Array, z: Array | None = None) -> Array:
         """Return the internal states (I, nz) along a given motion, integrated by Heun's method.
-
-        Rates are those by which the angles change from instant to instant: others would add up to another change.
 
         Args:
             time: (I,) since the recording's start [s].
-            q: (I, nv) angles [rad].
+            q, v: (I, nv) angles [rad] and rates [rad/s]; where the rates do not add up to the change of the angles, as
+                from one segment of a recording to the next, the angles count.
             z: (nz,) at the first instant; None: those of a recording's start.
         """
         states = np.empty((len(q), sum(self.states)))
         states[:] = self.initial_states(q[0]) if z is None else z
         for k, step in enumerate(np.diff(time) if states.size else ()):
-            v = (q[k + 1] - q[k]) / step
-            slope = self.state_rates(time[k], q[k], v, states[k])
-            later = self.state_rates(time[k + 1], q[k + 1], v, states[k] + step * slope)
+            missing = (q[k + 1] - q[k]) / step - (v[k] + v[k + 1]) / 2
+            slope = self.state_rates(time[k], q[k], v[k] + missing, states[k])
+            later = self.state_rates(time[k + 1], q[k + 1], v[k + 1] + missing, states[k] + step * slope)
             states[k + 1] = self.update_states(q[k], states[k] + step / 2 * (slope + later), q[k + 1])
         return states
 

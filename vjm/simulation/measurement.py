@@ -89,12 +89,13 @@ class PrecedingMotion:
     Attributes:
         chain: that moved.
         time: (I,) since the recording's start [s].
-        q: (I, nv) angles [rad].
+        q, v: (I, nv) angles [rad] and rates [rad/s].
     """
 
     chain: Chain
     time: Array
     q: Array
+    v: Array
     _known: dict[tuple[int, tuple[Effect, ...]], tuple[Array, Array]] = field(default_factory=dict, repr=False)
 
     def internal_states(self, arm: Arm, time: float, q: Array) -> Array:
@@ -111,11 +112,10 @@ class PrecedingMotion:
         counts = zip(arm.effects, arm.states, strict=True)
         key = arm.chain.size, tuple(effect for effect, count in counts if count)
         if key not in self._known:
-            q = self.q
+            q, v = self.q, self.v
             if arm.chain.size != self.chain.size:
-                states = np.hstack([q, np.zeros(q.shape)])
-                q = transfer_state(self.chain, arm.chain, states.T).T[:, : arm.chain.size]
-            self._known[key] = q, Arm(arm.chain, key[1]).follow(self.time, q)
+                q, v = np.split(transfer_state(self.chain, arm.chain, np.hstack([q, v]).T).T, 2, axis=1)
+            self._known[key] = q, Arm(arm.chain, key[1]).follow(self.time, q, v)
         return self._known[key]
 
 

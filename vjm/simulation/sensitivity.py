@@ -161,7 +161,7 @@ def _parameter_derivatives(
     # Internal states that only the perturbed arm has follow the motion as it is.
     if sum(other_arm.states) > nz:
         start = observed.internal_states(other_arm, motion.q[0])
-        motion = replace(motion, z=other_arm.follow(motion.elapsed(motion.time), motion.q, start))
+        motion = replace(motion, z=other_arm.follow(motion.elapsed(motion.time), motion.q, motion.v, start))
     if equations.has_further_forces or changed.has_further_forces:
         forces = forces + changed.further_torque(motion) - further
     if nz:
