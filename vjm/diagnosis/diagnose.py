@@ -128,7 +128,7 @@ def _findings(
         proposals=propose_recordings(open_loop, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,
-        notes=_notes(baseline, start, best),
+        notes=_notes(baseline, start, result, search),
         seed=rules.seed,
     )
     return _simulate_without_each_cause(findings)
@@ -215,8 +215,9 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 
 
-def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[str, ...]:
+def _notes(baseline: Baseline, start: SearchStart, result: SearchResult, search: Search) -> tuple[str, ...]:
     joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in baseline.fit.point.chain.links)
+    best = result.best
     known = "was not measured" if best.shift is None else "is measured against a finer chain"
     notes = [f"virtual joints of the search's chain: {joints}; the error of so few {known}"]
     longest = max(float(np.ptp(run.observed.recording.time)) for run in best.point.runs)
@@ -225,6 +226,11 @@ def _notes(baseline: Baseline, start: SearchStart, best: CandidateFit) -> tuple[
             f"dry friction or play: the model was fitted to segments of {longest:.2g} s, each with an initial state of "
             "its own, since it follows nothing longer; misfits and parameters are those of segments, simulated "
             "recordings and gain are open loop over whole recordings"
+        )
+    if not search.is_followed(result.segment_fits.get(search.start.names, search.start)):
+        notes.append(
+            "even over segments the model without effects follows so little of the recordings that the table of "
+            "candidates, which is linear, is no guide: each was fitted"
         )
     if best.effects and not best.fit.converged:
         notes.append("the last fit was ended once further steps no longer mattered")

@@ -197,10 +197,10 @@ class Search:
         """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
         significant = family.p_values_in(unit) < self.rules.alpha
-        matters = (screened.statistics > self.least_decrease(fit)) | (not self._is_followed(fit))
+        matters = (screened.statistics > self.least_decrease(fit)) | (not self.is_followed(fit))
         return screened.one_each(np.flatnonzero(significant & matters).tolist())
 
-    def _is_followed(self, fit: CandidateFit) -> bool:
+    def is_followed(self, fit: CandidateFit) -> bool:
         """Return True if a model follows each recording's motion, so that slopes tell what it lacks."""
         for one in self.whole:
             runs = [run for run in fit.point.runs if run.observed.recording.file == one.recording.file]
@@ -250,7 +250,7 @@ class Search:
         their own, which are tried wherever more than noise is left.
         """
         screened, found = family.screen, None
-        followed = self._is_followed(best)
+        followed = self.is_followed(best)
         for batch in _batches(needed, self.workers.count):
             gained = 0.0 if found is None else best.chi2 - found.chi2
             if self._explains_all(found, best) or (followed and screened.statistics[batch[0]] < _LINEAR * gained):
