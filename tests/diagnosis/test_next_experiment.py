@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.candidate_fit import CandidateFit, refit
+from vjm.diagnosis.candidate_fit import refit
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.effects import CameraRotation, ClampCompliance, CubicStiffness, Effect, EncoderOffset, StiffnessDrift
 from vjm.identification.trajectory_fit import TrajectoryFit
@@ -24,9 +24,9 @@ def drives(truth: Effect, seed: int, factor: float = 1.0) -> list[Recording]:
     return recorded(Arm.of(chain_of(), (truth,)), seed, factor=factor)
 
 
-def fitted(recordings: Sequence[Recording], *effects: Effect) -> list[CandidateFit]:
+def fitted(recordings: Sequence[Recording], *effects: Effect) -> list[TrajectoryFit]:
     """Explanations of some drives, one for each effect."""
-    start = CandidateFit(TrajectoryFit(point_of(chain_of(), (), recordings), False, 0))
+    start = TrajectoryFit(point_of(chain_of(), (), recordings))
     found = [refit(start, [effect]) for effect in effects]
     assert all(each is not None for each in found)
     return [each for each in found if each is not None]

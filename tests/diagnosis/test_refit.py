@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.candidate_fit import CandidateFit, Extension, StoppingRule, cut, refit
+from vjm.diagnosis.candidate_fit import StoppingRule, cut, refit
 from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
@@ -33,7 +33,7 @@ def test_a_time_constant_does_not_run_away(seed: int, time_constant: float) -> N
     truth = ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.12)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
     point = point_of(chain_of(), (), recordings)
-    problem = replace(point.problem, extension=Extension(point.problem.parametrisation, (truth,)))
+    problem = replace(point.problem, effects=(truth,))
     starts = [np.r_[point.x, each.coordinates] for each in (truth, replace(truth, time_constant=time_constant))]
     near, far = (fit_trajectory(problem, x).point for x in starts)
     assert near.misfit == pytest.approx(1.0, abs=0.03)
@@ -75,10 +75,10 @@ def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch
         assert run.state == pytest.approx(off)
 
 
-def in_segments(recordings: list[Recording]) -> CandidateFit:
+def in_segments(recordings: list[Recording]) -> TrajectoryFit:
     """The chain without effects, fitted to segments of one and a half periods."""
     point = point_of(chain_of(), (), recordings)
-    start = CandidateFit(TrajectoryFit(point, False, 0))
+    start = TrajectoryFit(point)
     return cut(start, point.problem.observed, point.problem.first_horizon(point.x) / 2, StoppingRule())
 
 
@@ -86,7 +86,7 @@ def missing_step(effect: Effect) -> tuple[Point, _TrajectoryStep, Array]:
     """A right model, a step of its initial states alone that promises much, and that change of a state."""
     arm = Arm.of(chain_of(), [effect])
     point = point_of(chain_of(), [effect], recorded(arm, 1))
-    problem = replace(point.problem, extension=Extension(point.problem.parametrisation, (effect,)))
+    problem = replace(point.problem, effects=(effect,))
     point = replace(point, problem=problem, x=np.concatenate([point.x, effect.coordinates]))
     off = np.zeros(2 * arm.chain.size)
     off[arm.chain.size] = 0.1

@@ -55,7 +55,7 @@ def test_every_parameter_at_once_finds_a_model_that_fits_as_well_as_the_truth() 
     experiment = replace(experiment, rig=replace(experiment.rig, marker_noise=1e-5, encoder_noise=1e-5))
     fit = identify(experiment, parameters="full")
     assert fit.trajectory is not None
-    assert fit.trajectory.chi2_per_sample < 0.1
+    assert fit.trajectory.misfit**2 < 0.1
     assert fit.model.chain.links[0].masses.sum() == pytest.approx(0.44)
     assert fit.model.chain.links[0].lengths.sum() == pytest.approx(1.0)
 
@@ -270,7 +270,7 @@ def test_demo_comes_out_as_it_was_put_in() -> None:
     assert stiffness.value == pytest.approx(1.973629, rel=5e-4)
     assert time.value == pytest.approx(3.07e-4, rel=0.02)
     assert fit.trajectory is not None
-    assert fit.trajectory.chi2_per_sample == pytest.approx(1.0, abs=0.05)
+    assert fit.trajectory.misfit**2 == pytest.approx(1.0, abs=0.05)
     held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
     assert held_out.simulated is not None
     assert held_out.simulated.marker_rms < 1.04 * NOISE

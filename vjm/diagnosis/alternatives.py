@@ -6,12 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import CandidateFit, start_size
+from vjm.diagnosis.candidate_fit import information_of, start_size
 from vjm.diagnosis.records import Alternative, Cause
 from vjm.diagnosis.screen import Directions, Screen
 from vjm.diagnosis.selection import Fits, Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import Array, Estimate
 
 _EQUIVALENT = 10.0  # chi^2 below which models are not distinguished: a likelihood ratio of e^5, decisive by Jeffreys
@@ -45,7 +46,7 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     beside = Directions.of(best.point, best.effects, [variants[k] for k in shown], search.workers)
     alternatives = {}
     for cause in causes:
-        part = next(p for effect, p in zip(best.effects, best.extension.parts, strict=True) if effect is cause)
+        part = next(p for effect, p in zip(best.effects, best.point.problem.parts, strict=True) if effect is cause)
         chosen = [shown.index(k) for k in wanted[cause.key]]
         screened = beside.screen(present=(cause, part), chosen=chosen)
         others = [effect for effect in best.effects if effect is not cause]
@@ -56,7 +57,7 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     return alternatives
 
 
-def _as_good(best: CandidateFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
+def _as_good(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
     """Models fitted with another effect in a cause's place that leave about as little, the best first."""
     rest, alternatives = best.names - {cause.key}, []
     for names, tried in fits.items():
@@ -110,10 +111,10 @@ def estimate_causes(
         reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
     """
     best, causes = result.best, []
-    spread = best.information.covariance
-    estimated = best.extension.present(best.estimate)
-    for effect, estimate, part in [*zip(best.effects, estimated, best.extension.parts, strict=True)][
-        best.reference_effects :
+    spread = information_of(best).covariance
+    estimated = best.point.problem.present(best.estimate)
+    for effect, estimate, part in [*zip(best.effects, estimated, best.point.problem.parts, strict=True)][
+        best.point.problem.reference_effects :
     ]:
         names = best.names - {effect.key}
         without = result.fits.get(names) or search.without(best, effect, result.fits) or search.start

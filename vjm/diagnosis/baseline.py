@@ -18,14 +18,14 @@ import numpy as np
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
-from vjm.diagnosis.candidate_fit import INCOMPLETE, CandidateFit, Extension
+from vjm.diagnosis.candidate_fit import INCOMPLETE
 from vjm.diagnosis.noise import Noise
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.training_data import TrainingData
-from vjm.identification.trajectory_fit import Coordinates, Point, fit_trajectory
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.identification.trajectory_method import TrajectoryMethod, first_fit, simulatable
 from vjm.model.dynamics import mechanism_of
 from vjm.records import REFERENCE, Array, Experiment, Progress, Rig
@@ -48,7 +48,7 @@ _CONVERGED = 1e-4  # relative decrease of chi^2 from one pass to the next, below
 class Baseline:
     """Model without effects, and the training recordings."""
 
-    fit: CandidateFit  # to all training recordings; to those in the reference condition, where there are any
+    fit: TrajectoryFit  # to all training recordings; to those in the reference condition, where there are any
     noise: Noise  # of the camera
     changed: tuple[Observations, ...]  # training recordings not in `fit`: those in which something may have changed
     problems: tuple[str, ...]  # why recordings are not used, a sentence each
@@ -78,7 +78,7 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     # Where the model lacks much, its best parameters are of no interest.
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE).near(joints, fit)
-    model = CandidateFit(fit)
+    model = fit
     bias = DiscretizationBias.of(fit.point, experiment.rig) if model.misfit < CLOSE else None
     outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
     others = tuple(_prepared(one, size, noise) for one in outlier_free)
@@ -105,7 +105,7 @@ def _simulated(point: Point, observed: Sequence[Observations]) -> list[Run]:
     """Simulate further recordings by the model of a fit; those that diverge are left out."""
     runs: list[Run] = []
     for one in observed:
-        arm = point.problem.varied.arms(point.x, [one.recording])[0]
+        arm = point.problem.arms(point.x, [one.recording])[0]
         try:
             runs += [run for run, _ in fit_initial_states([arm], [one], step_multiple=point.problem.step_multiple)]
         except SimulationDivergedError:
@@ -128,11 +128,11 @@ def _prepared(observed: Observations, size: tuple[float, float], noise: Noise) -
 class SearchStart:
     """Model from which the search for effects starts."""
 
-    reference: CandidateFit  # the model as it was before any change, simulated in all training recordings
+    reference: TrajectoryFit  # the model as it was before any change, simulated in all training recordings
     reference_misfit: float = 1.0  # misfit of the reference recordings that counts as noise; one where it is noise
 
     @classmethod
-    def of(cls, baseline: Baseline, reference: CandidateFit) -> Self:
+    def of(cls, baseline: Baseline, reference: TrajectoryFit) -> Self:
         """Add the changed recordings to the model of the reference recordings.
 
         Args:
@@ -145,11 +145,11 @@ class SearchStart:
         misfit = point.misfit if point.misfit > INCOMPLETE else 1.0
         known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
         others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
-        arms = problem.varied.arms(point.x, [observed.recording for observed in others])
+        arms = problem.arms(point.x, [observed.recording for observed in others])
         new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
         runs = [*(known if misfit > 1 else point.runs), *new]
         problem = replace(problem, observed=tuple(run.observed for run in runs))
-        return cls(CandidateFit.unfitted(problem, point.x, runs), misfit)
+        return cls(TrajectoryFit(Point(problem, point.x, tuple(runs))), misfit)
 
 
 def _with_larger_noise(observed: Observations, factor: float) -> Observations:
@@ -196,11 +196,11 @@ class DiscretizationBias:
         offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
         return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
-    def corrected(self, candidate: CandidateFit, rough: bool = False) -> CandidateFit:
+    def corrected(self, candidate: TrajectoryFit, rough: bool = False) -> TrajectoryFit:
         """Fit a model again beside the bias; a rough fit is only a start for others."""
         point = with_offset(candidate.point, self.offset)
         fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs], rough=rough)
-        return CandidateFit(fit, self.shift)
+        return replace(fit, shift=self.shift)
 
 
 def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
@@ -212,17 +212,16 @@ def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
     return replace(point, problem=replace(point.problem, observed=tuple(run.observed for run in runs)), runs=runs)
 
 
-def _finer(point: Point, rig: Rig) -> Coordinates:
-    """Coordinates of a chain with more joints."""
+def _finer(point: Point, rig: Rig) -> TrajectoryProblem:
+    """The problem of a chain with more joints."""
     coarse = point.problem.parametrisation
     joints = [_REFINEMENT * link.virtual_joints for link in coarse.template.links]
     template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_KELVIN_VOIGT)
     finer = Parametrisation(template, coarse.kind, coarse.hubs)
-    extension = point.problem.extension
-    return replace(extension, base=finer) if isinstance(extension, Extension) else finer
+    return replace(point.problem, parametrisation=finer)
 
 
-def _predictions(finer: Coordinates, point: Point) -> list[Array]:
+def _predictions(finer: TrajectoryProblem, point: Point) -> list[Array]:
     """Predictions of the finer chain for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])

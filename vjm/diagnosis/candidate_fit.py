@@ -7,34 +7,27 @@ by each effect's sizes (in units of typical magnitudes, zero where absent) and s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Self
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import stats
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Key, is_nonsmooth
+from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
-from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.identification.uncertainty import Information, trajectory_information
-from vjm.records import REFERENCE, Array, Recording, Rig
-from vjm.simulation.arm import Arm
+from vjm.records import Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
 from vjm.simulation.system import Trajectory
 
-Names = frozenset[Key]
-
 INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
-_SHAPE_STEP = 1.0  # of a shape parameter's logarithm in one step: a factor e
-_LEAST_JOINT = 1e-3  # bound below which the joint would vanish, and the chain with it change its size
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
 _LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
@@ -43,154 +36,6 @@ _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slo
 _MISSED = 1e-3  # significance level at which a recording is missed
 _STUCK, _LITTLE = 5, 0.002  # steps, and the share of chi^2 that they must gain for a fit to go on
 _MARGIN = 0.1  # of a segment, simulated beyond its values: sensors that are early or late are so by less
-
-
-@dataclass(frozen=True)
-class Extension:
-    """Coordinates of the chain, then those of effects.
-
-    Attributes:
-        base: the chain's coordinates.
-        effects: those added, at any size.
-        reference_effects: number of them, the first ones, that act in the reference recordings too.
-    """
-
-    base: Parametrisation
-    effects: tuple[Effect, ...]
-    reference_effects: int = 0
-
-    def chain(self, x: Array) -> Chain:
-        """Return the chain, without effects."""
-        return self.base.chain(x[: len(self.base.coordinates)])
-
-    def present(self, x: Array) -> tuple[Effect, ...]:
-        """Return the effects at coordinates x (p,)."""
-        return tuple(effect.at(x[part]) for effect, part in zip(self.effects, self.parts, strict=True))
-
-    def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
-        """Return the arm that moves in each of the recordings."""
-        chain, present = self.chain(x), self.present(x)
-        reference, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
-        return tuple(reference if each.condition == REFERENCE else extended for each in recordings)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (p,), (p,)."""
-        bounds = zip(self.base.bounds, *(effect.bounds for effect in self.effects), strict=True)
-        lower, upper = map(np.concatenate, bounds)
-        for effect, part in zip(self.effects, self.parts, strict=True):
-            if adds_joint(effect, self.base.template):
-                lower[part.start] = _LEAST_JOINT
-        return lower, upper
-
-    @cached_property
-    def max_step(self) -> Array:
-        """(p,) largest change of each coordinate in one step: shape parameters mean little while sizes are wrong."""
-        effects = [np.full(effect.coordinates.size, np.inf) for effect in self.effects]
-        for effect, reach in zip(self.effects, effects, strict=True):
-            reach[effect.magnitude_count :] = _SHAPE_STEP
-        return np.concatenate([self.base.max_step, *effects])
-
-    @cached_property
-    def parts(self) -> tuple[slice, ...]:
-        """Coordinates of each effect."""
-        counts = [effect.coordinates.size for effect in self.effects]
-        stops = (len(self.base.coordinates) + np.cumsum(counts, dtype=int)).tolist()
-        return tuple(slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True))
-
-
-def adds_joint(effect: Effect, chain: Chain) -> bool:
-    """Return True if an effect is a joint of its own, which the chain does not have at the effect's null."""
-    coordinates = effect.coordinates
-    present = effect.at(np.where(np.arange(coordinates.size) < effect.magnitude_count, 1.0, 0.0))
-    return present.chain(chain).size != chain.size
-
-
-@dataclass(frozen=True)
-class CandidateFit:
-    """Fit of a model with effects, or with none.
-
-    Attributes:
-        fit: the minimum.
-        shift: (p,) from the coordinates of its chain to those of a beam; None: not known.
-    """
-
-    fit: TrajectoryFit
-    shift: Array | None = None
-
-    @classmethod
-    def unfitted(cls, problem: TrajectoryProblem, x: Array, runs: Sequence[Run]) -> Self:
-        """Return a model at coordinates x (p,) with its simulations, nothing but initial states being fitted."""
-        return cls(TrajectoryFit(Point(problem, x, tuple(runs)), False, 0))
-
-    @property
-    def point(self) -> Point:
-        """Coordinates and simulations of the fit."""
-        return self.fit.point
-
-    @property
-    def chi2(self) -> float:
-        """Sum of squared weighted residuals."""
-        return self.fit.point.chi2
-
-    @property
-    def misfit(self) -> float:
-        """RMS weighted residual: one where it is noise."""
-        return self.fit.point.misfit
-
-    @property
-    def estimate(self) -> Array:
-        """(p,) coordinates of a beam, as far as the shift to them is known."""
-        if self.shift is None:
-            return self.point.x
-        return np.clip(self.point.x + self.shift, *self.point.problem.varied.bounds)
-
-    @property
-    def extension(self) -> Extension:
-        """Coordinates, also where no effect has been added to the chain's."""
-        problem = self.point.problem
-        return problem.extension if isinstance(problem.extension, Extension) else Extension(problem.parametrisation, ())
-
-    @cached_property
-    def effects(self) -> tuple[Effect, ...]:
-        """Effects, with the parameters at which the chain follows the recordings."""
-        return self.extension.present(self.point.x)
-
-    @property
-    def reference_effects(self) -> int:
-        """Number of effects, the first ones, that act in the reference recordings too."""
-        return self.extension.reference_effects
-
-    @property
-    def new_effects(self) -> tuple[Effect, ...]:
-        """Effects that were not there before the change."""
-        return self.effects[self.reference_effects :]
-
-    @cached_property
-    def information(self) -> Information:
-        """Fisher information of the coordinates, and the covariance of their scores."""
-        return trajectory_information(self.fit, True)[0]
-
-    def model(self, rig: Rig, noise: tuple[float, float]) -> Model:
-        """Return the model with the estimates of its chain's parameters, for a rig and its sensors' noise [m, rad]."""
-        parametrisation, information = self.point.problem.parametrisation, self.information
-        own = slice(len(parametrisation.coordinates))
-        estimate, scores = self.estimate[own], information.score_covariance[own, own]
-        kept = Information(information.normal[own, own], scores)
-        physical = parametrisation.physical_covariance(estimate, information.covariance[own, own])
-        parameters = estimates(parametrisation, estimate, kept, physical)
-        chain = parametrisation.chain(self.point.x[own])
-        return Model(chain, rig, *noise, parameters, self.effects, self.reference_effects)
-
-    @cached_property
-    def names(self) -> Names:
-        """Ids and places of the effects."""
-        return named(self.effects)
-
-
-def named(effects: Sequence[Effect]) -> Names:
-    """Return the ids and places of effects."""
-    return frozenset(effect.key for effect in effects)
 
 
 class StoppingRule:
@@ -213,6 +58,24 @@ class StoppingRule:
         return len(self.history) > self.most or stuck or point.chi2 - 3 * predicted > self.record
 
 
+@lru_cache(maxsize=4)
+def information_of(fit: TrajectoryFit) -> Information:
+    """Return the Fisher information of a fit's coordinates, and the covariance of their scores; remember the last."""
+    return trajectory_information(fit, True)[0]
+
+
+def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
+    """Return the model of a fit with the estimates of its chain's parameters, for a rig and its noise [m, rad]."""
+    parametrisation, information = fit.point.problem.parametrisation, information_of(fit)
+    own = slice(len(parametrisation.coordinates))
+    estimate, scores = fit.estimate[own], information.score_covariance[own, own]
+    kept = Information(information.normal[own, own], scores)
+    physical = parametrisation.physical_covariance(estimate, information.covariance[own, own])
+    parameters = estimates(parametrisation, estimate, kept, physical)
+    chain = parametrisation.chain(fit.point.x[own])
+    return Model(chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)
+
+
 def start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
     """Return an effect of a size from which a fit may start.
 
@@ -222,12 +85,12 @@ def start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
         chain: to which it is added.
     """
     coordinates = effect.coordinates
-    least = _LEAST_START if effect.nonsmooth or adds_joint(effect, chain) else -_LARGEST_START
+    least = _LEAST_START if effect.nonsmooth or effect.adds_joint(chain) else -_LARGEST_START
     coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(coordinates, *effect.bounds))
 
 
-def refit(start: CandidateFit, effects: Sequence[Effect], stop: StoppingRule | None = None) -> CandidateFit | None:
+def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | None = None) -> TrajectoryFit | None:
     """Fit a model with other effects to the same recordings, from a fit with some of them or with none.
 
     Args:
@@ -238,17 +101,15 @@ def refit(start: CandidateFit, effects: Sequence[Effect], stop: StoppingRule | N
     Returns:
         The fit; None where it cannot be simulated.
     """
-    base = start.point.problem.parametrisation
-    extension = Extension(base, tuple(effects), start.reference_effects)
-    chain = start.point.x[: len(base.coordinates)]
-    x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *extension.bounds)
-    problem = replace(start.point.problem, extension=extension)
+    problem = replace(start.point.problem, effects=tuple(effects))
+    chain = start.point.x[: len(problem.parametrisation.coordinates)]
+    x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *problem.bounds)
     while True:
         arms = problem.arms(x)
         pairs = zip(start.point.runs, arms, strict=True)
         states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
         try:
-            return CandidateFit(_minimum(problem, x, states, StoppingRule() if stop is None else stop))
+            return _minimum(problem, x, states, StoppingRule() if stop is None else stop)
         except (SimulationDivergedError, InsufficientDataError):
             if problem.step_multiple == 1.0:
                 return None
@@ -261,8 +122,7 @@ def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop
     Where something sticks or rattles, the likelihood of an initial state has many maxima, from which no slope leads
     away: after a few steps each recording that is missed is begun otherwise as well, as long as that helps.
     """
-    effects = problem.extension.present(x) if isinstance(problem.extension, Extension) else ()
-    if not is_nonsmooth(effects) or stop.most < _FEW_STEPS:
+    if not is_nonsmooth(problem.effects) or stop.most < _FEW_STEPS:
         return fit_trajectory(problem, x, None, states, stop=stop)
     record, iterations = np.inf, 0  # slopes tell whether a record can be reached once the initial states are likely
     before = np.inf
@@ -305,7 +165,7 @@ def _begun_otherwise(point: Point) -> tuple[Run, ...]:
     return tuple(best)
 
 
-def cut(fit: CandidateFit, whole: Sequence[Observations], duration: float, stop: StoppingRule) -> CandidateFit:
+def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop: StoppingRule) -> TrajectoryFit:
     """Fit a model to the segments of recordings, each with an initial state of its own (multiple shooting).
 
     Over a segment of one or two periods nothing is lost in phase, whatever the model lacks, so that slopes guide from
@@ -334,7 +194,7 @@ def cut(fit: CandidateFit, whole: Sequence[Observations], duration: float, stop:
     observed = _remembering([run.observed for run in found.point.runs], found.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
     problem = replace(problem, observed=tuple(observed))
-    return CandidateFit(replace(found, point=Point(problem, found.point.x, tuple(runs))), fit.shift)
+    return replace(found, point=Point(problem, found.point.x, tuple(runs)), shift=fit.shift)
 
 
 def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:

@@ -17,12 +17,12 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.curve import transfer_state
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidate_fit import CandidateFit, StoppingRule, refit
+from vjm.diagnosis.candidate_fit import StoppingRule, refit
 from vjm.diagnosis.screen import CandidateSet, Screen
 from vjm.effects.effect import SENSING_HOOKS, Effect
 from vjm.errors import EffectError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.trajectory_fit import TrajectoryProblem, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Kind, Link, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
@@ -398,7 +398,7 @@ def _recovery(effect: Effect, seed: int) -> _Law:
     start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(most=4))
     # Standard errors of the magnitudes at their true values, everything else being free.
     exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(most=0))
-    extended = refit(CandidateFit(exact), (true,), StoppingRule(most=0))
+    extended = refit(exact, (true,), StoppingRule(most=0))
     yield extended, f"with {_values(true)} nothing can be simulated", "finite motion"
     assert extended  # for type checkers: this is not reached otherwise
     R = extended.point.reduced()[0].R[:, :-1]
@@ -413,7 +413,7 @@ def _recovery(effect: Effect, seed: int) -> _Law:
     found += f"what it does, so that its magnitude has a standard error of {errors.max():.2g} typical ones"
     expected = "a standard error below 0.1: a larger typical magnitude, or no other stiffness, damping or initial state"
     yield (errors < 0.1).all() and (shares > 3e-4).all(), found, expected
-    fitted = _fitted(CandidateFit(start), bench, true)
+    fitted = _fitted(start, bench, true)
     yield fitted, "no fit that starts with one of its variants can be simulated", "finite motion"
     assert fitted
     off = np.abs(fitted.coordinates - true.coordinates)[: true.magnitude_count]
@@ -448,13 +448,13 @@ def _problem(bench: _Bench, true: Effect, seed: int) -> TrajectoryProblem:
     return TrajectoryProblem(Parametrisation(bench.chain, "uniform", bench.rig.active_links), tuple(observed))
 
 
-def _fitted(start: CandidateFit, bench: _Bench, true: Effect) -> Effect | None:
+def _fitted(start: TrajectoryFit, bench: _Bench, true: Effect) -> Effect | None:
     """Fit the most promising variant at the true place, from half and twice its typical magnitudes."""
     same = ["link", *(one.name for one in true.parameters if one.integer)]
     variants = CandidateSet.of([true], bench.rig, bench.recordings, start.point.runs).variants
     variants = tuple(one for one in variants if all(getattr(one, name) == getattr(true, name) for name in same))
     variant = variants[int(np.argmax(Screen.of(start.point, (), variants).statistics))]
-    best: CandidateFit | None = None
+    best: TrajectoryFit | None = None
     for size in (0.5, 2.0):
         coordinates = np.r_[np.full(true.magnitude_count, size), variant.coordinates[true.magnitude_count :]]
         wanted = variant.at(np.clip(coordinates, *variant.bounds))

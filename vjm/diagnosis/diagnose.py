@@ -14,7 +14,7 @@ import numpy as np
 
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
 from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
-from vjm.diagnosis.candidate_fit import CandidateFit
+from vjm.diagnosis.candidate_fit import model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Cause, Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
@@ -25,6 +25,7 @@ from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
@@ -106,7 +107,7 @@ def _findings(
     search.tell("simulating the recordings")
     next_best = search.next_best(result)
     recordings = _compare_recordings(experiment, noise, start.reference, open_loop, next_best)
-    model, reference = best.model(rig, noise), start.reference.model(rig, noise)
+    model, reference = model_of(best, rig, noise), model_of(start.reference, rig, noise)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
@@ -134,13 +135,13 @@ def _findings(
     return _simulate_without_each_cause(findings)
 
 
-def _without_effects(result: SearchResult, search: Search) -> CandidateFit:
+def _without_effects(result: SearchResult, search: Search) -> TrajectoryFit:
     """The model without new effects, fitted to the recordings or segments of the best one where that was done."""
     segments = len(result.best.point.runs) != len(search.whole)
     return (result.segment_fits if segments else result.fits).get(search.start.names, search.start)
 
 
-def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> list[CandidateFit]:
+def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> list[TrajectoryFit]:
     """Fits in which alternatives stand in a cause's place, in whole recordings."""
     others = result.best.names - {cause.effect.key}
     names = [others | {alternative.effect.key} for alternative in cause.alternatives]
@@ -150,9 +151,9 @@ def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> li
 def _compare_recordings(
     experiment: Experiment,
     noise: tuple[float, float],
-    reference: CandidateFit,
-    best: CandidateFit,
-    next_best: CandidateFit | None,
+    reference: TrajectoryFit,
+    best: TrajectoryFit,
+    next_best: TrajectoryFit | None,
 ) -> tuple[RecordingComparison, ...]:
     """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
 
@@ -165,7 +166,7 @@ def _compare_recordings(
     )
     recordings = known | {one.recording.file: one.recording for one in observed}
 
-    def by_file(model: CandidateFit | None) -> dict[str, SimulatedRecording]:
+    def by_file(model: TrajectoryFit | None) -> dict[str, SimulatedRecording]:
         if model is None:
             return {}
         fitted = [(run, True) for run in model.point.runs]
@@ -181,10 +182,10 @@ def _compare_recordings(
 
 
 def _simulate(
-    model: CandidateFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
+    model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
 ) -> list[tuple[Run, bool]]:
     """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
-    arms = model.point.problem.varied.arms(model.point.x, [one.recording for one in observed])
+    arms = model.point.problem.arms(model.point.x, [one.recording for one in observed])
     return fit_initial_states(arms, observed, states, model.point.problem.step_multiple)
 
 
@@ -232,7 +233,7 @@ def _notes(baseline: Baseline, start: SearchStart, result: SearchResult, search:
             "even over segments the model without effects follows so little of the recordings that the table of "
             "candidates, which is linear, is no guide: each was fitted"
         )
-    if best.effects and not best.fit.converged:
+    if best.effects and not best.converged:
         notes.append("the last fit was ended once further steps no longer mattered")
     return tuple(notes)
 

@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 from scipy import linalg
 
-from vjm.diagnosis.candidate_fit import CandidateFit
+from vjm.diagnosis.candidate_fit import information_of
 from vjm.diagnosis.records import Proposal
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE, Array, Indices, Recording
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 
@@ -24,7 +25,7 @@ from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 _Change = Callable[[Recording, Array, Indices], tuple[Recording, Array]]
 
 
-def propose_recordings(best: CandidateFit, alternatives: Sequence[CandidateFit]) -> tuple[Proposal, ...]:
+def propose_recordings(best: TrajectoryFit, alternatives: Sequence[TrajectoryFit]) -> tuple[Proposal, ...]:
     """Rank recordings by the chi^2 that would distinguish the best model, if true, from all alternatives to it."""
     proposals = []
     for text, change in _changes(best):
@@ -34,7 +35,7 @@ def propose_recordings(best: CandidateFit, alternatives: Sequence[CandidateFit])
     return tuple(sorted(proposals, key=lambda proposal: -proposal.difference))
 
 
-def _changes(best: CandidateFit) -> Iterator[tuple[str, _Change]]:
+def _changes(best: TrajectoryFit) -> Iterator[tuple[str, _Change]]:
     chain = best.point.chain
     mass = float(f"{0.1 * sum(link.masses.sum() for link in chain.links):.1g}")  # a tenth of the arm's, rounded
     yield (
@@ -60,7 +61,7 @@ def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Record
     return replace(recording, theta=theta), turned
 
 
-def _largest_motions(best: CandidateFit) -> list[Run]:
+def _largest_motions(best: TrajectoryFit) -> list[Run]:
     """Return the recordings with the largest motion, one for each kind that moves and may have changed."""
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     changed.sort(key=lambda run: float(np.nansum(np.nanvar(run.observed.recording.markers, axis=0))))
@@ -68,7 +69,7 @@ def _largest_motions(best: CandidateFit) -> list[Run]:
     return [run for kind, run in largest.items() if kind in ("driven", "decay")]
 
 
-def _difference(true: CandidateFit, other: CandidateFit, run: Run, change: _Change) -> float:
+def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Change) -> float:
     """Return the chi^2 that another model keeps in a changed recording of a true one; zero if it diverges."""
     k = [one is run for one in true.point.runs].index(True)
     try:
@@ -80,7 +81,7 @@ def _difference(true: CandidateFit, other: CandidateFit, run: Run, change: _Chan
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0
-    values, vectors = linalg.eigh(other.information.normal)
+    values, vectors = linalg.eigh(information_of(other).normal)
     known = np.zeros((len(moved), slopes.shape[1]))
     known[:, states:] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.vstack([slopes, known])
@@ -90,10 +91,10 @@ def _difference(true: CandidateFit, other: CandidateFit, run: Run, change: _Chan
     return float(np.sum((difference - fitted) ** 2))
 
 
-def _changed_run(candidate: CandidateFit, k: int, change: _Change) -> Run:
+def _changed_run(candidate: TrajectoryFit, k: int, change: _Change) -> Run:
     point = candidate.point
     run = point.runs[k]
     recording, state = change(run.observed.recording, run.state, run.chain.active)
-    (arm,) = point.problem.varied.arms(point.x, [recording])
+    (arm,) = point.problem.arms(point.x, [recording])
     observed, prior = run.observed.of_recording(recording), InitialStatePrior.of(arm, recording)
     return simulate_runs([arm], [observed], [prior], [state], 1.0)[0]

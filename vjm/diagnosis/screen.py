@@ -23,7 +23,6 @@ import numpy as np
 from scipy import stats
 
 from vjm.chain.curve import transfer_state
-from vjm.diagnosis.candidate_fit import adds_joint
 from vjm.diagnosis.records import Candidate
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
@@ -217,7 +216,7 @@ class Directions:
             variants: absent effects, one for each place and choice of shape parameters.
             workers: share the work.
         """
-        joints = [k for k, variant in enumerate(variants) if adds_joint(variant, point.chain)]
+        joints = [k for k, variant in enumerate(variants) if variant.adds_joint(point.chain)]
         joints.sort(key=lambda k: not variants[k].nonsmooth)  # the slowest first: none is waited for at the end
         secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
         jobs = [
@@ -302,7 +301,7 @@ def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
 
 def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -> list[PerturbedArm]:
     """The arm with each size of an effect off its null; unchanged if the slope is zero or found by simulation."""
-    if run.observed.recording.condition == REFERENCE or adds_joint(variant, point.chain):
+    if run.observed.recording.condition == REFERENCE or variant.adds_joint(point.chain):
         return [PerturbedArm(run.arm, _STEP)] * variant.magnitude_count
     effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
     return [PerturbedArm(Arm.of(point.chain, (*present, effect)), _STEP) for effect in effects]

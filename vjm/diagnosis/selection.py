@@ -19,11 +19,7 @@ from scipy import stats
 from vjm.diagnosis.baseline import Baseline, DiscretizationBias
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE,
-    CandidateFit,
-    Extension,
-    Names,
     StoppingRule,
-    adds_joint,
     cut,
     refit,
     segments,
@@ -34,12 +30,12 @@ from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Worker
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_fit import Point
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
 
 Tell = Callable[[str], None]
-Fits = dict[Names, CandidateFit]
+Fits = dict[frozenset[Key], TrajectoryFit]
 
 _FIRST_SEGMENT = 0.5  # of the first horizon, three periods: a frequency wrong by 30 % is then half a cycle late
 # Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): up to this one (phi = 17 deg) it
@@ -68,7 +64,7 @@ class Rules:
     most: int = 3
     seed: int = 0
 
-    def least_decrease(self, fit: CandidateFit) -> float:
+    def least_decrease(self, fit: TrajectoryFit) -> float:
         """Return the decrease of chi^2 from which an effect matters, a share of the noise or of what is less."""
         return min(fit.chi2, fit.point.count) * self.matters / (1 + self.matters)
 
@@ -86,7 +82,7 @@ class SearchResult:
         segment_fits: models fitted to the first segments.
     """
 
-    best: CandidateFit
+    best: TrajectoryFit
     first: FamilyTest
     last: FamilyTest
     p_values: dict[Key, float] = field(default_factory=dict)
@@ -109,7 +105,7 @@ class Search:
     def __init__(
         self,
         rig: Rig,
-        start: CandidateFit,
+        start: TrajectoryFit,
         effects: Sequence[Effect],
         rules: Rules,
         tell: Tell,
@@ -144,16 +140,16 @@ class Search:
         family = self.screen(base)
         return SearchResult(base, family, family)
 
-    def open_loop(self, fit: CandidateFit) -> CandidateFit:
+    def open_loop(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Return a model in whole recordings, from their most likely initial states where it was not fitted to them."""
         if len(fit.point.runs) == len(self.whole):
             return fit
         problem = replace(fit.point.problem, observed=self.whole)
         states = [state_at(fit.point.runs, one) for one in self.whole]
         likely = fit_initial_states(problem.arms(fit.point.x), self.whole, states, problem.step_multiple)
-        return CandidateFit.unfitted(problem, fit.point.x, [run for run, _ in likely])
+        return TrajectoryFit(Point(problem, fit.point.x, tuple([run for run, _ in likely])))
 
-    def next_best(self, result: SearchResult) -> CandidateFit | None:
+    def next_best(self, result: SearchResult) -> TrajectoryFit | None:
         """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
         best = result.best
         for fits in (result.fits, result.segment_fits):
@@ -172,7 +168,7 @@ class Search:
                     return None
         return None
 
-    def screen(self, fit: CandidateFit) -> FamilyTest:
+    def screen(self, fit: TrajectoryFit) -> FamilyTest:
         """Test the candidates beside a model."""
         self.tell("testing candidates")
         candidates = CandidateSet.of(self.effects, self.rig, self.recordings, fit.point.runs)
@@ -180,7 +176,7 @@ class Search:
         screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in kept], self.workers)
         return FamilyTest.of(screened, candidates.multiplicity[kept], self.rules.alpha, self.rules.seed)
 
-    def least_decrease(self, fit: CandidateFit) -> float:
+    def least_decrease(self, fit: TrajectoryFit) -> float:
         """Return the decrease of chi^2 from which a further effect matters beside a model: a share of what remains.
 
         Large causes come before small ones. Stick-slip and play are followed only so well: what they leave is not
@@ -190,7 +186,7 @@ class Search:
         share = self.rules.matters / (1 + self.rules.matters)
         return max([share * fit.chi2, *(_NONSMOOTH_REST * decrease for decrease in left)])
 
-    def needed(self, fit: CandidateFit, family: FamilyTest) -> list[int]:
+    def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
 
         Whether one matters shows in its fit where the model is too far from the recordings for slopes to tell.
@@ -200,7 +196,7 @@ class Search:
         matters = (screened.statistics > self.least_decrease(fit)) | (not self.is_followed(fit))
         return screened.one_each(np.flatnonzero(significant & matters).tolist())
 
-    def is_followed(self, fit: CandidateFit) -> bool:
+    def is_followed(self, fit: TrajectoryFit) -> bool:
         """Return True if a model follows each recording's motion, so that slopes tell what it lacks."""
         for one in self.whole:
             runs = [run for run in fit.point.runs if run.observed.recording.file == one.recording.file]
@@ -221,8 +217,8 @@ class Search:
         return [*durations, np.inf]
 
     def _extended(
-        self, best: CandidateFit, family: FamilyTest, first: FamilyTest, fits: Fits
-    ) -> tuple[CandidateFit, FamilyTest]:
+        self, best: TrajectoryFit, family: FamilyTest, first: FamilyTest, fits: Fits
+    ) -> tuple[TrajectoryFit, FamilyTest]:
         """Add effects to a model while they are needed; return it, and the tests beside it."""
         while len(best.new_effects) < self.rules.most:
             needed = self.needed(best, family)
@@ -241,8 +237,8 @@ class Search:
         return best, family
 
     def _best_addition(
-        self, best: CandidateFit, family: FamilyTest, first: FamilyTest, needed: Sequence[int], fits: Fits
-    ) -> CandidateFit | None:
+        self, best: TrajectoryFit, family: FamilyTest, first: FamilyTest, needed: Sequence[int], fits: Fits
+    ) -> TrajectoryFit | None:
         """Fit models with one effect more, and return the best.
 
         Effects with slopes are tried in the order of what these promise, as long as that may be most; all of them where
@@ -271,15 +267,15 @@ class Search:
         return found
 
     def _fitted(
-        self, start: CandidateFit, steps: Sequence[Sequence[Effect]], found: CandidateFit | None, fits: Fits
-    ) -> CandidateFit | None:
+        self, start: TrajectoryFit, steps: Sequence[Sequence[Effect]], found: TrajectoryFit | None, fits: Fits
+    ) -> TrajectoryFit | None:
         """Fit models from a start, and return the best of them and of the one found so far."""
         trials = self.fit(start, steps, np.inf if found is None else found.chi2, fits)
         return min([*trials, *([] if found is None else [found])], key=lambda one: one.chi2, default=None)
 
     def fit(
-        self, start: CandidateFit, models: Sequence[Sequence[Effect]], record: float, fits: Fits
-    ) -> list[CandidateFit]:
+        self, start: TrajectoryFit, models: Sequence[Sequence[Effect]], record: float, fits: Fits
+    ) -> list[TrajectoryFit]:
         """Fit several models with other effects from a start, as far as they can be simulated.
 
         Args:
@@ -297,7 +293,7 @@ class Search:
             fits |= {trial.names: trial for trial in trials if trial is not None}
         return [fits[names] for names in keys if names in fits]
 
-    def _with(self, fit: CandidateFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
+    def _with(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
         """Effects of a model, with further ones of the sizes that slopes promise."""
         added = [family.screen.effects[k] for k in chosen]
         guess = family.screen.guess(chosen)
@@ -305,21 +301,21 @@ class Search:
         sized = [start_size(one, own, fit.point.chain) for one, own in zip(added, parts, strict=True)]
         return (*fit.effects, *sized)
 
-    def _is_hidden(self, effect: Effect, fit: CandidateFit) -> bool:
+    def _is_hidden(self, effect: Effect, fit: TrajectoryFit) -> bool:
         """True for effects whose slopes about their null tell little of them."""
-        return effect.nonsmooth or adds_joint(effect, fit.point.chain)
+        return effect.nonsmooth or effect.adds_joint(fit.point.chain)
 
-    def _explains_all(self, fit: CandidateFit | None, fewer: CandidateFit) -> bool:
+    def _explains_all(self, fit: TrajectoryFit | None, fewer: TrajectoryFit) -> bool:
         """True if nothing but noise is left, within five standard deviations, or what stick-slip or play may leave."""
         if fit is None:
             return False
         rest = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
         return bool(fit.chi2 < fit.point.count + 5 * np.sqrt(2 * fit.point.count) + rest)
 
-    def _is_worth(self, fewer: CandidateFit, more: CandidateFit) -> bool:
+    def _is_worth(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
         return fewer.chi2 - more.chi2 > self.least_decrease(more)
 
-    def _without_needless(self, fit: CandidateFit, fits: Fits) -> CandidateFit:
+    def _without_needless(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects that the others make needless."""
         for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
             fewer = self.without(fit, effect, fits, fit.chi2 + self.least_decrease(fit))
@@ -327,7 +323,7 @@ class Search:
                 return self._without_needless(fewer, fits)
         return fit
 
-    def without(self, fit: CandidateFit, effect: Effect, fits: Fits, record: float = np.inf) -> CandidateFit | None:
+    def without(self, fit: TrajectoryFit, effect: Effect, fits: Fits, record: float = np.inf) -> TrajectoryFit | None:
         """Fit a model again without one of its effects; None where that cannot be simulated.
 
         Args:
@@ -343,7 +339,7 @@ class Search:
             fits[best.names] = best
         return best
 
-    def _pairs(self, base: CandidateFit, best: CandidateFit, first: FamilyTest) -> list[tuple[Effect, ...]]:
+    def _pairs(self, base: TrajectoryFit, best: TrajectoryFit, first: FamilyTest) -> list[tuple[Effect, ...]]:
         """Pairs without the best single effect that explain most by their slopes beside the model without effects."""
         screened = first.screen
         others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.names]
@@ -353,12 +349,12 @@ class Search:
             for j in others[:n]
             if screened.effects[i].key != screened.effects[j].key
         ]
-        chosen: dict[Names, list[int]] = {}
+        chosen: dict[frozenset[Key], list[int]] = {}
         for _, i, j in sorted(scored, reverse=True):
             chosen.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
         return [self._with(base, first, pair) for pair in [*chosen.values()][:_PAIRS]]
 
-    def _lengthened(self, fit: CandidateFit, duration: float) -> CandidateFit | None:
+    def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
         """Fit a model to longer segments; None where it does not follow them.
 
         What sticks or rattles must follow them as well as the shorter ones: fewer initial states raise chi^2 by about
@@ -389,7 +385,7 @@ class Search:
         return tuple(result.last.screen.effects[k] for k in self.needed(result.best, result.last))
 
 
-def _fit(start: CandidateFit, record: float, effects: Sequence[Effect]) -> CandidateFit | None:
+def _fit(start: TrajectoryFit, record: float, effects: Sequence[Effect]) -> TrajectoryFit | None:
     return refit(start, effects, StoppingRule(record))
 
 
@@ -398,7 +394,7 @@ _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no b
 
 def find_preexisting_effects(
     baseline: Baseline, effects: Sequence[Effect], rig: Rig, tell: Tell, workers: Workers
-) -> tuple[CandidateFit, str]:
+) -> tuple[TrajectoryFit, str]:
     """Extend the model of the reference recordings by the effect that explains much of them, if one does.
 
     Args:
@@ -418,15 +414,15 @@ def find_preexisting_effects(
         f"already in the reference recordings the model misses by {misfit * noise:.2g} mm, {misfit:.3g} times the "
         "noise: present before the change, and not counted as one"
     )
-    start = CandidateFit(replace(baseline.fit.fit, point=_as(baseline.fit.point, None)))
+    start = replace(baseline.fit, point=_as(baseline.fit.point, None))
     smooth = [effect for effect in effects if not effect.nonsmooth]
     best = Search(rig, start, smooth, _MUCH, tell, workers).run().best
     if not best.effects:
         return baseline.fit, f"{warning}; no single candidate explains it"
     problem = best.point.problem
-    extension = Extension(problem.parametrisation, best.effects, reference_effects=len(best.effects))
-    point = _as(replace(best.point, problem=replace(problem, extension=extension)), REFERENCE)
-    known = CandidateFit(replace(best.fit, point=point))
+    problem = replace(problem, effects=best.effects, reference_effects=len(best.effects))
+    point = _as(replace(best.point, problem=problem), REFERENCE)
+    known = replace(best, point=point)
     values = ", ".join(f"{name} {value:.3g}" for name, value in known.effects[0].values.items())
     remaining = noise * (known.misfit if known.misfit > INCOMPLETE else 1.0)
     explanation = f"{known.effects[0].id} ({values}) explains it down to {remaining:.2g} mm and is part of both models"

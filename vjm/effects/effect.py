@@ -237,6 +237,12 @@ class Effect:
         """Return the reason, as a clause, why recordings cannot show it whatever its magnitude; empty if they may."""
         return ""
 
+    def adds_joint(self, chain: Chain) -> bool:
+        """Return True if the effect is a joint of its own, which the chain does not have at the effect's null."""
+        coordinates = self.coordinates
+        present = self.at(np.where(np.arange(coordinates.size) < self.magnitude_count, 1.0, 0.0))
+        return present.chain(chain).size != chain.size
+
     # Hooks. Where the effect is absent they must change nothing, to the last bit.
 
     def chain(self, chain: Chain) -> Chain:

@@ -7,7 +7,6 @@ known total length and mass (20).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, get_args
@@ -18,8 +17,7 @@ from scipy.special import expit, logit, softmax
 
 from vjm.chain.layout import layout_of_lengths
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.records import Array, Mask, Recording
-from vjm.simulation.arm import Arm
+from vjm.records import Array, Mask
 
 Parameters = Literal["uniform", "joints", "lengths", "full"]
 PARAMETRISATIONS: tuple[str, ...] = get_args(Parameters)
@@ -100,11 +98,6 @@ class Parametrisation:
         return lower, np.where(self.linear, np.inf, _MAX_LOGARITHM)
 
     @property
-    def max_step(self) -> Array:
-        """(p,) largest change of each coordinate in one step of a search; infinite: its damping is enough."""
-        return np.full(len(self.coordinates), np.inf)
-
-    @property
     def preference(self) -> tuple[Array, Array]:
         """Centre and width (p,) of a weak preference for the template where the data are silent."""
         centre = self.start
@@ -124,10 +117,6 @@ class Parametrisation:
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,)."""
         return replace(self.template, links=tuple(self._link(i, link, x) for i, link in enumerate(self.template.links)))
-
-    def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
-        """Return the arm that moves in each of the recordings, at coordinates x (p,)."""
-        return (Arm(self.chain(x)),) * len(recordings)
 
     def physical(self, x: Array) -> Array:
         """Return the parameters (p,) at coordinates x (p,), in their units."""

@@ -11,17 +11,16 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import is_nonsmooth
+from vjm.effects.effect import Effect, Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
-from vjm.records import Array, Progress, Record, Recording
+from vjm.records import REFERENCE, Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
@@ -35,25 +34,9 @@ _NEGLIGIBLE = 1e-3
 _NEGLIGIBLE_NONSMOOTH = 0.5
 _NEGLIGIBLE_PART = 1e-2  # of the cost, while only a part of the recordings is fitted
 _FIRST_PERIODS = 3.0  # of the slowest mode: a frequency wrong by 15 % is then half a cycle late, as far as slopes lead
+_SHAPE_STEP = 1.0  # of a shape parameter's logarithm in one step: a factor e
+_LEAST_JOINT = 1e-3  # bound below which a joint of an effect's own would vanish, and the chain with it change its size
 _HORIZON_GROWTH = 3.0  # a frequency fitted to three periods is right to far less than the sixth part of a cycle
-
-
-class Coordinates(Protocol):
-    """Coordinates that a search varies."""
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (p,), (p,)."""
-
-    @property
-    def max_step(self) -> Array:
-        """(p,) largest change of each coordinate in one step."""
-
-    def chain(self, x: Array) -> Chain:
-        """Build the chain at coordinates x (p,), without effects."""
-
-    def arms(self, x: Array, recordings: Sequence[Recording]) -> tuple[Arm, ...]:
-        """Return the arm that moves in each of the recordings."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +49,9 @@ class TrajectoryProblem(Record):
         step_multiple: multiple of the integrator's default step.
         preference: centre and width (p,) of a normal prior of the coordinates; None: no prior.
         fixed: index of a physical parameter that is held, its value, and the width within which; None: all are free.
-        extension: what is varied where that is more than the parametrisation, whose coordinates come first.
+        effects: at any size; their sizes, in typical magnitudes, and shape parameters, as logarithms, are coordinates
+            after those of the chain.
+        reference_effects: number of effects, the first ones, that act in the reference recordings too.
     """
 
     parametrisation: Parametrisation
@@ -74,12 +59,41 @@ class TrajectoryProblem(Record):
     step_multiple: float = 1.0
     preference: tuple[Array, Array] | None = None
     fixed: tuple[int, float, float] | None = None
-    extension: Coordinates | None = None
+    effects: tuple[Effect, ...] = ()
+    reference_effects: int = 0
 
-    @property
-    def varied(self) -> Coordinates:
-        """Coordinates that the search varies: the extension's, or the chain's alone."""
-        return self.parametrisation if self.extension is None else self.extension
+    def chain(self, x: Array) -> Chain:
+        """Build the chain at coordinates x (p,), without effects."""
+        return self.parametrisation.chain(x[: len(self.parametrisation.coordinates)])
+
+    def present(self, x: Array) -> tuple[Effect, ...]:
+        """Return the effects at coordinates x (p,)."""
+        return tuple(effect.at(x[part]) for effect, part in zip(self.effects, self.parts, strict=True))
+
+    @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        """Coordinates of each effect."""
+        counts = [effect.coordinates.size for effect in self.effects]
+        stops = (len(self.parametrisation.coordinates) + np.cumsum(counts, dtype=int)).tolist()
+        return tuple(slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True))
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), (p,) of the coordinates."""
+        bounds = zip(self.parametrisation.bounds, *(effect.bounds for effect in self.effects), strict=True)
+        lower, upper = map(np.concatenate, bounds)
+        for effect, part in zip(self.effects, self.parts, strict=True):
+            if effect.adds_joint(self.parametrisation.template):
+                lower[part.start] = _LEAST_JOINT
+        return lower, upper
+
+    @cached_property
+    def max_step(self) -> Array:
+        """(p,) largest change of each coordinate in one step: shape parameters mean little while sizes are wrong."""
+        steps = np.full(self.bounds[0].size, np.inf)
+        for effect, part in zip(self.effects, self.parts, strict=True):
+            steps[part.start + effect.magnitude_count : part.stop] = _SHAPE_STEP
+        return steps
 
     @property
     def longest(self) -> float:
@@ -93,12 +107,15 @@ class TrajectoryProblem(Record):
 
     def first_horizon(self, x: Array) -> float:
         """Return a few periods of the slowest vibration [s]: so short that a wrong frequency has not cost a cycle."""
-        chain = self.varied.chain(x)
+        chain = self.chain(x)
         return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in self.observed)
 
-    def arms(self, x: Array) -> tuple[Arm, ...]:
-        """Return the arm that moves in each recording, at coordinates x (p,)."""
-        return self.varied.arms(x, [each.recording for each in self.observed])
+    def arms(self, x: Array, recordings: Sequence[Recording] | None = None) -> tuple[Arm, ...]:
+        """Return the arm that moves in each of some recordings, the problem's own when None, at coordinates x (p,)."""
+        chain, present = self.chain(x), self.present(x)
+        reference, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
+        wanted = [each.recording for each in self.observed] if recordings is None else recordings
+        return tuple(reference if each.condition == REFERENCE else extended for each in wanted)
 
     def point(self, x: Array, states: Sequence[Array] | None = None) -> Point:
         """Simulate every recording at coordinates x (p,), from given or the most likely initial states (2 nv,).
@@ -121,7 +138,7 @@ class TrajectoryProblem(Record):
     def moved(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
         """Return, for each recording, its arm with each coordinate moved a little, for forward differences."""
         by_coordinate = []
-        upper = self.varied.bounds[1]
+        upper = self.bounds[1]
         for k, value in enumerate(x):
             step = 1e-6 * max(abs(value), 1e-2)
             step = step if value + step <= upper[k] else -step
@@ -161,7 +178,7 @@ class Point(Record):
     @cached_property
     def chain(self) -> Chain:
         """The chain at x."""
-        return self.problem.varied.chain(self.x)
+        return self.problem.chain(self.x)
 
     @property
     def states(self) -> list[Array]:
@@ -213,26 +230,55 @@ class Point(Record):
         return replace(self, runs=tuple(run.with_scaled_prior() for run in self.runs))
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class TrajectoryFit(Record):
-    """A minimum.
+    """A fit of a model with effects, or with none.
 
     Attributes:
-        point: where.
+        point: the minimum.
         converged: True if nothing more was to be gained there.
         iterations: simulations of all recordings it took.
         predicted_decrease: of the cost, by the first step of another search; infinite: not known.
+        shift: (p,) from the coordinates of its chain to those of a beam; None: not known.
     """
 
     point: Point
-    converged: bool
-    iterations: int
+    converged: bool = False
+    iterations: int = 0
     predicted_decrease: float = np.inf
+    shift: Array | None = None
 
     @property
-    def chi2_per_sample(self) -> float:
-        """Mean square of the weighted residuals of all recordings."""
-        return self.point.misfit**2
+    def chi2(self) -> float:
+        """Sum of squared weighted residuals."""
+        return self.point.chi2
+
+    @property
+    def misfit(self) -> float:
+        """RMS weighted residual: one where it is noise."""
+        return self.point.misfit
+
+    @property
+    def estimate(self) -> Array:
+        """(p,) coordinates of a beam, as far as the shift to them is known."""
+        if self.shift is None:
+            return self.point.x
+        return np.clip(self.point.x + self.shift, *self.point.problem.bounds)
+
+    @cached_property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects, with the parameters at which the chain follows the recordings."""
+        return self.point.problem.present(self.point.x)
+
+    @property
+    def new_effects(self) -> tuple[Effect, ...]:
+        """Effects that do not act in the reference recordings."""
+        return self.effects[self.point.problem.reference_effects :]
+
+    @cached_property
+    def names(self) -> frozenset[Key]:
+        """Ids and places of the effects."""
+        return frozenset(effect.key for effect in self.effects)
 
 
 def fit_trajectory(
@@ -259,7 +305,7 @@ def fit_trajectory(
     Raises:
         SimulationDivergedError: the start cannot be simulated.
     """
-    lower, upper = problem.varied.bounds
+    lower, upper = problem.bounds
     x = np.clip(start, lower + 1e-6, upper)
     horizons = _horizons(problem, x, 0.0 if states is None else known_duration)
     iterations = 0
@@ -367,8 +413,8 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
 
 def _bounded(problem: SquareRootInformation, point: Point) -> Array:
     """Change of the coordinates (p,) that minimises a linearised problem within their bounds and largest steps."""
-    max_step = point.problem.varied.max_step
-    lower, upper = point.problem.varied.bounds
+    max_step = point.problem.max_step
+    lower, upper = point.problem.bounds
     lower, upper = np.maximum(lower - point.x, -max_step), np.minimum(upper - point.x, max_step)
     change = problem.best()
     if ((change < lower) | (change > upper)).any():

@@ -321,7 +321,7 @@ def _settings(fit: Identification) -> list[tuple[str, str]]:
         encoder = f"{number(1e3 * model.encoder_noise, 2)} mrad ({origin[rig.encoder_noise is None]})"
         rows.append(("Encoder noise", encoder))
     if trajectory is not None:
-        mean, searched = number(trajectory.chi2_per_sample, 4), counted(trajectory.iterations, "simulation")
+        mean, searched = number(trajectory.misfit**2, 4), counted(trajectory.iterations, "simulation")
         text = f"mean square residual {mean} times the noise's, over {trajectory.point.count} measured values"
         rows.append(("Trajectories", f"{text}; {searched} of all recordings in the last search"))
     if fit.objective is not None:

@@ -120,7 +120,7 @@ def _identification(fit: Identification) -> Result:
         "mode_shape_mac": [mode.mac for mode in fit.modes],
         "objective": {
             "torque": fit.objective,
-            "trajectory_chi2_per_sample": fit.trajectory.chi2_per_sample if fit.trajectory else None,
+            "trajectory_chi2_per_sample": fit.trajectory.misfit**2 if fit.trajectory else None,
         },
         "recordings": [
             {**_recording(item), "whiteness": whiteness.get(item.recording.file)} for item in fit.recordings
