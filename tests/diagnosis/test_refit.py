@@ -43,12 +43,24 @@ def test_a_time_constant_does_not_run_away(seed: int, time_constant: float) -> N
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -> None:
     """Over whole recordings, a wrong stiffness soon swings in any phase, and a fit ends wherever it stands."""
-    truth = GearElasticity(link=0, stiffness=56.0)
+    truth = GearElasticity(link=0, stiffness=56.0, motor_share=0.35)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=8.0)
-    found = refit(in_segments(recordings), [replace(truth, stiffness=10.0)])
+    found = refit(in_segments(recordings), [replace(truth, stiffness=10.0, motor_share=0.5)])
     assert found is not None
     assert found.point.misfit == pytest.approx(1.0, abs=0.03)
     assert found.effects[0].values["stiffness"] == pytest.approx(56.0, rel=0.015)
+    assert found.effects[0].values["motor_share"] == pytest.approx(0.35, abs=0.02)
+
+
+@pytest.mark.parametrize(("seed", "start"), [(1, 0.0035), (3, 0.013)])
+def test_dry_friction_has_its_torque_though_its_search_begins_far_away(seed: int, start: float) -> None:
+    """The likelihood of where a segment begins has many maxima; in the nearest one friction comes out too small."""
+    truth = CoulombFriction(link=0, torque=0.008)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
+    found = refit(in_segments(recordings), [replace(truth, torque=start)])
+    assert found is not None
+    assert found.point.misfit < 1.1
+    assert found.effects[0].values["torque"] == pytest.approx(0.008, rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -111,3 +111,12 @@ def test_effects_with_a_memory_remember_the_motion_before_a_segment(effect: Effe
         )
         remembering += run_of(part.arm, observed, part.state).chi2
     assert abs(remembering - whole.chi2) < 0.1 * (forgetful - whole.chi2)
+
+
+def test_a_memory_follows_the_angles_where_rates_do_not_add_up_to_them() -> None:
+    """From one segment to the next the angles jump, by what their initial states are off."""
+    arm = Arm.of(chain_of(), (ViscoelasticCreep(link=0, ratio=0.05, time_constant=1e6),))
+    time, random = np.linspace(0.0, 1.0, 101), np.random.default_rng(3)
+    q, v = np.cumsum(random.normal(0, 1e-3, (2, time.size, arm.chain.size)), axis=1)
+    z = arm.follow(time, q, v)
+    assert z == pytest.approx((q - q[0])[:, arm.effects[0].virtual_joints(arm.chain)], abs=1e-6)

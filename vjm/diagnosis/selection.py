@@ -147,7 +147,7 @@ class Search:
         problem = replace(fit.point.problem, observed=self.whole)
         states = [state_at(fit.point.runs, one) for one in self.whole]
         likely = fit_initial_states(problem.arms(fit.point.x), self.whole, states, problem.step_multiple)
-        return TrajectoryFit(Point(problem, fit.point.x, tuple([run for run, _ in likely])))
+        return TrajectoryFit(Point(problem, fit.point.x, tuple(run for run, _ in likely)))
 
     def next_best(self, result: SearchResult) -> TrajectoryFit | None:
         """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""

@@ -260,7 +260,7 @@ def _in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> dict[
 
 
 def _behind_gear(link: LinkChain, motor_share: float) -> dict[str, float]:
-    """Return the inertias with the hub's, but for the motor's share, beyond the root joint, unless it is there already."""
+    """Return the hub's inertia divided between motor and root joint, unless it is so already."""
     if link.root_inertia > 0:
         return {}
     motor = motor_share * link.hub_inertia
