@@ -24,8 +24,10 @@ def test_standard_errors_follow_each_parameters_scale() -> None:
     assert parameters["time_constant"].std == pytest.approx(0.2 * 0.12, rel=1e-4)
     assert parameters["time_constant"].unit == "s"
     gear = GearElasticity(link=0, stiffness=56.0)
-    (coordinate,) = gear.coordinates
-    assert _with_errors(gear, np.array([[1e-4]]))["stiffness"].std == pytest.approx(56.0 * 0.01 / coordinate, rel=1e-3)
+    coordinate, _ = gear.coordinates
+    assert _with_errors(gear, np.diag([1e-4, 0.0]))["stiffness"].std == pytest.approx(
+        56.0 * 0.01 / coordinate, rel=1e-3
+    )
 
 
 def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() -> None:
