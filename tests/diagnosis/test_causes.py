@@ -11,7 +11,6 @@ import pytest
 from vjm.diagnosis.alternatives import _with_errors, estimate_causes
 from vjm.diagnosis.records import Alternative
 from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
-from vjm.identification.uncertainty import Information
 
 
 def test_standard_errors_follow_each_parameters_scale() -> None:
@@ -42,14 +41,13 @@ def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() ->
 def model(effects: tuple[Any, ...], chi2: float) -> Any:
     """A fit of effects that are one coordinate each, whose residuals have a mean square of chi2 / 1000."""
     x = np.concatenate([np.zeros(0), *(effect.coordinates for effect in effects)])
-    extension = SimpleNamespace(present=lambda x: effects, parts=tuple(slice(k, k + 1) for k in range(len(effects))))
+    parts = tuple(slice(k, k + 1) for k in range(len(effects)))
+    problem = SimpleNamespace(present=lambda x: effects, parts=parts, reference_effects=0)
     return SimpleNamespace(
         effects=effects,
         names=frozenset(effect.key for effect in effects),
-        reference_effects=0,
         estimate=x,
-        extension=extension,
-        information=Information(np.eye(len(effects)), np.eye(len(effects))),
+        point=SimpleNamespace(problem=problem),
         chi2=chi2,
         misfit=float(np.sqrt(chi2 / 1000)),
     )
@@ -64,7 +62,8 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: {8000.0: 1e-9, 29_000.0: 0.5}[decrease])
     search = SimpleNamespace(start=start, without=lambda best, effect, fits: model((payload,), 30_000.0))
     result = SimpleNamespace(best=best, first=family, p_values={payload.key: 1e-3, offset.key: 1e-5}, fits=tried)
-    causes = estimate_causes(cast(Any, result), cast(Any, search), {payload.key: (alternative,)}, reference_misfit)
+    others = {payload.key: (alternative,)}
+    causes = estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(2))
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]

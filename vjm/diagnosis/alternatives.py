@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import information_of, start_size
+from vjm.diagnosis.candidate_fit import start_size
 from vjm.diagnosis.records import Alternative, Cause
 from vjm.diagnosis.screen import Directions, Screen
 from vjm.diagnosis.selection import Fits, Search, SearchResult
@@ -101,6 +101,7 @@ def estimate_causes(
     search: Search,
     alternatives: Mapping[Key, tuple[Alternative, ...]],
     reference_misfit: float,
+    covariance: Array,
 ) -> tuple[Cause, ...]:
     """Return the best model's new effects, the one without which most is missed first.
 
@@ -109,9 +110,9 @@ def estimate_causes(
         search: fits the best model without an effect where that was not done on the way.
         alternatives: effects that explain the recordings as well, by the cause in whose place.
         reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
+        covariance: (p, p) of the best model's coordinates.
     """
     best, causes = result.best, []
-    spread = information_of(best).covariance
     estimated = best.point.problem.present(best.estimate)
     for effect, estimate, part in [*zip(best.effects, estimated, best.point.problem.parts, strict=True)][
         best.point.problem.reference_effects :
@@ -127,7 +128,7 @@ def estimate_causes(
             f"without it the model misses the training recordings by {without.misfit:.3g} times {unit}, with it by "
             f"{best.misfit:.3g}; chi^2 falls by {decrease:.3g}"
         )
-        parameters = _with_errors(estimate, spread[part, part])
+        parameters = _with_errors(estimate, covariance[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
     return tuple(sorted(causes, key=lambda cause: -cause.decrease))
 

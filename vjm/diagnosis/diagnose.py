@@ -14,7 +14,7 @@ import numpy as np
 
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
 from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
-from vjm.diagnosis.candidate_fit import model_of
+from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Cause, Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
@@ -103,7 +103,7 @@ def _findings(
     open_loop, rules = search.open_loop(best), search.rules
     search.tell("looking for effects that cannot be distinguished")
     alternatives = find_alternatives(result, search)
-    causes = estimate_causes(result, search, alternatives, start.reference_misfit)
+    causes = estimate_causes(result, search, alternatives, start.reference_misfit, information_of(best).covariance)
     search.tell("simulating the recordings")
     next_best = search.next_best(result)
     recordings = _compare_recordings(experiment, noise, start.reference, open_loop, next_best)
