@@ -136,17 +136,16 @@ def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop
 
 
 def _begun_otherwise(point: Point) -> tuple[Run, ...]:
-    """Runs, of badly followed segments the best from further initial states.
+    """Return runs, those of missed segments from the best of their initial states and of two others.
 
-    They are rest of the active joints, and the state in which the segment before ends.
+    These are rest of the active joints, and the state in which the segment before ends.
     """
-    n, active = point.chain.size, point.chain.active
     best, trials = [*point.runs], []
     for k, run in enumerate(point.runs):
         if run.chi2 < stats.chi2.isf(_MISSED, run.observed.count):
             continue
         resting = run.state.copy()
-        resting[n + active] = 0.0
+        resting[run.chain.size + run.chain.active] = 0.0
         trials.append((k, resting))
         if _before(point.runs, run.observed):
             trials.append((k, state_at(_before(point.runs, run.observed), run.observed)))
