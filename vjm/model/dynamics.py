@@ -97,10 +97,9 @@ class Mechanism:
         rest = np.zeros_like(angles)
         at_rest = self.inverse_dynamics(angles, rest, rest)
         matrix = np.empty((*angles.shape, angles.shape[1]))
-        for column in range(angles.shape[1]):
-            unit = rest.copy()
-            unit[:, column] = 1.0
-            matrix[:, :, column] = self.inverse_dynamics(angles, rest, unit) - at_rest
+        for column, unit in enumerate(np.eye(angles.shape[1])):
+            acceleration = np.broadcast_to(unit, angles.shape)
+            matrix[:, :, column] = self.inverse_dynamics(angles, rest, acceleration) - at_rest
         return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
     def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
@@ -181,10 +180,8 @@ def torque_errors(
     applied = np.asarray(torque, dtype=float)
     if applied.ndim != 2 or applied.shape[1] != chain.active.size:
         raise ShapeError("torque", f"shape {applied.shape}", f"shape (T, {chain.active.size})")
-    errors = Mechanism(chain, payload, gravity).inverse_dynamics(q, v, a)
-    errors += chain.stiffness * np.asarray(q, dtype=float)
-    errors += chain.damping * np.asarray(v, dtype=float)
-    np.negative(errors, out=errors)
+    inertial = Mechanism(chain, payload, gravity).inverse_dynamics(q, v, a)
+    errors: Array = -(inertial + chain.stiffness * np.asarray(q) + chain.damping * np.asarray(v))
     errors[:, chain.active] += applied
     return errors
 
