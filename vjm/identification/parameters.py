@@ -73,7 +73,7 @@ class Parametrisation:
             if self.kind in ("lengths", "full"):  # the last length follows from the total
                 result += [_Coordinate(f"{link.name}.length_{j}", "m", i, "length", j) for j in joints]
             if self.kind == "full":
-                moving = range(_first_moving(i), link.virtual_joints + 1)
+                moving = range(1 if i == 0 else 0, link.virtual_joints + 1)  # no motion shows the very first one's mass
                 result += [_Coordinate(f"{link.name}.mass_{j}", "kg", i, "mass", j) for j in moving[:-1]]
                 result += [_Coordinate(f"{link.name}.mass_center_{j}", "m", i, "center", j) for j in moving]
                 # Behind an active joint, virtual link 0 only turns: its inertia is the hub's.
@@ -109,14 +109,14 @@ class Parametrisation:
         link = self.template.links[coordinate.link]
         if coordinate.group == "hub":  # a hub without inertia: in units of the rigid link's own
             return link.hub_inertia or float(link.masses.sum() * link.length**2) / 3
-        stiffness = link.bending_stiffness
-        if coordinate.index >= 0:
-            stiffness /= float(link.cells[coordinate.index])
+        stiffness = link.bending_stiffness / (float(link.cells[coordinate.index]) if coordinate.index >= 0 else 1.0)
         return stiffness if coordinate.group == "stiffness" else _DAMPING_UNIT * stiffness
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,)."""
-        return replace(self.template, links=tuple(self._link(i, link, x) for i, link in enumerate(self.template.links)))
+        values = x * [self.scale(c) if c.group in _LINEAR else 1.0 for c in self.coordinates]
+        links = (self._link(i, link, values) for i, link in enumerate(self.template.links))
+        return replace(self.template, links=tuple(links))
 
     def physical(self, x: Array) -> Array:
         """Return the parameters (p,) at coordinates x (p,), in their units."""
@@ -135,7 +135,6 @@ class Parametrisation:
         return result
 
     def _template_value(self, coordinate: _Coordinate) -> float:
-        """The template's coordinate."""
         link, group, j = self.template.links[coordinate.link], coordinate.group, coordinate.index
         value = _value(link, coordinate)
         if group in _LINEAR:
@@ -147,20 +146,16 @@ class Parametrisation:
         largest = length if group == "center" else float(link.masses[j]) * center * (length - center)
         return float(logit(np.clip(value / largest, 1e-5, 1 - 1e-5)))
 
-    def _values(self, i: int, group: str, x: Array) -> tuple[list[int], Array]:
-        """Indices within link i, and coordinates, of one group."""
+    def _of_group(self, i: int, group: str, values: Array) -> tuple[list[int], Array]:
+        """Indices within link i, and values, of one group."""
         rows = [k for k, c in enumerate(self.coordinates) if c.link == i and c.group == group]
-        return [self.coordinates[k].index for k in rows], x[rows]
+        return [self.coordinates[k].index for k in rows], values[rows]
 
-    def _scaled(self, i: int, group: str, x: Array) -> Array:
-        """Physical values of one linear group of link i."""
-        scales = [self.scale(c) for c in self.coordinates if c.link == i and c.group == group]
-        scaled: Array = self._values(i, group, x)[1] * np.array(scales)
-        return scaled
-
-    def _link(self, i: int, link: LinkChain, x: Array) -> LinkChain:
+    def _link(self, i: int, link: LinkChain, values: Array) -> LinkChain:
+        """Link i at values (p,): linear coordinates in their physical units, the others as the optimiser has them."""
         if self.kind in ("lengths", "full"):
-            cuts = layout_of_lengths(link.length * softmax(np.r_[self._values(i, "length", x)[1], 0.0]), link.distal)
+            ratios = softmax(np.r_[self._of_group(i, "length", values)[1], 0.0])
+            cuts = layout_of_lengths(link.length * ratios, link.distal)
             masses = link.masses.sum() * cuts.lengths / link.length
             link = replace(
                 link,
@@ -171,31 +166,24 @@ class Parametrisation:
                 inertias=masses * cuts.lengths**2 / 12,
             )
         if self.kind == "full":
-            link = self._with_inertial(i, link, x)
-        stiffness, damping = (self._scaled(i, group, x) for group in ("stiffness", "damping"))
+            link = self._with_inertial(i, link, values)
+        stiffness, damping, hub = (self._of_group(i, group, values)[1] for group in _LINEAR)
         if self.kind == "uniform":
             stiffness, damping = stiffness[0] / link.cells, damping[0] / link.cells
-        hub = self._scaled(i, "hub", x)
         hub_inertia = float(hub[0]) if hub.size else link.hub_inertia
         return replace(link, stiffness=stiffness, damping=damping, hub_inertia=hub_inertia)
 
-    def _with_inertial(self, i: int, link: LinkChain, x: Array) -> LinkChain:
+    def _with_inertial(self, i: int, link: LinkChain, values: Array) -> LinkChain:
         """The link with masses, centres and inertias of its own; what does not move keeps its uniform share."""
-        masses, first = link.masses.copy(), _first_moving(i)
-        masses[first:] = masses[first:].sum() * softmax(np.r_[self._values(i, "mass", x)[1], 0.0])
-        centers = link.lengths / 2
-        indices, values = self._values(i, "center", x)
-        centers[indices] = link.lengths[indices] * expit(values)
+        masses, centers = link.masses.copy(), link.lengths / 2
+        indices, logits = self._of_group(i, "center", values)
+        masses[indices] = masses[indices].sum() * softmax(np.r_[self._of_group(i, "mass", values)[1], 0.0])
+        centers[indices] = link.lengths[indices] * expit(logits)
         fraction = np.full(link.lengths.size, 1 / 3)  # of the largest inertia that the centre allows: a uniform rod's
-        indices, values = self._values(i, "inertia", x)
-        fraction[indices] = expit(values)
+        indices, logits = self._of_group(i, "inertia", values)
+        fraction[indices] = expit(logits)
         inertias = fraction * masses * centers * (link.lengths - centers)
         return replace(link, masses=masses, mass_centers=centers, inertias=inertias)
-
-
-def _first_moving(i: int) -> int:
-    """First virtual link of flexible link i whose mass the motion can show."""
-    return 1 if i == 0 else 0
 
 
 def _value(link: LinkChain, coordinate: _Coordinate) -> float:
