@@ -155,11 +155,6 @@ class ViscoelasticCreep(LinkEffect):
         return 1.5 * self.time_constant
 
 
-# Of hysteresis, in the link's own units rad / T: the bending rate at which steps follow slipping, that of a bend by
-# 0.7 rad in the first mode (3.5 rad / T); the sign of a joint's rate below the second one is rounded off.
-_FAST_SLIP, _SLOW_SLIP = 2.4, 5e-5
-
-
 @dataclass(frozen=True)
 class Hysteresis(LinkEffect):
     """Bouc-Wen: a part of each spring slips above a yield angle, moment K ((1 - ratio) phi + ratio z), z being a state.
@@ -179,8 +174,7 @@ class Hysteresis(LinkEffect):
     def initial_states(self, chain: Chain, q: Array) -> Array:
         """Return the virtual joints' angles, as far as they do not slip."""
         yields = self.yields(chain)
-        result: Array = yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
-        return result
+        return yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the moments beside the springs' own -K phi."""
@@ -189,20 +183,17 @@ class Hysteresis(LinkEffect):
 
     def state_rates(self, chain: Chain) -> Motion | None:
         """Return how the springs slip: z' = phi' (1 - |z| / y (1 + sign(phi' z)) / 2)."""
-        part, scale, slow = self.virtual_joints(chain), 0.5 / self.yields(chain), _SLOW_SLIP / self.units(chain)[2]
-
-        def rates(time: Array, q: Array, v: Array, z: Array) -> Array:
-            rate = v[..., part]
-            return rate * (1 - scale * (np.abs(z) + z * np.tanh(rate / slow)))  # |z| sign(phi' z) = z sign(phi')
-
-        return rates
+        part, scale = self.virtual_joints(chain), 0.5 / self.yields(chain)
+        slow = 5e-5 / self.units(chain)[2]  # rad/s; the sign of a slower rate is rounded off
+        # |z| sign(phi' z) = z sign(phi')
+        return lambda time, q, v, z: v[..., part] * (1 - scale * (np.abs(z) + z * np.tanh(v[..., part] / slow)))
 
     def yields(self, chain: Chain) -> Array:
         """Return (n,) each joint's part of the yield angle [rad]."""
         link = self.link_of(chain)
-        result: Array = self.yield_angle * link.cells / link.length
-        return result
+        return self.yield_angle * link.cells / link.length
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that is stable in fast motion: 1.5 of the time of a bend by one yield angle."""
-        return 1.5 * self.yield_angle / _FAST_SLIP * self.units(chain)[2]
+        fast = 2.4  # rad / T, the link's own unit: the rate of a bend by 0.7 rad in the first mode (3.5 rad / T)
+        return 1.5 * self.yield_angle / fast * self.units(chain)[2]
