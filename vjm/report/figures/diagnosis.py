@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,13 +21,8 @@ from vjm.report.figures.symptoms import symptom_pictures
 from vjm.report.text import capital, clause, millimetres, named, place, recording_label, short
 from vjm.simulation.model import Model
 
-_LABELS = {
-    "reference": "without the causes",
-    "alternative": "next best explanation",
-    "simulated": "with the causes",
-}
+_LABELS = {"reference": "without the causes", "alternative": "next best explanation", "simulated": "with the causes"}
 _WITHOUT_AND_WITH = ("without the cause", "with it")
-_Points = tuple[Array, Array]  # abscissa and residual (P,)
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> list[Picture]:
@@ -96,7 +90,7 @@ def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure
 class _Evidence:
     """Residuals without and with a cause against the quantity on which the cause depends."""
 
-    points: tuple[_Points, ...]  # without and with the cause
+    points: tuple[tuple[Array, Array], ...]  # abscissa and residual (P,), without and with the cause
     labels: tuple[str, str]  # of abscissa and residual, with their units
     noise: float  # 1-sigma of a residual; zero where it is not known
     rms: bool = False  # the residual's size matters, not its mean
@@ -173,10 +167,8 @@ def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
     for (x, values), role, label in zip(evidence.points, ("reference", "simulated"), _WITHOUT_AND_WITH, strict=True):
         if not evidence.rms:
-            some = _some(x.size)
-            axes.plot(x[some], values[some], ".", color=MARKS[role]["color"], alpha=0.3, markersize=2, zorder=1)
-        most = 24 if x.size > 1000 else 10
-        centres, means, _ = binned_means(x, values**2 if evidence.rms else values, most)
+            axes.plot(*_thinned(x, values), ".", color=MARKS[role]["color"], alpha=0.3, markersize=2, zorder=1)
+        centres, means, _ = binned_means(x, values**2 if evidence.rms else values, 24 if x.size > 1000 else 10)
         means = np.sqrt(means) if evidence.rms else means
         axes.plot(centres, means, linestyle="-", linewidth=1.1, label=label, **MARKS[role])
         largest = max(largest, 1.5 * float(np.max(np.abs(means), initial=0.0)))
@@ -186,9 +178,10 @@ def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
         axes.set_xticks(centres)
 
 
-def _some(count: int) -> Array:
-    """Return at most 1,500 indices, regardless of order: more dots do not show."""
-    return np.sort(np.random.default_rng(0).permutation(count)[:1500])
+def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
+    """Return at most 1,500 of the points, regardless of their order: more dots do not show."""
+    chosen = np.sort(np.random.default_rng(0).permutation(x.size)[:1500])
+    return x[chosen], y[chosen]
 
 
 def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecording) -> None:
@@ -198,10 +191,8 @@ def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecordin
     most = max(float(np.percentile(np.abs(x), 99.5)), 3 * noise) * 1.15
     ends = np.array([-most, most])
     axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=Color.BAND, linewidth=0, label="noise")
-    equal: dict[str, Any] = {"linestyle": "--", "label": "residual equals what the cause adds"}
-    axes.plot(ends, ends, color=Color.MEASURED, linewidth=1.2, zorder=2, **equal)
-    some = _some(x.size)
-    axes.plot(x[some], y[some], ".", color=Color.IDENTIFIED, markersize=2.2, zorder=3)
+    axes.plot(ends, ends, "--", color=Color.MEASURED, linewidth=1.2, label="residual equals what the cause adds")
+    axes.plot(*_thinned(x, y), ".", color=Color.IDENTIFIED, markersize=2.2, zorder=3)
     axes.set(xlim=ends, ylim=1.15 * ends)
     axes.set(xlabel="added by the cause to the simulated markers [mm]", ylabel="residual without the cause [mm]")
     share = 1 - float(np.sum((y - x) ** 2)) / max(float(np.sum(y**2)), 1e-300)
