@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, get_args
 
@@ -12,13 +11,13 @@ from vjm.chain.curve import curve_map
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
-from vjm.experiment.spectrum import MeasuredModes, match, mode_shapes
+from vjm.experiment.spectrum import match, mode_shapes
 from vjm.identification.check import data_warnings, estimates, fit_warnings, identification_notes
 from vjm.identification.comparison import compare_recordings
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
 from vjm.identification.torque_method import MODE_TOLERANCE, TorqueFit, fit_torque
-from vjm.identification.training_data import DerivativeMethod, PreparedRecording, TrainingData
+from vjm.identification.training_data import DerivativeMethod, TrainingData
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import first_fit
 from vjm.identification.uncertainty import Information, trajectory_information
@@ -113,14 +112,14 @@ def _result(
     model = Model(chain, rig, *data.noise, parameters)
     nominal = Model(nominal_chain(rig, chain.links), rig, *data.noise)
     torque_model = None if torque is None else Model(torque.chain, rig, *data.noise)
-    runs = () if trajectory is None else trajectory.point.runs
-    states = {run.observed.recording.file: run.state for run in runs}
+    states = {} if trajectory is None else {run.observed.recording.file: run.state for run in trajectory.point.runs}
     recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
     compared_modes = _compare_modes(chain, data)
     # The same weights for both models.
     objectives = [
         objective(data.weighted_errors(either, chain)) if data.prepared else None for either in (chain, nominal.chain)
     ]
+    remedy = "the search stopped early: ask for fewer parameters, or give recordings that move more"
     return Identification(
         experiment=experiment,
         model=model,
@@ -139,9 +138,7 @@ def _result(
         torque_data=data.prepared_for(chain),
         recordings=recordings,
         status="converged" if fit.converged else "not converged",
-        remedy=""
-        if fit.converged
-        else "the search stopped early: ask for fewer parameters, or give recordings that move more",
+        remedy="" if fit.converged else remedy,
         warnings=(
             *experiment.warnings,
             *data_warnings(data),
@@ -156,21 +153,12 @@ def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ..
     """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show."""
     found = modes(chain, data.payload)
     shapes = _marker_deflections(chain, data.rig, found.shapes)
-    alike = [one for one in data.prepared if one.recording.payload == data.payload]
     rows = []
     for frequency, ratio, shape in zip(found.frequencies.tolist(), found.damping_ratios.tolist(), shapes, strict=True):
         value, std, damping = match(frequency, data.modes, MODE_TOLERANCE) or (None, None, None)
-        measured = _measured_shape(data.rig, frequency, alike, data.modes)
-        rows.append(
-            ModeComparison(
-                frequency_model=frequency,
-                frequency_measured=value,
-                frequency_std=std,
-                damping_model=ratio,
-                damping_measured=damping,
-                mac=None if measured is None else _modal_assurance(shape, measured),
-            )
-        )
+        measured = _measured_shape(data, frequency)
+        mac = None if measured is None else _modal_assurance(shape, measured)
+        rows.append(ModeComparison(frequency, value, std, damping_model=ratio, damping_measured=damping, mac=mac))
     last = max([k + 1 for k, row in enumerate(rows) if row.frequency_measured is not None], default=0)
     return tuple(rows[: max(last, *data.shape.orders)])
 
@@ -190,22 +178,19 @@ def _modal_assurance(model: Array, measured: Complex) -> float:
     return float(np.abs(np.vdot(model, measured)) ** 2 / max(power, 1e-300))
 
 
-def _measured_shape(
-    rig: Rig, frequency: float, prepared: Sequence[PreparedRecording], measured: Sequence[MeasuredModes]
-) -> Complex | None:
+def _measured_shape(data: TrainingData, frequency: float) -> Complex | None:
     """(k,) deflection of all markers in the measured mode nearest to a frequency [Hz]; None where none is near.
 
     Of all recordings, and of free and forced motion, the one shape that explains most.
     """
     parts = []
-    for one, known in zip(prepared, measured, strict=True):
-        if not known.frequencies.size:
-            continue
-        nearest = int(np.argmin(np.abs(known.frequencies - frequency)))
-        if abs(known.frequencies[nearest] / frequency - 1) < MODE_TOLERANCE:
-            pairs = zip(rig.links, one.angles.shapes, strict=True)
+    alike = [one for one in data.prepared if one.recording.payload == data.payload]
+    for one, known in zip(alike, data.modes, strict=True):
+        deviations = np.abs(known.frequencies / frequency - 1)
+        if np.min(deviations, initial=np.inf) < MODE_TOLERANCE:
+            pairs = zip(data.rig.links, one.angles.shapes, strict=True)
             lateral = np.hstack([shape.evaluate(link.markers) for link, shape in pairs])
-            parts.append(mode_shapes(one.angles.time, lateral, known, one.driving_torque)[nearest])
+            parts.append(mode_shapes(one.angles.time, lateral, known, one.driving_torque)[np.argmin(deviations)])
     if not parts:
         return None
     shape: Complex = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)[0][:, 0]
