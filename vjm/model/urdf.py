@@ -16,8 +16,6 @@ from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ShapeError
 
 _FOLDER = "urdf_templates"
-_BASE = "base"
-_STEEL = 7850.0  # kg/m^3, for the radius of a payload's picture
 _HUB_MASS = 1e-14  # kg; a hub before a root joint has none, but MuJoCo takes no moving body of less than 1e-15 kg
 
 
@@ -83,9 +81,9 @@ def chain_to_urdf(chain: Chain, friction: Mapping[str, float] | None = None) -> 
     """
     _check(chain, friction or {})
     foot = 0.02 * chain.links[0].length
-    base = _Body(_BASE, shapes=(_Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
+    base = _Body("base", shapes=(_Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
     template = _environment().get_template("chain.urdf.jinja")
-    return template.render(chain=chain, base=base, joints=_joints(chain, friction or {}))
+    return template.render(chain=chain, base=base, joints=_joints(chain, base.name, friction or {}))
 
 
 @cache
@@ -103,43 +101,29 @@ def _environment() -> Environment:
     )
 
 
-def _joints(chain: Chain, friction: Mapping[str, float]) -> Iterator[_Joint]:
-    """All joints with the bodies that they carry, from the base outwards."""
-    parent = _BASE
+def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[_Joint]:
+    """All joints with the bodies that they carry, from the base, their parent, outwards."""
     for link in chain.links:
-        name = link.name
-        yield from _proximal_joints(link, parent, friction.get(name, 0.0))
+        name, dry = link.name, friction.get(link.name, 0.0)
+        body = _virtual_link(link, 0)
+        carried = body if link.root_stiffness is None else _hub(link)
+        kind = "continuous" if link.joint == "revolute" else "fixed"
+        damping = link.joint_damping if link.joint_damping or dry else None
+        yield _Joint(f"{name}_joint", kind, parent, 0.0, carried, damping, friction=dry)
+        if link.root_stiffness is not None:
+            yield _Joint(f"{name}_root", "revolute", carried.name, 0.0, body, link.root_damping)
         for j in range(1, link.virtual_joints + 1):
-            yield _Joint(
-                f"{name}_virtual_{j}",
-                "revolute",
-                f"{name}_virtual_{j - 1}_link",
-                float(link.lengths[j - 1]),
-                _virtual_link(link, j),
-                damping=float(link.damping[j - 1]),
-                yaw=float(link.rest_curvature * link.cells[j - 1]),
-            )
-        last, parent = f"{name}_virtual_{link.virtual_joints}_link", f"{name}_tip"
-        yield _Joint(f"{name}_tip_mount", "fixed", last, float(link.lengths[-1]), _Body(parent))
+            parent, body, x = body.name, _virtual_link(link, j), link.lengths[j - 1]
+            yaw = link.rest_curvature * link.cells[j - 1]
+            yield _Joint(f"{name}_virtual_{j}", "revolute", parent, x, body, link.damping[j - 1], yaw)
+        parent = f"{name}_tip"
+        yield _Joint(f"{name}_tip_mount", "fixed", body.name, link.lengths[-1], _Body(parent))
         if link.payload:
             # A point mass: an inertia of zero keeps M(q) exact, and is physically valid.
             point = _Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
-            radius = (3 * link.payload / (4 * math.pi * _STEEL)) ** (1 / 3)
+            radius = (3 * link.payload / (4 * math.pi * 7850.0)) ** (1 / 3)  # of a ball of steel
             body = _Body(f"{name}_payload", point, (_Shape("sphere", (radius,), 0.0, "vjm_payload"),))
             yield _Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
-
-
-def _proximal_joints(link: LinkChain, parent: str, friction: float) -> Iterator[_Joint]:
-    """The active or fixed joint, then the root joint where there is one, up to virtual link 0."""
-    first = _virtual_link(link, 0)
-    carried = first if link.root_stiffness is None else _hub(link)
-    if link.joint == "revolute":
-        damping = link.joint_damping if link.joint_damping or friction else None
-        yield _Joint(f"{link.name}_joint", "continuous", parent, 0.0, carried, damping, friction=friction)
-    else:
-        yield _Joint(f"{link.name}_joint", "fixed", parent, 0.0, carried)
-    if link.root_stiffness is not None:
-        yield _Joint(f"{link.name}_root", "revolute", carried.name, 0.0, first, link.root_damping)
 
 
 def _hub(link: LinkChain) -> _Body:
@@ -160,13 +144,13 @@ def _virtual_link(link: LinkChain, j: int) -> _Body:
     as izz allows, along x the rest; hub and root count half along x and half along y, like a disc.
     """
     width, thickness = _section(link)
-    mass, turning, length = float(link.masses[j]), float(link.inertias[j]), float(link.lengths[j])
+    mass, turning, length = link.masses[j], link.inertias[j], link.lengths[j]
     along_z = mass * width**2 / 12
     along_y = min(mass * thickness**2 / 12, turning / 2)
     along_x = turning - along_y
-    disc = float(link.carried_inertia) if j == 0 else 0.0
+    disc = link.carried_inertia if j == 0 else 0.0
     ixx, iyy = along_y + along_z + disc / 2, along_x + along_z + disc / 2
-    inertial = _Inertial(mass, float(link.mass_centers[j]), ixx, iyy, turning + disc)
+    inertial = _Inertial(mass, link.mass_centers[j], ixx, iyy, turning + disc)
     shapes = [_Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
     if j:
         radius = max(0.6 * thickness, 0.008 * link.length)
