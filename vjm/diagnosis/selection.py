@@ -122,16 +122,28 @@ class Search:
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
         nothing = self.nothing()
-        best, first, family = nothing.best, nothing.first, nothing.last
+        best, first = nothing.best, nothing.first
         fits = segment_fits = {best.names: best}
-        best, family = self._extended(best, family, first, fits)
+        best, family = self._extended(best, first, first, fits)
+        searched = True
         for duration in self._durations()[1:]:
             longer = self._lengthened(best, duration)
+            if longer is None and not searched:
+                best, family = self._searched(best, first, fits)
+                searched, longer = True, self._lengthened(best, duration)
             if longer is None:
                 break
-            fits = {longer.names: longer}
-            best, family = self._extended(longer, self.screen(longer), first, fits)
+            best, fits = longer, {longer.names: longer}
+            # Small effects show most in whole recordings, and are looked for there if these can be followed.
+            searched = not np.isfinite(duration) or longer.misfit > INCOMPLETE
+            if searched:
+                best, family = self._searched(best, first, fits)
         return SearchResult(best, first, family, self.p_values, fits, segment_fits)
+
+    def _searched(self, fit: TrajectoryFit, first: FamilyTest, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
+        """Add the effects that are needed beside a model and its chain's discretization error."""
+        best = fits[fit.names] = self._corrected(fit)  # so few joints, over many periods, look like a small cause
+        return self._extended(best, self.screen(best), first, fits)
 
     def nothing(self) -> SearchResult:
         """Return the result before anything was looked for: the model without effects, in segments."""
@@ -374,11 +386,15 @@ class Search:
             return None
         if longer.misfit > INCOMPLETE * max(1.0, fit.misfit):
             return None
-        if np.isfinite(duration) or is_nonsmooth(fit.effects) or longer.misfit > CLOSE:
-            return longer
+        return longer
+
+    def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be."""
+        if is_nonsmooth(fit.effects) or fit.misfit > CLOSE:
+            return fit
         self.tell("measuring the discretization error")
-        bias = DiscretizationBias.of(longer.point, self.rig)
-        return bias.corrected(longer) if bias else longer
+        bias = DiscretizationBias.of(fit.point, self.rig)
+        return bias.corrected(fit) if bias else fit
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
