@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.candidate_fit import StoppingRule, cut, refit
+from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, cut, refit
 from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
@@ -50,6 +50,24 @@ def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -
     assert found.point.misfit == pytest.approx(1.0, abs=0.03)
     assert found.effects[0].values["stiffness"] == pytest.approx(56.0, rel=0.015)
     assert found.effects[0].values["motor_share"] == pytest.approx(0.35, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_segment_that_sticks_is_begun_from_rest_or_from_the_end_of_the_one_before(seed: int) -> None:
+    truth = CoulombFriction(link=0, torque=0.008)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
+    point = point_of(chain_of(), [truth], recordings)
+    problem = replace(point.problem, effects=(truth,))
+    point = replace(point, problem=problem, x=np.concatenate([point.x, truth.coordinates]))
+    duration = problem.first_horizon(point.x) / 2
+    right = cut(TrajectoryFit(point), problem.observed, duration, StoppingRule(most=0)).point
+    off = np.zeros(right.states[0].size)
+    off[right.chain.size + right.chain.active] = 0.3
+    states = [state + off * (k % 2) for k, state in enumerate(right.states)]
+    wrong = right.problem.simulated(right.x, states, states, [1.0] * len(states))
+    assert max(run.chi2 / run.observed.count for run in wrong.runs) > 10
+    found = _multistart(wrong)
+    assert sum(run.chi2 for run in found) < 1.1 * right.chi2
 
 
 @pytest.mark.parametrize(("seed", "start"), [(1, 0.0035), (3, 0.013)])

@@ -129,13 +129,13 @@ def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(record, _FEW_STEPS))
         record, iterations = stop.record, iterations + fit.iterations
-        point = replace(fit.point, runs=_begun_otherwise(fit.point))
+        point = replace(fit.point, runs=_multistart(fit.point))
         if before - point.chi2 < _LITTLE * point.chi2:
             return replace(fit, point=point, iterations=iterations)
         before, x, states = point.chi2, point.x, point.states
 
 
-def _begun_otherwise(point: Point) -> tuple[Run, ...]:
+def _multistart(point: Point) -> tuple[Run, ...]:
     """Return runs, those of missed segments from the best of their initial states and of two others.
 
     These are rest of the active joints, and the state in which the segment before ends.
@@ -182,7 +182,7 @@ def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop
     """
     observed = [part for one in whole for part in segments(one, duration)]
     if len(fit.point.runs) != len(whole):
-        observed = _remembering(observed, fit.point.runs)
+        observed = _with_preceding_motion(observed, fit.point.runs)
     problem = replace(fit.point.problem, observed=tuple(observed))
     states = [state_at(fit.point.runs, part) for part in observed]
     if len(fit.point.runs) == len(whole):  # the simulation of a whole recording may be anywhere at their beginnings
@@ -190,7 +190,7 @@ def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop
         states = [run.state for run, _ in likely]
     found = _minimum(problem, fit.point.x, states, stop)
     # What was estimated last is remembered by effects that are fitted from here.
-    observed = _remembering([run.observed for run in found.point.runs], found.point.runs)
+    observed = _with_preceding_motion([run.observed for run in found.point.runs], found.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
     problem = replace(problem, observed=tuple(observed))
     return replace(found, point=Point(problem, found.point.x, tuple(runs)), shift=fit.shift)
@@ -203,7 +203,7 @@ def segments(observed: Observations, duration: float) -> tuple[Observations, ...
     return observed.segments(duration, _MARGIN * duration)
 
 
-def _remembering(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
+def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
     """Return segments with the motion of their recordings, as last simulated from one segment to the next."""
     parts: dict[str, list[Run]] = {}
     for run in sorted(runs, key=lambda run: float(run.trajectory.time[0])):

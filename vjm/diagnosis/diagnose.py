@@ -78,10 +78,10 @@ def diagnose(
         matters = _LEAST_CHANGE if start.reference_misfit > 1 else Rules.matters
         rules = Rules(matters=matters, most=max_effects, seed=seed)
         search = Search(experiment.rig, start.reference, chosen, rules, tell, workers)
-        result = search.nothing() if insufficient else search.run()
+        result = search.without_effects() if insufficient else search.run()
         # Whole recordings show more than segments, but what a model loses in them only segments show.
         tested = result.first if result.best.effects else result.last
-        table = tested.table(rules.alpha, rules.least_decrease(search.start))
+        table = tested.table(rules.alpha, rules.least_decrease(min(search.start.chi2, search.start.point.count)))
         candidates = (*table, *search.candidate_set.untestable)
         findings = replace(
             _findings(experiment, baseline, start, search, result),

@@ -3,8 +3,8 @@
 Recordings are cut into segments, over which whatever a model lacks does not cost its phase. Each step tests the
 candidates beside the best model, fits those that may explain most, keeps the best if it lowers chi^2 by more than
 chance and by more than matters, and drops what it makes needless. The segments are lengthened until they are whole
-recordings, in which small effects show more, and further effects are looked for in each. The same search in the
-reference recordings alone finds what was there before a change.
+recordings, in which small effects show more and are looked for, as they are in segments that the model begins to miss.
+The same search in the reference recordings alone finds what was there before a change.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from vjm.diagnosis.baseline import Baseline, DiscretizationBias
+from vjm.diagnosis.baseline import CLOSE, Baseline, DiscretizationBias
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE,
     StoppingRule,
@@ -45,7 +45,6 @@ _GROWTH = 3.0  # of segments: a frequency fitted to some periods is right to far
 _LINEAR = 0.5  # share of a linear forecast that a fit has never fallen short of, beside effects without slopes
 _NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that a good fit may leave
 _PAIRS = 2  # pairs fitted that no single step leads to
-CLOSE = 2.0  # misfit up to which the chain's discretization error can be told from what is missing
 
 
 @dataclass(frozen=True)
@@ -64,9 +63,9 @@ class Rules:
     most: int = 3
     seed: int = 0
 
-    def least_decrease(self, fit: TrajectoryFit) -> float:
-        """Return the decrease of chi^2 from which an effect matters, a share of the noise or of what is less."""
-        return min(fit.chi2, fit.point.count) * self.matters / (1 + self.matters)
+    def least_decrease(self, chi2: float) -> float:
+        """Return the decrease to a chi^2 from which an effect matters."""
+        return chi2 * self.matters / (1 + self.matters)
 
 
 @dataclass(frozen=True)
@@ -121,15 +120,15 @@ class Search:
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
-        nothing = self.nothing()
+        nothing = self.without_effects()
         best, first = nothing.best, nothing.first
         fits = segment_fits = {best.names: best}
-        best, family = self._extended(best, first, first, fits)
+        best, family = self._forward_selection(best, first, first, fits)
         searched = True
         for duration in self._durations()[1:]:
             longer = self._lengthened(best, duration)
             if longer is None and not searched:
-                best, family = self._searched(best, first, fits)
+                best, family = self._select_corrected(best, first, fits)
                 searched, longer = True, self._lengthened(best, duration)
             if longer is None:
                 break
@@ -137,15 +136,15 @@ class Search:
             # Small effects show most in whole recordings, and are looked for there if these can be followed.
             searched = not np.isfinite(duration) or longer.misfit > INCOMPLETE
             if searched:
-                best, family = self._searched(best, first, fits)
+                best, family = self._select_corrected(best, first, fits)
         return SearchResult(best, first, family, self.p_values, fits, segment_fits)
 
-    def _searched(self, fit: TrajectoryFit, first: FamilyTest, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
+    def _select_corrected(self, fit: TrajectoryFit, first: FamilyTest, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
         """Add the effects that are needed beside a model and its chain's discretization error."""
         best = fits[fit.names] = self._corrected(fit)  # so few joints, over many periods, look like a small cause
-        return self._extended(best, self.screen(best), first, fits)
+        return self._forward_selection(best, self.screen(best), first, fits)
 
-    def nothing(self) -> SearchResult:
+    def without_effects(self) -> SearchResult:
         """Return the result before anything was looked for: the model without effects, in segments."""
         self.tell("fitting segments")
         base = cut(self.start, self.whole, self._durations()[0], StoppingRule())
@@ -195,8 +194,7 @@ class Search:
         another effect.
         """
         left = [self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth]
-        share = self.rules.matters / (1 + self.rules.matters)
-        return max([share * fit.chi2, *(_NONSMOOTH_REST * decrease for decrease in left)])
+        return max([self.rules.least_decrease(fit.chi2), *(_NONSMOOTH_REST * decrease for decrease in left)])
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
@@ -228,7 +226,7 @@ class Search:
             duration *= _GROWTH
         return [*durations, np.inf]
 
-    def _extended(
+    def _forward_selection(
         self, best: TrajectoryFit, family: FamilyTest, first: FamilyTest, fits: Fits
     ) -> tuple[TrajectoryFit, FamilyTest]:
         """Add effects to a model while they are needed; return it, and the tests beside it."""
@@ -242,7 +240,7 @@ class Search:
             self._decreases |= {
                 effect.key: best.chi2 - trial.chi2 for effect in trial.effects if effect.key not in best.names
             }
-            best = self._without_needless(trial, fits)
+            best = self._backward_elimination(trial, fits)
             new = best.names - self.p_values.keys()
             self.p_values |= {key: min(family.p_value(key), first.p_value(key)) for key in new}
             family = self.screen(best)
@@ -267,7 +265,7 @@ class Search:
         base = fits.get(self.start.names)
         if base is None or self._explains_all(found, best):
             return found  # in longer segments slopes show what is left, and fits of what they do not show take long
-        hidden = [k for k, effect in enumerate(screened.effects) if self._is_hidden(effect, best)]
+        hidden = [k for k, effect in enumerate(screened.effects) if self._lacks_slopes(effect, best)]
         hidden.sort(key=lambda k: (screened.effects[k].nonsmooth, -screened.statistics[k]))  # stick-slip is slow to fit
         hidden = screened.first_of_each(hidden)
         for batch in _batches(hidden, self.workers.count):
@@ -313,7 +311,7 @@ class Search:
         sized = [start_size(one, own, fit.point.chain) for one, own in zip(added, parts, strict=True)]
         return (*fit.effects, *sized)
 
-    def _is_hidden(self, effect: Effect, fit: TrajectoryFit) -> bool:
+    def _lacks_slopes(self, effect: Effect, fit: TrajectoryFit) -> bool:
         """True for effects whose slopes about their null tell little of them."""
         return effect.nonsmooth or effect.adds_joint(fit.point.chain)
 
@@ -327,12 +325,12 @@ class Search:
     def _is_worth(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
         return fewer.chi2 - more.chi2 > self.least_decrease(more)
 
-    def _without_needless(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
+    def _backward_elimination(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects that the others make needless."""
         for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
             fewer = self.without(fit, effect, fits, fit.chi2 + self.least_decrease(fit))
             if fewer is not None and not self._is_worth(fewer, fit):
-                return self._without_needless(fewer, fits)
+                return self._backward_elimination(fewer, fits)
         return fit
 
     def without(self, fit: TrajectoryFit, effect: Effect, fits: Fits, record: float = np.inf) -> TrajectoryFit | None:
