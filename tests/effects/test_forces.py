@@ -87,7 +87,8 @@ def test_drag_takes_nothing_from_a_link_that_does_not_move_or_moves_along_itself
 def test_dry_friction_is_constant_in_motion_and_proportional_to_the_torque() -> None:
     still = np.zeros(HUB.size)
     for share in (-1.0, -0.4, 0.0, 0.2, 1.0):
-        one, two = (force(CoulombFriction(torque=t), HUB, still, still, states=[1e-5 * share]) for t in (0.008, 0.1))
+        small, large = CoulombFriction(torque=0.008), CoulombFriction(torque=0.1)
+        one, two = (force(each, HUB, still, still, states=[each.presliding(HUB) * share]) for each in (small, large))
         assert one[0] == pytest.approx(-0.008 * share)
         assert two == pytest.approx(12.5 * one)
         assert not one[1:].any()
@@ -100,13 +101,14 @@ def driven(push: np.ndarray, time: np.ndarray) -> Recording:
     return replace(known, gravity=(0.0, 0.0), time=time, tau=push[:, None], payload=0.0, **empty)
 
 
-@given(st.lists(st.floats(-1e-4, 1e-4), min_size=1, max_size=8), st.floats(-1e-5, 1e-5), st.integers(1, 5))
+@given(st.lists(st.floats(-10.0, 10.0), min_size=1, max_size=8), st.floats(-1.0, 1.0), st.integers(1, 5))
 def test_a_bristle_follows_the_joint_until_it_slips(turns: list[float], bend: float, parts: int) -> None:
     """Prandtl's stop: the distance to the last turning points tells it, whatever the steps between these."""
-    rate_independent_update = CoulombFriction(torque=0.008).rate_independent_update(HUB)
-    angle, inside, integer, by_parts = 0.0, bend, np.array([bend]), np.array([bend])
-    for turn in turns:
-        inside = min(max(inside + turn, -1e-5), 1e-5)
+    friction = CoulombFriction(torque=0.008)
+    rate_independent_update, limit = friction.rate_independent_update(HUB), friction.presliding(HUB)
+    angle, inside, integer, by_parts = 0.0, limit * bend, np.array([limit * bend]), np.array([limit * bend])
+    for turn in limit * np.array(turns):
+        inside = min(max(inside + turn, -limit), limit)
         ways = np.zeros((parts + 1, HUB.size))
         ways[:, HUB.active[0]] = angle + np.linspace(0.0, turn, parts + 1)
         integer = rate_independent_update(ways[0], integer, ways[-1])
@@ -118,7 +120,7 @@ def test_a_bristle_follows_the_joint_until_it_slips(turns: list[float], bend: fl
 
 
 def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
-    """Searches need it to: steps of a millisecond do not meet the instants at which it slips, and must not show it."""
+    """Searches need it to: steps do not meet the instants at which it slips, and must not show it to an encoder."""
     time = np.linspace(0.0, 2.0, 1001)
     push = 0.16 * np.sin(2 * np.pi * 1.1 * time) + 0.08 * np.sin(2 * np.pi * 3.7 * time)
     recording = driven(push, time)
@@ -130,7 +132,7 @@ def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
         ends.append(steps.angles(time)[:, 0])
     bent = np.diff(np.array(ends), n=2, axis=0)
     assert np.ptp(ends[0]) > 0.1
-    assert np.abs(bent).max() < 2e-7
+    assert np.abs(bent).max() < 1e-6
 
 
 def test_two_integrators_carry_friction_beside_other_internal_states() -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -29,7 +28,6 @@ from tests.simulation.setups import (
     two_link_arm,
 )
 from vjm.chain.virtual_links import Chain
-from vjm.model.dynamics import Mechanism
 from vjm.model.modes import modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
@@ -230,23 +228,15 @@ def test_copies_together_move_as_each_alone(integrator: str, same: bool) -> None
         np.testing.assert_allclose(together[1][:, c], alone[1][:, 0], atol=1e-8)
 
 
-def test_many_copies_are_advanced_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Pinocchio keeps tensors of the third order for a model: 10 GB for 48 copies of nine joints."""
-    sizes, whole = [], Mechanism.__init__
-
-    def watched(self: Mechanism, chains: Chain | Sequence[Chain], *rest: Any) -> None:
-        sizes.append(chains.size if isinstance(chains, Chain) else sum(chain.size for chain in chains))
-        whole(self, chains, *rest)
-
-    monkeypatch.setattr(Mechanism, "__init__", watched)
-    chain = arm_of(steel_link(8, "revolute"))
-    recording = recording_of(chain, np.arange(21) / 100.0, jerky_torque(1, 7))
-    rates = np.random.default_rng(9).normal(0, 0.5, (48, 9))
-    found, _ = rollout([chain] * 48, recording, 0 * rates, rates, step=1e-3)
-    assert sum(sizes) >= 48 * 9
-    assert max(sizes) <= 128
-    alone, _ = rollout([chain], recording, 0 * rates[47:], rates[47:], step=1e-3)
-    np.testing.assert_allclose(found[:, 47], alone[:, 0], atol=1e-10)
+def test_copies_with_payloads_move_as_each_alone() -> None:
+    chain = arm_of(steel_link(3, "revolute"))
+    recording = recording_of(chain, np.arange(101) / 100.0, jerky_torque(1, 7))
+    recordings = [replace(recording, payload=payload) for payload in (0.0, 0.1, 0.0, 0.1)]
+    q, v = np.random.default_rng(8).normal(0, 0.05, (2, 4, 4))
+    together = simulate_trajectories([Arm(chain)] * 4, recordings, q, v, step=1e-3)
+    for k, found in enumerate(together):
+        (alone,) = simulate_trajectories([Arm(chain)], recordings[k : k + 1], q[k : k + 1], v[k : k + 1], step=1e-3)
+        np.testing.assert_allclose(found.q, alone.q, atol=1e-10)
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)

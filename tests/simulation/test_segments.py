@@ -18,11 +18,13 @@ from vjm.effects import (
     Hysteresis,
     StiffnessDrift,
     TimeOffset,
+    TipPayload,
+    TorqueGain,
     ViscoelasticCreep,
 )
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations, PrecedingMotion
-from vjm.simulation.run import Run, simulate_runs
+from vjm.simulation.run import Run, linearize, simulate_runs
 from vjm.simulation.sensitivity import PerturbedArm
 
 TIMED = (
@@ -70,10 +72,33 @@ def test_derivatives_in_segments_are_those_of_differences(effects: tuple[Effect,
     other = Arm.of(chain_of(), (effect.at(coordinates),))
     moved = run_of(other, last.observed, last.state)
     slopes = np.empty(last.observed.count)
-    for measured, part in last.slopes([PerturbedArm(other, step)]):
+    for measured, part in last.slopes(last.linearization([PerturbedArm(other, step)])):
         slopes[measured] = part[:, -1]
     expected = (last.residual - moved.residual) / step
     assert np.linalg.norm(slopes - expected) < 0.02 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    "beside", [(), (Hysteresis(link=0, ratio=0.05, yield_angle=0.02),)], ids=["none", "hysteresis"]
+)
+def test_segments_are_linearised_together_as_each_alone(beside: tuple[Effect, ...]) -> None:
+    """With forces, torques, sensors and internal states that the arm has not."""
+    _, parts = parts_of(beside)
+    absent = (
+        StiffnessDrift(link=0, rate=0.01),
+        TorqueGain(link=0, gain=1.1),
+        TipPayload(link=0, mass=0.01),
+        TimeOffset(delay=0.001),
+        ViscoelasticCreep(link=0, ratio=0.05, time_constant=0.1),
+    )
+    moved = [PerturbedArm(Arm.of(chain_of(), (*beside, effect)), 0.1) for effect in absent]
+    together = list(linearize(parts, [moved] * len(parts)))
+    assert len(parts) > 2
+    assert all(each.coefficients is not None for each in together)
+    for part, linearization in zip(parts, together, strict=True):
+        found, alone = part.linearized(linearization).R, part.linearized(part.linearization(moved)).R
+        scale = np.linalg.norm(alone, axis=0)
+        np.testing.assert_allclose((found / scale).T @ (found / scale), (alone / scale).T @ (alone / scale), atol=1e-7)
 
 
 @settings(max_examples=40, deadline=None)

@@ -8,7 +8,7 @@ import numpy as np
 
 from vjm.diagnosis.candidate_fit import start_size
 from vjm.diagnosis.records import Alternative, Cause
-from vjm.diagnosis.screen import Directions, Screen
+from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.selection import Fits, Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
@@ -32,23 +32,20 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     if not causes:
         return {}
     tolerance = _EQUIVALENT * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
-    variants = [v for v in search.candidate_set.variants if v.key not in best.names]
+    beside = result.last.screen.directions
     # Stick-slip and play are slow to try: only where they may look like the cause.
     wanted = {
         cause.key: [
             k
-            for k, v in enumerate(variants)
+            for k, v in enumerate(beside.effects)
             if not v.nonsmooth or cause.nonsmooth or _alike(result.first.screen, cause, v)
         ]
         for cause in causes
     }
-    shown = sorted({k for several in wanted.values() for k in several})
-    beside = Directions.of(best.point, best.effects, [variants[k] for k in shown], search.workers)
     alternatives = {}
     for cause in causes:
         part = next(p for effect, p in zip(best.effects, best.point.problem.parts, strict=True) if effect is cause)
-        chosen = [shown.index(k) for k in wanted[cause.key]]
-        screened = beside.screen(present=(cause, part), chosen=chosen)
+        screened = beside.screen(present=(cause, part), chosen=wanted[cause.key])
         others = [effect for effect in best.effects if effect is not cause]
         guesses = _near(screened, cause, tolerance)
         models = [(*others, start_size(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()]

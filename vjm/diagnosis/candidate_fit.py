@@ -30,11 +30,14 @@ from vjm.simulation.system import Trajectory
 INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
-_LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
+LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
 _FEW = 4  # simulations by which initial states come near enough for a fit of all parameters
 _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
+_RESTARTS = (0.5, 2.0, 4.0)  # multiples of a joint's compliance: of its frequency, two thirds to half an octave
+_RESTART_STEPS = 5  # after which a start that leads elsewhere shows
 _MISSED = 1e-3  # significance level at which a recording is missed
 _STUCK, _LITTLE = 5, 0.002  # steps, and the share of chi^2 that they must gain for a fit to go on
+_SLOW = 0.1  # share of what is missing, beside noise, that as many steps must gain: the rest takes ten times as many
 _MARGIN = 0.1  # of a segment, simulated beyond its values: sensors that are early or late are so by less
 
 
@@ -54,8 +57,13 @@ class StoppingRule:
     def __call__(self, point: Point, predicted: float) -> bool:
         """Return True to end the fit at a point, given the predicted decrease of chi^2 by its next step."""
         self.history.append(point.chi2)
-        stuck = len(self.history) > _STUCK and point.chi2 > (1 - _LITTLE) * self.history[-_STUCK]
+        stuck = len(self.history) > _STUCK and self.history[-_STUCK] - point.chi2 < _least_gain(point)
         return len(self.history) > self.most or stuck or point.chi2 - 3 * predicted > self.record
+
+
+def _least_gain(point: Point) -> float:
+    """Return the decrease of chi^2 that several steps must bring for a fit to go on."""
+    return max(_LITTLE * point.chi2, _SLOW * (point.chi2 - point.count))
 
 
 @lru_cache(maxsize=4)
@@ -85,7 +93,7 @@ def start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
         chain: to which it is added.
     """
     coordinates = effect.coordinates
-    least = _LEAST_START if effect.nonsmooth or effect.adds_joint(chain) else -_LARGEST_START
+    least = LEAST_START if effect.nonsmooth or effect.adds_joint(chain) else -_LARGEST_START
     coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
     return effect.at(np.clip(coordinates, *effect.bounds))
 
@@ -116,6 +124,32 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
         problem = replace(problem, step_multiple=1.0)
 
 
+def restarted(fit: TrajectoryFit) -> TrajectoryFit:
+    """Fit a model again from other compliances of its effects that are joints of their own; return the best fit.
+
+    Such a joint vibrates, and where its frequency is wrong by a cycle over a segment there is another minimum.
+    """
+    best = fit
+    for effect, part in zip(fit.effects, fit.point.problem.parts, strict=True):
+        if effect.nonsmooth or not effect.adds_joint(fit.point.problem.parametrisation.template):
+            continue
+        for factor in _RESTARTS:
+            x = fit.point.x.copy()
+            x[part.start] *= factor
+            x[part.start + effect.magnitude_count : part.stop] = 0.0  # shape parameters' typical values
+            try:
+                trial = fit_trajectory(
+                    fit.point.problem, x, None, fit.point.states, stop=StoppingRule(best.chi2, _RESTART_STEPS)
+                )
+                if trial.chi2 < best.chi2:
+                    best = fit_trajectory(
+                        trial.point.problem, trial.point.x, None, trial.point.states, stop=StoppingRule()
+                    )
+            except (SimulationDivergedError, InsufficientDataError):
+                continue
+    return best
+
+
 def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
     """Fit coordinates and initial states from (p,) and (2 nv,) each.
 
@@ -130,7 +164,7 @@ def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(record, _FEW_STEPS))
         record, iterations = stop.record, iterations + fit.iterations
         point = replace(fit.point, runs=_multistart(fit.point))
-        if before - point.chi2 < _LITTLE * point.chi2:
+        if before - point.chi2 < _least_gain(point):
             return replace(fit, point=point, iterations=iterations)
         before, x, states = point.chi2, point.x, point.states
 
@@ -138,17 +172,19 @@ def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop
 def _multistart(point: Point) -> tuple[Run, ...]:
     """Return runs, those of missed segments from the best of their initial states and of two others.
 
-    These are rest of the active joints, and the state in which the segment before ends.
+    These are rest of the active joints, and the state in which the segment before ends, or rest of the whole arm.
     """
     best, trials = [*point.runs], []
+    # Where the parameters are wrong most segments are missed, and no start of theirs leads out of that.
+    usual = max(1.0, float(np.quantile([run.chi2 / max(run.observed.count, 1) for run in point.runs], 0.25)))
     for k, run in enumerate(point.runs):
-        if run.chi2 < stats.chi2.isf(_MISSED, run.observed.count):
+        if run.chi2 < usual * stats.chi2.isf(_MISSED, run.observed.count):
             continue
         resting = run.state.copy()
         resting[run.chain.size + run.chain.active] = 0.0
         trials.append((k, resting))
-        if _before(point.runs, run.observed):
-            trials.append((k, state_at(_before(point.runs, run.observed), run.observed)))
+        before = _before(point.runs, run.observed)
+        trials.append((k, state_at(before, run.observed) if before else run.prior.rest))
     if not trials:
         return point.runs
     arms, observed = point.problem.arms(point.x), point.problem.observed

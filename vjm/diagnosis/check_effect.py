@@ -17,7 +17,7 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.curve import transfer_state
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidate_fit import StoppingRule, refit
+from vjm.diagnosis.candidate_fit import StoppingRule, refit, restarted
 from vjm.diagnosis.screen import CandidateSet, Screen
 from vjm.effects.effect import SENSING_HOOKS, Effect
 from vjm.errors import EffectError, SimulationDivergedError
@@ -459,6 +459,8 @@ def _fitted(start: TrajectoryFit, bench: _Bench, true: Effect) -> Effect | None:
         coordinates = np.r_[np.full(true.magnitude_count, size), variant.coordinates[true.magnitude_count :]]
         wanted = variant.at(np.clip(coordinates, *variant.bounds))
         found = refit(start, (wanted,), StoppingRule())
+        if found is not None and found.misfit > 1.02:
+            found = restarted(found)
         best = min((one for one in (best, found) if one is not None), key=lambda one: one.chi2, default=None)
         if best is not None and best.misfit < 1.02:
             break

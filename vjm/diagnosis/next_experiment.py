@@ -77,7 +77,7 @@ def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Ch
         moved = replace(other.point.problem, observed=(predicted.observed,)).moved(other.point.x)[0]
         states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
         slopes = np.zeros((predicted.residual.size, states + len(moved)))
-        for measured, part in predicted.slopes(moved):
+        for measured, part in predicted.slopes(predicted.linearization(moved)):
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0

@@ -16,6 +16,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from itertools import pairwise
 from multiprocessing import get_context
 from typing import Any, Self, TypeVar
 
@@ -23,6 +24,7 @@ import numpy as np
 from scipy import stats
 
 from vjm.chain.curve import transfer_state
+from vjm.diagnosis.candidate_fit import LEAST_START
 from vjm.diagnosis.records import Candidate
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
@@ -30,8 +32,8 @@ from vjm.identification.trajectory_fit import Point
 from vjm.records import REFERENCE, Array, Mask, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
-from vjm.simulation.sensitivity import PerturbedArm
+from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
+from vjm.simulation.sensitivity import Linearization, PerturbedArm
 
 _ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
@@ -77,12 +79,14 @@ class Screen:
         parts: columns of each one's sizes.
         R: (c + 1, c + 1) factor; R^T R are the directions' inner products, the last column stands for the residuals.
         unprojected: (c,) squares of the directions before the projection; infinite where a slope diverges.
+        directions: before the projection.
     """
 
     effects: tuple[Effect, ...]
     parts: tuple[slice, ...]
     R: Array
     unprojected: Array
+    directions: Directions
 
     @classmethod
     def of(
@@ -219,11 +223,11 @@ class Directions:
         joints = [k for k, variant in enumerate(variants) if variant.adds_joint(point.chain)]
         joints.sort(key=lambda k: not variants[k].nonsmooth)  # the slowest first: none is waited for at the end
         secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
-        jobs = [
-            (_one_recording(point, run), {k: secant[n] for k, secant in zip(joints, secants, strict=True)})
-            for n, run in enumerate(point.runs)
-        ]
-        linearized = workers.map(partial(_linearized, present, variants), jobs)
+        found = [{k: own[n] for k, own in zip(joints, secants, strict=True)} for n in range(len(point.runs))]
+        edges = np.linspace(0, len(point.runs), 2 if workers.count == 1 else 2 * workers.count + 1, dtype=int)
+        groups = [slice(first, last) for first, last in pairwise(edges.tolist()) if first < last]
+        jobs = [(_some_recordings(point, group), found[group]) for group in groups]
+        linearized = [each for some in workers.map(partial(_linearized, present, variants), jobs) for each in some]
         parts = _parts([variant.magnitude_count for variant in variants])
         unprojected = sum((squares for _, squares in linearized), start=np.zeros(parts[-1].stop if parts else 0))
         return cls(tuple(variants), parts, np.vstack([rows for rows, _ in linearized]), unprojected)
@@ -249,7 +253,7 @@ class Directions:
         others = [k for k in range(coordinates) if k not in kept]
         rows = self.rows[:, [*others, *kept, *(coordinates + k for k in sizes), -1]]
         information = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
-        return Screen(tuple(effects), _parts(counts), information.eliminated(len(others)).R, unprojected)
+        return Screen(tuple(effects), _parts(counts), information.eliminated(len(others)).R, unprojected, self)
 
 
 def _parts(counts: Sequence[int]) -> tuple[slice, ...]:
@@ -257,26 +261,40 @@ def _parts(counts: Sequence[int]) -> tuple[slice, ...]:
     return tuple(slice(stop - count, stop) for stop, count in zip(stops, counts, strict=True))
 
 
-def _one_recording(point: Point, run: Run) -> Point:
-    return replace(point, runs=(run,), problem=replace(point.problem, observed=(run.observed,)))
+def _some_recordings(point: Point, chosen: slice) -> Point:
+    runs = point.runs[chosen]
+    return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
 
 
 def _linearized(
-    present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Point, Mapping[int, Array]]
-) -> tuple[Array, Array]:
-    """Factor (r, p + c + 1) of one recording's problem, initial state eliminated, and the squares of its directions.
+    present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Point, Sequence[Mapping[int, Array]]]
+) -> list[tuple[Array, Array]]:
+    """Factor (r, p + c + 1) of each recording's problem, initial state eliminated, and the squares of its directions.
 
-    The job is a point with that recording alone, and the slopes (N,) that were found by simulation, by variant.
+    The job is a point, and the slopes (N,) that were found by simulation of each recording, by variant.
     """
     point, secants = job
-    (run,), (coordinates,) = point.runs, point.problem.moved(point.x)
-    moved = [arm for variant in variants for arm in _moved(run, point, present, variant)]
-    parts, squares = _parts([variant.magnitude_count for variant in variants]), np.zeros(len(moved))
-    weights = np.sqrt(run.observed.loss.slope(run.residual**2))
+    extended = [_extended(point, present, variant) for variant in variants]
+    coordinates = point.problem.moved(point.x)
+    moved = [
+        (*own, *(arm for arms in extended for arm in _moved(run, arms)))
+        for run, own in zip(point.runs, coordinates, strict=True)
+    ]
+    parts = _parts([variant.magnitude_count for variant in variants])
+    each = zip(point.runs, linearize(point.runs, moved), secants, strict=True)
+    return [_projected(run, linearization, known, parts) for run, linearization, known in each]
+
+
+def _projected(
+    run: Run, linearization: Linearization, secants: Mapping[int, Array], parts: Sequence[slice]
+) -> tuple[Array, Array]:
+    """Factor of one recording's problem, and the squares of the directions in `parts`."""
+    count = parts[-1].stop if parts else 0
+    squares, weights = np.zeros(count), np.sqrt(run.observed.loss.slope(run.residual**2))
 
     def rows() -> Iterator[tuple[Array, Array]]:
-        for measured, slopes in run.slopes((*coordinates, *moved)):
-            directions = slopes[:, slopes.shape[1] - len(moved) :]
+        for measured, slopes in run.slopes(linearization):
+            directions = slopes[:, slopes.shape[1] - count :]
             for k, secant in secants.items():
                 directions[:, parts[k].start] = secant[measured]
             # About a motion that is all wrong a slope may diverge: the effect cannot be judged there.
@@ -287,7 +305,7 @@ def _linearized(
             yield weights[measured, None] * slopes, weights[measured] * run.residual[measured]
 
     initial = 2 * run.basis.slow_count
-    columns = initial + len(coordinates) + len(moved)
+    columns = initial + len(linearization.perturbed)
     information = SquareRootInformation.of(rows(), columns).with_rows(*run.prior_rows(columns))
     return information.eliminated(initial).R, squares
 
@@ -299,22 +317,32 @@ def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
     return variant.at(coordinates)
 
 
-def _moved(run: Run, point: Point, present: Sequence[Effect], variant: Effect) -> list[PerturbedArm]:
-    """The arm with each size of an effect off its null; unchanged if the slope is zero or found by simulation."""
-    if run.observed.recording.condition == REFERENCE or variant.adds_joint(point.chain):
-        return [PerturbedArm(run.arm, _STEP)] * variant.magnitude_count
+def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[Arm | None]:
+    """The arm with each size of an effect off its null; None if the slope is found by simulation."""
+    if variant.adds_joint(point.chain):
+        return [None] * variant.magnitude_count
     effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
-    return [PerturbedArm(Arm.of(point.chain, (*present, effect)), _STEP) for effect in effects]
+    return [Arm.of(point.chain, (*present, effect)) for effect in effects]
+
+
+def _moved(run: Run, extended: Sequence[Arm | None]) -> list[PerturbedArm]:
+    """Arms of an effect off its null, as far as it acts in a recording."""
+    absent = run.observed.recording.condition == REFERENCE
+    return [PerturbedArm(run.arm if absent or arm is None else arm, _STEP) for arm in extended]
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
     """For each recording, slopes (N,) of the predictions by the size of an effect that is a joint of its own.
 
     A chain without the joint has no derivative by it; a compliant joint also shifts frequencies, soon out of
-    proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible.
+    proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible. Less
+    play than a fit may start from does nothing that slopes show.
     """
     null = [run.residual for run in point.runs]
     try:
+        if variant.nonsmooth:
+            (one,) = _residuals(point, present, [_with_size(variant, 0, LEAST_START)])
+            return [(r0 - r1) / LEAST_START for r0, r1 in zip(null, one, strict=True)]
         one, two = _residuals(point, present, [_with_size(variant, 0, n * _JOINT_STEP) for n in (1, 2)])
     except SimulationDivergedError:
         return [np.full(residual.size, np.inf) for residual in null]

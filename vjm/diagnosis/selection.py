@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from scipy import stats
 
 from vjm.diagnosis.baseline import CLOSE, Baseline, DiscretizationBias
 from vjm.diagnosis.candidate_fit import (
@@ -22,7 +21,7 @@ from vjm.diagnosis.candidate_fit import (
     StoppingRule,
     cut,
     refit,
-    segments,
+    restarted,
     start_size,
     state_at,
 )
@@ -74,7 +73,7 @@ class SearchResult:
 
     Attributes:
         best: the best model, fitted to whole recordings, or to segments where it follows nothing longer.
-        first: score tests beside the model without effects, in segments.
+        first: score tests beside the model without effects, in segments unless these show nothing but noise.
         last: the same beside the best model.
         p_values: of each effect of the best model, when it was added.
         fits: models fitted to the recordings or segments of the best one.
@@ -117,39 +116,47 @@ class Search:
         self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
         self.p_values: dict[Key, float] = {}
         self._decreases: dict[Key, float] = {}
+        self._first: FamilyTest | None = None  # beside the model without effects
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
-        nothing = self.without_effects()
-        best, first = nothing.best, nothing.first
+        best = self._in_segments()
         fits = segment_fits = {best.names: best}
-        best, family = self._forward_selection(best, first, first, fits)
-        searched = True
+        best, family = self._forward_selection(best, fits)
         for duration in self._durations()[1:]:
+            if is_nonsmooth(best.effects):  # the longer a recording, the more minima the likelihood of its state has
+                break
             longer = self._lengthened(best, duration)
-            if longer is None and not searched:
-                best, family = self._select_corrected(best, first, fits)
-                searched, longer = True, self._lengthened(best, duration)
+            if longer is None and family is None:
+                fit = best
+                best, family = self._select_small(best, fits)
+                longer = None if best is fit else self._lengthened(best, duration)
             if longer is None:
                 break
-            best, fits = longer, {longer.names: longer}
+            best, fits, family = longer, {longer.names: longer}, None
             # Small effects show most in whole recordings, and are looked for there if these can be followed.
-            searched = not np.isfinite(duration) or longer.misfit > INCOMPLETE
-            if searched:
-                best, family = self._select_corrected(best, first, fits)
-        return SearchResult(best, first, family, self.p_values, fits, segment_fits)
+            if not np.isfinite(duration) or longer.misfit > INCOMPLETE:
+                best, family = self._select_small(best, fits)
+        if family is None:
+            best, family = self._select_small(best, fits)
+        return SearchResult(best, self._first or family, family, self.p_values, fits, segment_fits)
 
-    def _select_corrected(self, fit: TrajectoryFit, first: FamilyTest, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
+    def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
         """Add the effects that are needed beside a model and its chain's discretization error."""
         best = fits[fit.names] = self._corrected(fit)  # so few joints, over many periods, look like a small cause
-        return self._forward_selection(best, self.screen(best), first, fits)
+        best, family = self._forward_selection(best, fits, small=True)
+        return best, family or self.screen(best)
 
     def without_effects(self) -> SearchResult:
         """Return the result before anything was looked for: the model without effects, in segments."""
-        self.tell("fitting segments")
-        base = cut(self.start, self.whole, self._durations()[0], StoppingRule())
+        base = self._in_segments()
         family = self.screen(base)
         return SearchResult(base, family, family)
+
+    def _in_segments(self) -> TrajectoryFit:
+        """Fit the model without effects to the shortest segments."""
+        self.tell("fitting segments")
+        return cut(self.start, self.whole, self._durations()[0], StoppingRule())
 
     def open_loop(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Return a model in whole recordings, from their most likely initial states where it was not fitted to them."""
@@ -227,53 +234,53 @@ class Search:
         return [*durations, np.inf]
 
     def _forward_selection(
-        self, best: TrajectoryFit, family: FamilyTest, first: FamilyTest, fits: Fits
-    ) -> tuple[TrajectoryFit, FamilyTest]:
-        """Add effects to a model while they are needed; return it, and the tests beside it."""
-        while len(best.new_effects) < self.rules.most:
-            needed = self.needed(best, family)
-            if not needed:
-                break
-            trial = self._best_addition(best, family, first, needed, fits)
+        self, best: TrajectoryFit, fits: Fits, small: bool = False
+    ) -> tuple[TrajectoryFit, FamilyTest | None]:
+        """Add effects to a model while they are needed; return it, and the tests beside it.
+
+        None instead of tests: it leaves nothing but noise, and nothing `small` was looked for.
+        """
+        while small or not self._explains_all(best, best):
+            family = self.screen(best)
+            self._first = self._first or family
+            needed = self.needed(best, family) if len(best.new_effects) < self.rules.most else []
+            trial = self._best_addition(best, family, needed, fits) if needed else None
             if trial is None or not self._is_worth(best, trial):
-                break
+                return best, family
             self._decreases |= {
                 effect.key: best.chi2 - trial.chi2 for effect in trial.effects if effect.key not in best.names
             }
             best = self._backward_elimination(trial, fits)
             new = best.names - self.p_values.keys()
-            self.p_values |= {key: min(family.p_value(key), first.p_value(key)) for key in new}
-            family = self.screen(best)
-        return best, family
+            self.p_values |= {key: min(family.p_value(key), self._first.p_value(key)) for key in new}
+        return best, None
 
     def _best_addition(
-        self, best: TrajectoryFit, family: FamilyTest, first: FamilyTest, needed: Sequence[int], fits: Fits
+        self, best: TrajectoryFit, family: FamilyTest, needed: Sequence[int], fits: Fits
     ) -> TrajectoryFit | None:
         """Fit models with one effect more, and return the best.
 
-        Effects with slopes are tried in the order of what these promise, as long as that may be most; all of them where
-        the model is too far from the recordings for slopes to tell. These tell little of stick-slip, play and joints of
-        their own, which are tried wherever more than noise is left.
+        Candidates are tried in the order of what their slopes promise, as long as that may be most, those with
+        stick-slip or play, which are slow to fit, last. All of them are tried where the model is too far from the
+        recordings for slopes to tell; compliant joints always are, since what they do is soon out of proportion.
         """
-        screened, found = family.screen, None
-        followed = self.is_followed(best)
-        for batch in _batches(needed, self.workers.count):
+        screened, found, followed, base = family.screen, None, self.is_followed(best), fits.get(self.start.names)
+
+        def promises(k: int) -> bool:
             gained = 0.0 if found is None else best.chi2 - found.chi2
-            if self._explains_all(found, best) or (followed and screened.statistics[batch[0]] < _LINEAR * gained):
-                break
-            found = self._fitted(best, [self._with(best, family, [k]) for k in batch], found, fits)
-        base = fits.get(self.start.names)
-        if base is None or self._explains_all(found, best):
-            return found  # in longer segments slopes show what is left, and fits of what they do not show take long
-        hidden = [k for k, effect in enumerate(screened.effects) if self._lacks_slopes(effect, best)]
-        hidden.sort(key=lambda k: (screened.effects[k].nonsmooth, -screened.statistics[k]))  # stick-slip is slow to fit
-        hidden = screened.first_of_each(hidden)
-        for batch in _batches(hidden, self.workers.count):
-            found = self._fitted(best, [self._with(best, family, [k]) for k in batch], found, fits)
+            compliant = screened.effects[k].adds_joint(best.point.chain) and not screened.effects[k].nonsmooth
+            # In longer segments slopes show what is left, and fits of what they do not show take long.
+            return not followed or (compliant and base is not None) or screened.statistics[k] > _LINEAR * gained
+
+        for batch in _batches(sorted(needed, key=lambda k: screened.effects[k].nonsmooth), self.workers.count):
+            promising = [self._with(best, family, [k]) for k in batch if promises(k)]
+            found = self._fitted(best, promising, found, fits) if promising else found
             if self._explains_all(found, best):
                 return found
-        if len(best.new_effects) == 1:
-            found = self._fitted(base, self._pairs(base, best, first), found, fits)
+        if found is not None and any(effect.adds_joint(best.point.chain) for effect in found.new_effects):
+            found = fits[found.names] = restarted(found)
+        if base is not None and len(best.new_effects) == 1 and not self._explains_all(found, best):
+            found = self._fitted(base, self._pairs(base, best), found, fits)
         return found
 
     def _fitted(
@@ -311,10 +318,6 @@ class Search:
         sized = [start_size(one, own, fit.point.chain) for one, own in zip(added, parts, strict=True)]
         return (*fit.effects, *sized)
 
-    def _lacks_slopes(self, effect: Effect, fit: TrajectoryFit) -> bool:
-        """True for effects whose slopes about their null tell little of them."""
-        return effect.nonsmooth or effect.adds_joint(fit.point.chain)
-
     def _explains_all(self, fit: TrajectoryFit | None, fewer: TrajectoryFit) -> bool:
         """True if nothing but noise is left, within five standard deviations, or what stick-slip or play may leave."""
         if fit is None:
@@ -349,9 +352,11 @@ class Search:
             fits[best.names] = best
         return best
 
-    def _pairs(self, base: TrajectoryFit, best: TrajectoryFit, first: FamilyTest) -> list[tuple[Effect, ...]]:
+    def _pairs(self, base: TrajectoryFit, best: TrajectoryFit) -> list[tuple[Effect, ...]]:
         """Pairs without the best single effect that explain most by their slopes beside the model without effects."""
-        screened = first.screen
+        if self._first is None:
+            return []
+        screened = self._first.screen
         others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.names]
         scored = [
             (screened.gain([i, j]), i, j)
@@ -362,29 +367,19 @@ class Search:
         chosen: dict[frozenset[Key], list[int]] = {}
         for _, i, j in sorted(scored, reverse=True):
             chosen.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
-        return [self._with(base, first, pair) for pair in [*chosen.values()][:_PAIRS]]
+        return [self._with(base, self._first, pair) for pair in [*chosen.values()][:_PAIRS]]
 
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
         """Fit a model to longer segments; None where it does not follow them.
 
-        What sticks or rattles must follow them as well as the shorter ones: fewer initial states raise chi^2 by about
-        their number where the model is right. Other models must not lose so much that derivatives tell nothing more.
+        It must not lose so much that derivatives tell nothing more.
         """
         self.tell("lengthening segments")
-        limit = np.inf
-        if is_nonsmooth(fit.effects):
-            parts = [part for one in self.whole for part in segments(one, duration)]
-            states = 2 * sum(run.basis.slow_count for run in fit.point.runs[: len(fit.point.runs) - len(parts)])
-            limit = fit.chi2 + max(1.0, fit.misfit) ** 2 * stats.chi2.isf(self.rules.alpha, max(states, 1))
         try:
-            longer = cut(fit, self.whole, duration, StoppingRule(limit))
+            longer = cut(fit, self.whole, duration, StoppingRule())
         except (SimulationDivergedError, InsufficientDataError):
             return None
-        if longer.chi2 > limit:
-            return None
-        if longer.misfit > INCOMPLETE * max(1.0, fit.misfit):
-            return None
-        return longer
+        return None if longer.misfit > INCOMPLETE * max(1.0, fit.misfit) else longer
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be."""

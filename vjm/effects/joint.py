@@ -16,12 +16,12 @@ from vjm.effects.effect import (
     magnitude,
     shape_parameter,
 )
+from vjm.model.dynamics import mechanism_of
 from vjm.records import Array, Recording
 
-# Dry friction holds by a bristle that bends by so much before it slips [rad]: less than an encoder shows. In the link's
-# own unit of time T: the step, 1/30 of the period of a hub of 0.05 m l^2 on the bristle of a typical torque; and by how
-# much the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
-_PRESLIDING, _FRICTION_STEP, _GRADUAL_REVERSAL = 1e-5, 1 / 480, 1 / 40
+# In the link's own unit of time T: the step under dry friction, by which instants of sticking are off, and by how much
+# the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
+_FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 360, 1 / 40
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,8 @@ class CoulombFriction(JointEffect):
     """Dry friction at the active joint: constant against the motion, and sticking.
 
     A bristle bends elastically by up to z_s and slips beyond (Prandtl's stop): over any way of the joint its angle z
-    changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s.
+    changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s. It is as stiff as the
+    steps in time resolve, since a softer one yields where dry friction holds, which biases what is estimated.
     """
 
     torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
@@ -54,14 +55,22 @@ class CoulombFriction(JointEffect):
         if self.smooth:
             gradual = self.units(chain)[2] / _GRADUAL_REVERSAL
             return self.force_on(joint, lambda time, q, v, z: -torque * np.tanh(gradual * v[..., joint]))
-        return self.force_on(joint, lambda time, q, v, z: -torque / _PRESLIDING * z[..., 0])
+        limit = self.presliding(chain)
+        return self.force_on(joint, lambda time, q, v, z: -torque / limit * z[..., 0])
 
     def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         """Return how the bristle follows the joint, as far as it does not slip."""
         if self.smooth:
             return None
+        joint, limit = self.active_joint(chain), self.presliding(chain)
+        return lambda q, z, to: np.clip(z + (to - q)[..., joint, None], -limit, limit)
+
+    def presliding(self, chain: Chain) -> float:
+        """Return the angle [rad] at which a bristle slips on which the joint vibrates by a radian in each time step."""
+        mobility = np.linalg.inv(mechanism_of(chain).mass_matrix(np.zeros((1, chain.size)))[0])
         joint = self.active_joint(chain)
-        return lambda q, z, to: np.clip(z + (to - q)[..., joint, None], -_PRESLIDING, _PRESLIDING)
+        torque = max(self.torque, 0.01 * self.parameters[0].typical_magnitude)  # less has no angle of its own
+        return float(torque * mobility[joint, joint] * self.max_step(chain) ** 2)
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that resolves sticking."""

@@ -25,7 +25,7 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run
+from vjm.simulation.run import InitialStatePrior, Run, linearize
 from vjm.simulation.sensitivity import PerturbedArm
 
 # Predicted decreases of the cost below which a search ends, in units of the mean square residual. A decrease by d is
@@ -210,7 +210,7 @@ class Point(Record):
     def linearizations(self) -> tuple[SquareRootInformation, ...]:
         """Each recording's linearised problem: its initial state first, then the coordinates."""
         moved = self.problem.moved(self.x)
-        return tuple(run.linearized(own) for run, own in zip(self.runs, moved, strict=True))
+        return tuple(run.linearized(own) for run, own in zip(self.runs, linearize(self.runs, moved), strict=True))
 
     def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
         """Return the problem of the coordinates, initial states eliminated, and each recording's own with its state."""

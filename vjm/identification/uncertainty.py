@@ -18,7 +18,7 @@ from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.records import Array, Mask, Progress
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import Run
+from vjm.simulation.run import Run, linearize
 
 _SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e-6 leave rounding errors only
 
@@ -91,7 +91,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     if not any(white.coloured for white in whiteness):
         return Information(normal, plain), whiteness
     sandwich = np.zeros((count, count))
-    for run, linearized, own in zip(point.runs, point.linearizations, moved, strict=True):
+    for run, linearized, own in zip(point.runs, point.linearizations, linearize(point.runs, moved), strict=True):
         scores = run.scores(own, linearized)
         frames = run.observed.frames  # summed from one camera frame to the next: an even rate
         starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))

@@ -8,7 +8,7 @@ Equation of motion (eq. 8), split into active (a) and passive (p) coordinates:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -20,43 +20,25 @@ from vjm.errors import ShapeError
 from vjm.records import Array
 
 _THREADS = 2
-_PARALLEL_FROM = 2000  # samples below which starting threads costs more than it saves
+_PARALLEL_FROM = 20_000  # samples below which starting threads costs more than it saves
 
 
 class Mechanism:
-    """One or more copies of a chain as branches of a single Pinocchio model.
-
-    A copy is a chain of its own: many of them, perturbed or with other payloads, advance in one call.
+    """A chain as a Pinocchio model: its rigid-body terms, without springs and dampers.
 
     Args:
-        chains: the chain, or copies with the same coordinates.
-        payload: extra point mass on the last link's tip [kg]; for all, or one a copy.
-        gravity: in the plane, (x, y) of the base frame [m/s^2]; the (first) chain's when None.
+        chain: the chain.
+        payload: extra point mass on the last link's tip [kg].
+        gravity: in the plane, (x, y) of the base frame [m/s^2]; the chain's when None.
 
     Attributes:
-        model: the `pin.Model`; its joints are `Chain.joint_names`, suffixed `@C` for copy C when there are several.
-
-    Raises:
-        ShapeError: copies whose coordinates differ, or not as many payloads as copies.
+        model: the `pin.Model`; its joints are `Chain.joint_names`.
     """
 
-    def __init__(
-        self,
-        chains: Chain | Sequence[Chain],
-        payload: float | Sequence[float] = 0.0,
-        gravity: tuple[float, float] | None = None,
-    ) -> None:
-        copies = [chains] if isinstance(chains, Chain) else list(chains)
-        sizes = {chain.size for chain in copies}
-        if len(sizes) != 1:
-            raise ShapeError("chains", f"sizes {sorted(sizes)}", "copies with the same number of coordinates")
+    def __init__(self, chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> None:
         self.model = pin.Model()
-        self.model.gravity = pin.Motion(np.r_[copies[0].gravity if gravity is None else gravity, 0.0], np.zeros(3))
-        payloads = [payload] * len(copies) if isinstance(payload, (int, float)) else list(payload)
-        if len(payloads) != len(copies):
-            raise ShapeError("payload", f"{len(payloads)} of them", f"one for each of {len(copies)} copies")
-        for c, (chain, tip_mass) in enumerate(zip(copies, payloads, strict=True)):
-            _add_chain(self.model, chain, tip_mass, "" if len(copies) == 1 else f"@{c}")
+        self.model.gravity = pin.Motion(np.r_[chain.gravity if gravity is None else gravity, 0.0], np.zeros(3))
+        _add_chain(self.model, chain, payload)
 
     @cached_property
     def _data(self) -> pin.Data:
@@ -103,9 +85,10 @@ class Mechanism:
         return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
     def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
-        """Return the accelerations (C nv,) of all copies at one instant (ABA), from q, v and torque (C nv,)."""
-        result: Array = pin.aba(self.model, self._data, q, v, torque)
-        return result
+        """Return accelerations (T, nv) [rad/s^2] of a whole batch (ABA), from contiguous q, v and torque (T, nv)."""
+        acceleration = np.empty(q.shape)
+        pin.abaInParallel(1, self._pool, q.T, v.T, torque.T, acceleration.T)
+        return acceleration
 
     def gravity_stiffness(self, q: ArrayLike) -> Array:
         """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nv,)."""
@@ -121,13 +104,13 @@ def mechanism_of(chain: Chain, payload: float = 0.0, gravity: tuple[float, float
     return Mechanism(chain, payload, gravity)
 
 
-def _add_chain(model: pin.Model, chain: Chain, payload: float, suffix: str) -> None:
+def _add_chain(model: pin.Model, chain: Chain, payload: float) -> None:
     """Add a chain's joints and bodies; what stands still at the base has no body."""
     joint, offset, angle = 0, 0.0, 0.0  # the joint that carries the next body, its distance and heading from there
     names = iter(chain.joint_names)
 
     def add_joint() -> int:
-        return int(model.addJoint(joint, pin.JointModelRZ(), _placement(offset, angle), next(names) + suffix))
+        return int(model.addJoint(joint, pin.JointModelRZ(), _placement(offset, angle), next(names)))
 
     def add_body(mass: float, center: float, inertia: float) -> None:
         if joint:

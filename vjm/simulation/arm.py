@@ -92,20 +92,22 @@ class Arm:
         return updated
 
     def follow(self, time: Array, q: Array, v: Array, z: Array | None = None) -> Array:
-        """Return the internal states (I, nz) along a given motion, integrated by Heun's method.
+        """Return the internal states (I, ..., nz) along given motions, integrated by Heun's method.
 
         Args:
-            time: (I,) since the recording's start [s].
-            q, v: (I, nv) angles [rad] and rates [rad/s]; where the rates do not add up to the change of the angles, as
-                from one segment of a recording to the next, the angles count.
-            z: (nz,) at the first instant; None: those of a recording's start.
+            time: (I, ...) since each recording's start [s].
+            q, v: (I, ..., nv) angles [rad] and rates [rad/s]; where the rates do not add up to the change of the
+                angles, as from one segment of a recording to the next, the angles count.
+            z: (..., nz) at the first instant; None: those of a recording's start.
         """
-        states = np.empty((len(q), sum(self.states)))
-        states[:] = self.initial_states(q[0]) if z is None else z
-        for k, step in enumerate(np.diff(time) if states.size else ()):
-            missing = (q[k + 1] - q[k]) / step - (v[k] + v[k + 1]) / 2
-            slope = self.state_rates(time[k], q[k], v[k] + missing, states[k])
-            later = self.state_rates(time[k + 1], q[k + 1], v[k + 1] + missing, states[k] + step * slope)
+        states = np.empty((*time.shape, sum(self.states)))
+        states[0] = self.initial_states(q[0]) if z is None else z
+        steps = np.diff(time, axis=0)[..., None]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            missing = np.where(steps > 0, np.diff(q, axis=0) / steps, 0.0) - (v[:-1] + v[1:]) / 2
+        for k, (step, more) in enumerate(zip(steps, missing, strict=True) if states.size else ()):
+            slope = self.state_rates(time[k], q[k], v[k] + more, states[k])
+            later = self.state_rates(time[k + 1], q[k + 1], v[k + 1] + more, states[k] + step * slope)
             states[k + 1] = self.update_states(q[k], states[k] + step / 2 * (slope + later), q[k + 1])
         return states
 

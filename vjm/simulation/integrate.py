@@ -25,7 +25,6 @@ _LEAST_STEPS = 20  # of a short recording
 # elbow changes the arm's shape altogether.
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
-_MOST_TOGETHER = 64  # coordinates; what Pinocchio keeps for a model grows with their third power
 _DIVERGED = 1e3  # rad; no joint turns so far
 _ELBOW_GRID = 0.05  # rad between angles of an elbow at which the linear part is taken
 
@@ -95,8 +94,7 @@ def _similar(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[
     groups: list[list[int]] = []
     for k in np.argsort(durations, kind="stable").tolist():
         for group in groups:
-            similar = durations[k] <= _SIMILAR_DURATIONS * durations[group[0]] and kinds[k] == kinds[group[0]]
-            if similar and (len(group) + 1) * arms[k].chain.size <= _MOST_TOGETHER:
+            if durations[k] <= _SIMILAR_DURATIONS * durations[group[0]] and kinds[k] == kinds[group[0]]:
                 group.append(k)
                 break
         else:

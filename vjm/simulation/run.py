@@ -16,7 +16,7 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations, sensor_readings
-from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm
+from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm, with_coefficients
 from vjm.simulation.system import Trajectory
 
 _LARGEST = 1e100  # derivative, in units of the noise
@@ -120,20 +120,18 @@ class Run:
         driven = self.arm.inputs(self.observed.recording)
         return ModalBasis.of(self.chain, driven, 2 * self.stride * self.trajectory.step)
 
-    def weighted_slopes(self, perturbed: Sequence[PerturbedArm]) -> Iterator[tuple[Array, Array]]:
-        """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the loss."""
-        kept = np.sqrt(self.observed.loss.slope(self.residual**2))
-        for measured, part in self.slopes(perturbed):
-            yield kept[measured, None] * part, kept[measured] * self.residual[measured]
-
-    def slopes(self, perturbed: Sequence[PerturbedArm]) -> Iterator[tuple[Indices, Array]]:
-        """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
+    def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
+        """Return the linearised simulation, of perturbed arms as well."""
         arm, kept = self.arm.smooth
         trajectory = self.trajectory
         if kept.size < trajectory.z.shape[1]:
             trajectory = replace(trajectory, z=trajectory.z[:, kept])
         smooth = [PerturbedArm(other.smooth[0], step) for other, step in perturbed]
-        parts = Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride).jacobian()
+        return Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride)
+
+    def slopes(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
+        """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
+        parts = linearization.jacobian()
         if self.observed.whitening is None:
             yield from parts
             return
@@ -143,14 +141,20 @@ class Run:
         whole[measured] = np.concatenate(slopes)
         yield np.arange(measured.size), self.observed.whitened(whole)
 
-    def linearized(self, perturbed: Sequence[PerturbedArm] = ()) -> SquareRootInformation:
+    def weighted_slopes(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
+        """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the loss."""
+        kept = np.sqrt(self.observed.loss.slope(self.residual**2))
+        for measured, part in self.slopes(linearization):
+            yield kept[measured, None] * part, kept[measured] * self.residual[measured]
+
+    def linearized(self, linearization: Linearization) -> SquareRootInformation:
         """Return the linearised least-squares problem: modes' initial coordinates and rates first, then p parameters.
 
         Raises:
             SimulationDivergedError: derivatives that are not finite.
         """
-        columns = 2 * self.basis.slow_count + len(perturbed)
-        problem = SquareRootInformation.of(self.weighted_slopes(perturbed), columns)
+        columns = 2 * self.basis.slow_count + len(linearization.perturbed)
+        problem = SquareRootInformation.of(self.weighted_slopes(linearization), columns)
         problem = problem.with_rows(*self.prior_rows(columns))
         if not np.abs(problem.R).max(initial=0.0) < _LARGEST:
             remedy = "the motion depends on its start or parameters beyond all bounds: check them"
@@ -160,7 +164,7 @@ class Run:
     @cached_property
     def linearized_by_state(self) -> SquareRootInformation:
         """The linearised problem of the initial state alone."""
-        return self.linearized()
+        return self.linearized(self.linearization())
 
     def prior_rows(self, columns: int) -> tuple[Array, Array]:
         """Return the prior's rows (2 nv, columns) and right-hand side (2 nv,)."""
@@ -170,13 +174,14 @@ class Run:
         rows[:, : states.shape[1]] = weight @ states
         return rows, weight @ (self.prior.rest - self.state)
 
-    def scores(self, perturbed: Sequence[PerturbedArm], linearized: SquareRootInformation) -> Array:
+    def scores(self, linearization: Linearization, linearized: SquareRootInformation) -> Array:
         """Return (T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated."""
-        states = linearized.columns - len(perturbed)
+        parameters = len(linearization.perturbed)
+        states = linearized.columns - parameters
         by_parameters = linearized.elimination_slopes(states)
         instants = self.observed.instants
-        scores = np.zeros((self.observed.recording.time.size, len(perturbed)))
-        for measured, part in self.slopes(perturbed):
+        scores = np.zeros((self.observed.recording.time.size, parameters))
+        for measured, part in self.slopes(linearization):
             slopes = part[:, states:] - part[:, :states] @ by_parameters
             np.add.at(scores, instants[measured], slopes * self.residual[measured, None])
         return scores
@@ -196,6 +201,11 @@ class Run:
             count=observed.count,
             status="converged" if converged else "not converged",
         )
+
+
+def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
+    """Yield each run's linearization by its perturbed arms, those of short ones of the same arms computed together."""
+    return with_coefficients([run.linearization(own) for run, own in zip(runs, perturbed, strict=True)])
 
 
 def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:

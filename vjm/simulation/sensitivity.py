@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import cached_property
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy import linalg
@@ -72,78 +73,119 @@ class PerturbedArm(NamedTuple):
     step: float
 
 
+class _Motions(NamedTuple):
+    """Motions of one arm in several recordings or segments, one after another: I instants in all.
+
+    Everything but the propagation in time is a function of the instant, so all motions are evaluated at once.
+    """
+
+    elapsed: Array  # (I,) since each recording began [s]
+    q: Array
+    v: Array
+    a: Array
+    z: Array
+    paths: tuple[Trajectory, ...]
+    observed: tuple[Observations, ...]
+
+    @classmethod
+    def of(cls, paths: Sequence[Trajectory], observed: Sequence[Observations]) -> Self:
+        """Join motions."""
+        elapsed = np.concatenate([path.elapsed(path.time) for path in paths])
+        q, v, a, z = (np.concatenate(parts) for parts in zip(*(path.motion for path in paths), strict=True))
+        return cls(elapsed, q, v, a, z, tuple(paths), tuple(observed))
+
+    @property
+    def parts(self) -> list[slice]:
+        """Instants of each motion."""
+        stops = np.cumsum([len(path.time) for path in self.paths]).tolist()
+        return [slice(stop - len(path.time), stop) for stop, path in zip(stops, self.paths, strict=True)]
+
+    def followed(self, arm: Arm) -> Self:
+        """Return the motions with the internal states of another arm, which follow them."""
+        longest = max(len(path.time) for path in self.paths)
+        # A motion that ended stands still.
+        shown = np.stack(
+            [np.minimum(np.arange(longest), part.stop - part.start - 1) + part.start for part in self.parts]
+        )
+        time, q, v = (values[shown.T] for values in (self.elapsed, self.q, self.v))
+        start = [each.internal_states(arm, path.q[0]) for each, path in zip(self.observed, self.paths, strict=True)]
+        z = arm.follow(time, q, v, np.stack(start))
+        own = [z[: len(path.time), k] for k, path in enumerate(self.paths)]
+        return self._replace(z=np.concatenate(own))
+
+
 class _EquationsOfMotion:
-    """An arm's equations of motion along a given motion of I instants."""
+    """An arm's equations of motion along given motions of I instants."""
 
-    def __init__(self, arm: Arm, recording: Recording) -> None:
+    def __init__(self, arm: Arm, motions: _Motions) -> None:
         self.arm = arm
-        self.driven = arm.inputs(recording)
-        self.mechanism = mechanism_of(arm.chain, self.driven.payload, self.driven.gravity)
-        self.force = arm.forces(self.driven.payload)
-        self.has_further_forces = self.force is not None
+        self.driven = [arm.inputs(each.recording) for each in motions.observed]
+        self.gravity, payload = self.driven[0].gravity, self.driven[0].payload
+        self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
+        self.force = arm.forces(payload)
 
-    def inertial_torque(self, motion: Trajectory) -> Array:
+    def inertial_torque(self, motion: _Motions) -> Array:
         """Return M a + h (I, nv)."""
         return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
 
-    def further_torque(self, motion: Trajectory) -> Array:
+    def further_torque(self, motion: _Motions) -> Array:
         """Return the effects' forces, with reversed sign (I, nv)."""
         if self.force is None:
             return np.zeros(motion.q.shape)
-        return -self.force(motion.elapsed(motion.time), motion.q, motion.v, motion.z)
+        return -self.force(motion.elapsed, motion.q, motion.v, motion.z)
 
-    def state_rates(self, motion: Trajectory) -> Array:
+    def state_rates(self, motion: _Motions) -> Array:
         """Return rates of change of the internal states (I, nz)."""
-        return self.arm.state_rates(motion.elapsed(motion.time), motion.q, motion.v, motion.z)
+        return self.arm.state_rates(motion.elapsed, motion.q, motion.v, motion.z)
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _coefficients(
-    arm: Arm, basis: ModalBasis, perturbed: Sequence[PerturbedArm], observed: Observations, motion: Trajectory
-) -> tuple[Array, Array]:
-    """Coefficients of the variational equations along a motion of I instants, by forward differences.
+    arm: Arm, bases: Sequence[ModalBasis], perturbed: Sequence[PerturbedArm], motion: _Motions
+) -> list[tuple[Array, Array]]:
+    """Coefficients of the variational equations along motions of I instants each, by forward differences.
 
     They are the derivatives of modal rates' and internal states' rates of change, by the unknowns (m modal coordinates,
     m modal rates, nz internal states; (I, m + nz, 2 m + nz)) and by the parameters (I, m + nz, p).
     """
-    equations, chain = _EquationsOfMotion(arm, observed.recording), arm.chain
+    equations, chain = _EquationsOfMotion(arm, motion), arm.chain
     inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
     state_rates = equations.state_rates(motion)
-    m, nz = basis.shapes.shape[1], motion.z.shape[1]
+    lengths = [len(path.time) for path in motion.paths]
+    shapes = np.repeat(np.stack([basis.shapes for basis in bases]), lengths, axis=0)  # (I, nv, m)
+    # Small at every joint: a force that changes sign with a rate must not see the fast modes' large angles.
+    steps = _STEP / np.abs(shapes).max(axis=1)
+    m, nz = shapes.shape[2], motion.z.shape[1]
     forces = np.zeros((len(motion.q), chain.size, 2 * m + nz + len(perturbed)))
     rates = np.zeros((len(motion.q), nz, 2 * m + nz + len(perturbed)))
     inertia = np.empty((len(motion.q), chain.size, m))
-    for j, shape in enumerate(basis.shapes.T):
-        # Small at every joint: a force that changes sign with a rate must not see the fast modes' large angles.
-        step = _STEP / np.abs(shape).max()
-        turned, sped = replace(motion, q=motion.q + step * shape), replace(motion, v=motion.v + step * shape)
+    for j in range(m):
+        shape, step = shapes[:, :, j], steps[:, j, None]
+        turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
         forces[:, :, j] = (equations.inertial_torque(turned) - inertial) / step + chain.stiffness * shape
         forces[:, :, m + j] = (equations.inertial_torque(sped) - inertial) / step + chain.damping * shape
         for column, other in ((j, turned), (m + j, sped)):
-            if equations.has_further_forces:
+            if equations.force is not None:
                 forces[:, :, column] += (equations.further_torque(other) - further) / step
             if nz:
                 rates[:, :, column] = (equations.state_rates(other) - state_rates) / step
-        inertia[:, :, j] = equations.inertial_torque(replace(motion, a=motion.a + shape)) - inertial
+        inertia[:, :, j] = equations.inertial_torque(motion._replace(a=motion.a + shape)) - inertial
     for k, step_z in enumerate(_STEP * np.eye(nz)):
-        other = replace(motion, z=motion.z + step_z)
+        other = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / _STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / _STEP
     for k, other_arm in enumerate(perturbed):
-        change = _parameter_derivatives(equations, other_arm, observed, motion, (inertial, further, state_rates))
+        change = _parameter_derivatives(equations, other_arm, motion, (inertial, further, state_rates))
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
-    solved = -np.linalg.solve(basis.shapes.T @ inertia, basis.shapes.T @ forces)
+    transposed = np.swapaxes(shapes, 1, 2)
+    solved = -np.linalg.solve(transposed @ inertia, transposed @ forces)
     lower = np.concatenate([solved, rates], axis=1)
-    return lower[:, :, : 2 * m + nz], lower[:, :, 2 * m + nz :]
+    return [(lower[part, :, : 2 * m + nz], lower[part, :, 2 * m + nz :]) for part in motion.parts]
 
 
 def _parameter_derivatives(
-    equations: _EquationsOfMotion,
-    perturbed: PerturbedArm,
-    observed: Observations,
-    motion: Trajectory,
-    nominal: tuple[Array, Array, Array],
+    equations: _EquationsOfMotion, perturbed: PerturbedArm, motion: _Motions, nominal: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
     """Derivatives of torques (I, nv) and internal states' rates (I, nz) by a parameter."""
     inertial, further, state_rates = nominal
@@ -152,22 +194,21 @@ def _parameter_derivatives(
     forces = motion.q * (other.stiffness - chain.stiffness) + motion.v * (other.damping - chain.damping)
     rates = np.zeros(motion.z.shape)
     if other_arm.effects == equations.arm.effects and _equal(chain, other, _OF_BODIES):
-        if equations.has_further_forces and not np.array_equal(other.stiffness, chain.stiffness):
-            forces = forces + _EquationsOfMotion(other_arm, observed.recording).further_torque(motion) - further
+        if equations.force is not None and not np.array_equal(other.stiffness, chain.stiffness):
+            forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further
         return forces / step, rates
-    changed, nz = _EquationsOfMotion(other_arm, observed.recording), motion.z.shape[1]
-    if changed.driven.gravity != equations.driven.gravity or not _equal(chain, other, _OF_BODIES):
+    changed, nz = _EquationsOfMotion(other_arm, motion), motion.z.shape[1]
+    if changed.gravity != equations.gravity or not _equal(chain, other, _OF_BODIES):
         forces = forces + changed.inertial_torque(motion) - inertial
-    # Internal states that only the perturbed arm has follow the motion as it is.
-    if sum(other_arm.states) > nz:
-        start = observed.internal_states(other_arm, motion.q[0])
-        motion = replace(motion, z=other_arm.follow(motion.elapsed(motion.time), motion.q, motion.v, start))
-    if equations.has_further_forces or changed.has_further_forces:
+    if sum(other_arm.states) > nz:  # internal states that only the perturbed arm has follow the motion as it is
+        motion = motion.followed(other_arm)
+    if equations.force is not None or changed.force is not None:
         forces = forces + changed.further_torque(motion) - further
     if nz:
         rates = changed.state_rates(motion)[:, :nz] - state_rates
-    if not np.array_equal(changed.driven.tau, equations.driven.tau, equal_nan=True):
-        forces[:, chain.active] -= torque_at(changed.driven, motion.time) - torque_at(equations.driven, motion.time)
+    for part, path, given, really in zip(motion.parts, motion.paths, equations.driven, changed.driven, strict=True):
+        if not np.array_equal(really.tau, given.tau, equal_nan=True):
+            forces[part, chain.active] -= torque_at(really, path.time) - torque_at(given, path.time)
     return forces / step, rates / step
 
 
@@ -202,6 +243,7 @@ class Linearization:
         perturbed: p arms, each with one parameter changed.
         trajectory: of one copy.
         stride: steps in half an interval; their number is a multiple of two strides.
+        coefficients: of the variational equations along the whole trajectory; None: not known yet.
     """
 
     observed: Observations
@@ -210,6 +252,7 @@ class Linearization:
     perturbed: Sequence[PerturbedArm]
     trajectory: Trajectory
     stride: int
+    coefficients: tuple[Array, Array] | None = None
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
         """Yield weighted derivatives of the measured values, one stretch of time after another.
@@ -245,21 +288,17 @@ class Linearization:
         basis, trajectory = self.basis, self.trajectory
         size, slow_count, nz = basis.shapes.shape[1], basis.slow_count, trajectory.z.shape[1]
         count = 2 * slow_count + len(self.perturbed)
-        rows = np.arange(0, len(trajectory.time), self.stride)
         state = np.zeros((2 * size + nz, count))
         state[:slow_count, :slow_count] = np.eye(slow_count)
         state[size : size + slow_count, slow_count : 2 * slow_count] = np.eye(slow_count)
         if nz:
             state[2 * size :] = self._initial_internal_states()
-        most = 2 * max(20, _NUMBERS_A_CHUNK // (2 * size + nz) ** 2)
-        if any(sum(arm.states) > nz for arm, _ in self.perturbed):
-            most = rows.size  # internal states that only these have are followed from the start
+        rows, most = self.rows, self.most_rows
+        if self.coefficients or any(sum(arm.states) > nz for arm, _ in self.perturbed):
+            most = rows.size  # internal states that only perturbed arms have are followed from the start
         for first in range(0, rows.size - 1, most):
             part = rows[first : first + most + 1]
-            motion = Trajectory(
-                *(values[part] for values in (trajectory.time, *trajectory.motion)), start=trajectory.began
-            )
-            by_state, by_parameters = _coefficients(self.arm, basis, self.perturbed, self.observed, motion)
+            by_state, by_parameters = self.coefficients or self._coefficients_along(part)
             flow, forced = _propagators(by_state, by_parameters, 2 * self.stride * trajectory.step)
             states = np.empty((len(flow) + 1, 2 * size + nz, count))
             states[0] = state
@@ -272,6 +311,26 @@ class Linearization:
             columns = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
             copies = (np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in columns)
             yield Trajectory(trajectory.time[part[::2]], *copies)
+
+    @cached_property
+    def rows(self) -> Indices:
+        """Instants of the trajectory at which coefficients are taken."""
+        return np.arange(0, len(self.trajectory.time), self.stride)
+
+    @property
+    def most_rows(self) -> int:
+        """Number of instants whose coefficients are held at once, to bound the memory."""
+        size = int(2 * self.basis.shapes.shape[1] + self.trajectory.z.shape[1])
+        return 2 * max(20, _NUMBERS_A_CHUNK // size**2)
+
+    def motion(self, rows: Indices) -> Trajectory:
+        """Return the motion at some instants."""
+        trajectory = self.trajectory
+        return Trajectory(*(values[rows] for values in (trajectory.time, *trajectory.motion)), start=trajectory.began)
+
+    def _coefficients_along(self, rows: Indices) -> tuple[Array, Array]:
+        motion = _Motions.of([self.motion(rows)], [self.observed])
+        return _coefficients(self.arm, [self.basis], self.perturbed, motion)[0]
 
     def _initial_internal_states(self) -> Array:
         """(nz, 2 slow + p) derivatives of the internal states at the start."""
@@ -319,6 +378,39 @@ class Linearization:
                 before, after = (observed.predicted_angles(arm, self.trajectory) for arm in (self.arm, other))
                 slopes[:, k] += ((after - before) / step)[rows]
         return slopes
+
+
+def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
+    """Yield linearizations, coefficients of neighbouring short ones of the same arm computed together."""
+    group: list[Linearization] = []
+    for each in linearizations:
+        if group and not _are_alike(group, each):
+            yield from _together(group)
+            group = []
+        group.append(each)
+    yield from _together(group)
+
+
+def _are_alike(group: Sequence[Linearization], other: Linearization) -> bool:
+    """Whether one more linearization has the same coefficients as a group, and room among them."""
+    first, (one, two) = group[0], (group[0].observed.recording, other.observed.recording)
+    arms = [(first.arm, other.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, other.perturbed, strict=True))]
+    return (
+        all(a is b for a, b in arms)
+        and (one.payload, one.gravity) == (two.payload, two.gravity)
+        and sum(each.rows.size for each in (*group, other)) <= first.most_rows
+    )
+
+
+def _together(group: Sequence[Linearization]) -> Iterator[Linearization]:
+    if len(group) < 2:
+        yield from group
+        return
+    first = group[0]
+    motions = _Motions.of([each.motion(each.rows) for each in group], [each.observed for each in group])
+    found = _coefficients(first.arm, [each.basis for each in group], first.perturbed, motions)
+    for each, coefficients in zip(group, found, strict=True):
+        yield replace(each, coefficients=coefficients)
 
 
 def _joined(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory:

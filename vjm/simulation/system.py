@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Motion
 from vjm.errors import InsufficientDataError
-from vjm.model.dynamics import Mechanism
+from vjm.model.dynamics import Mechanism, mechanism_of
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 
@@ -128,7 +129,7 @@ class System:
     """Equations of motion of several copies: their mechanism, springs, dampers and effects.
 
     Attributes:
-        mechanism: the copies as branches of one model.
+        mechanisms: the distinct chains with their payloads, and the copies that move as each of them.
         stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
         active: coordinates that torques drive.
         arms: one a copy.
@@ -136,7 +137,7 @@ class System:
         acting: effects that exert forces or have internal states, copies with the same ones together.
     """
 
-    mechanism: Mechanism
+    mechanisms: tuple[tuple[Indices | slice, Mechanism], ...]
     stiffness: Array
     damping: Array
     active: NDArray[np.intp]
@@ -149,7 +150,7 @@ class System:
         """Return the system of several arms with as many coordinates each, and payloads [kg] on their tips."""
         chains = [arm.chain for arm in arms]
         return cls(
-            Mechanism(chains, payloads, gravity),
+            _mechanisms(chains, payloads, gravity),
             np.stack([chain.stiffness for chain in chains]),
             np.stack([chain.damping for chain in chains]),
             chains[0].active,
@@ -187,8 +188,26 @@ class System:
     def acceleration(self, x: Array, torque: Array) -> Array:
         """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
         n = torque.shape[1]
-        flat = self.mechanism.forward_dynamics(x[:, :n].ravel(), x[:, n:].ravel(), torque.ravel())
-        return flat.reshape(torque.shape)
+        q, v = np.ascontiguousarray(x[:, :n]), np.ascontiguousarray(x[:, n:])
+        if len(self.mechanisms) == 1:
+            return self.mechanisms[0][1].forward_dynamics(q, v, torque)
+        result = np.empty(torque.shape)
+        for copies, mechanism in self.mechanisms:
+            result[copies] = mechanism.forward_dynamics(q[copies], v[copies], torque[copies])
+        return result
+
+
+def _mechanisms(
+    chains: Sequence[Chain], payloads: Sequence[float], gravity: tuple[float, float]
+) -> tuple[tuple[Indices | slice, Mechanism], ...]:
+    """Copies of the same chain with the same payload together."""
+    groups: dict[tuple[int, float], list[int]] = {}
+    for k, (chain, payload) in enumerate(zip(chains, payloads, strict=True)):
+        groups.setdefault((id(chain), payload), []).append(k)
+    return tuple(
+        (slice(None) if len(groups) == 1 else np.array(copies), mechanism_of(chains[copies[0]], payload, gravity))
+        for (_, payload), copies in groups.items()
+    )
 
 
 def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Acting, ...]:
