@@ -22,6 +22,7 @@ from vjm.records import Array, Recording
 # In the link's own unit of time T: the step under dry friction, by which instants of sticking are off, and by how much
 # the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
 _FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 360, 1 / 40
+_LEAST_TORQUE = 1e-5  # in the link's own unit EI / l, less than a hundredth of a typical one: it has no bristle of its own
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,8 @@ class CoulombFriction(JointEffect):
         """Return the angle [rad] at which a bristle slips on which the joint vibrates by a radian in each time step."""
         mobility = np.linalg.inv(mechanism_of(chain).mass_matrix(np.zeros((1, chain.size)))[0])
         joint = self.active_joint(chain)
-        torque = max(self.torque, 0.01 * self.parameters[0].typical_magnitude)  # less has no angle of its own
+        length, mass, time = self.units(chain)
+        torque = max(self.torque, _LEAST_TORQUE * mass * length**2 / time**2)
         return float(torque * mobility[joint, joint] * self.max_step(chain) ** 2)
 
     def max_step(self, chain: Chain) -> float:
