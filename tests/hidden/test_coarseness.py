@@ -7,9 +7,10 @@ import pytest
 
 import vjm
 from tests.hidden.conftest import Plant
-from vjm.diagnosis.baseline import fit_baseline, with_offset
+from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.screen import Screen
 from vjm.effects import CubicStiffness
+from vjm.identification.discretization import with_offset
 from vjm.identification.trajectory_fit import Point
 
 

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from vjm.diagnosis.baseline import CLOSE, Baseline, DiscretizationBias
+from vjm.diagnosis.baseline import CLOSE, Baseline
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE,
     StoppingRule,
@@ -29,6 +29,7 @@ from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Worker
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.discretization import DiscretizationBias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states

@@ -22,7 +22,7 @@ from vjm.records import Array, Recording
 # In the link's own unit of time T: the step under dry friction, by which instants of sticking are off, and by how much
 # the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
 _FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 360, 1 / 40
-_LEAST_TORQUE = 1e-5  # in the link's own unit EI / l, less than a hundredth of a typical one: it has no bristle of its own
+_LEAST_TORQUE = 1e-5  # in the link's own unit EI / l, under a hundredth of a typical one: less has no bristle
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.spectrum import match, mode_shapes
 from vjm.identification.check import data_warnings, estimates, fit_warnings, identification_notes
 from vjm.identification.comparison import compare_recordings
+from vjm.identification.discretization import parameter_shift
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
 from vjm.identification.torque_method import MODE_TOLERANCE, TorqueFit, fit_torque
@@ -89,6 +90,9 @@ def identify(
     search, first = first_fit(data, loss, progress)
     fit, notes = search.enough_joints(first)
     information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
+    if fit.point.problem.parametrisation.kind == "uniform":
+        shift = parameter_shift(fit.point, data.rig)
+        information = information if shift is None else information.with_bias(shift)
     data = replace(search.data, joints=search.joint_choices(fit))
     return _result(experiment, method, data, fit, information, progress, notes, whiteness, search.torque)
 

@@ -392,7 +392,7 @@ def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linea
 
 
 def _are_alike(group: Sequence[Linearization], other: Linearization) -> bool:
-    """Whether one more linearization has the same coefficients as a group, and room among them."""
+    """True if one more linearization has the same arms as a group, and its coefficients have room beside theirs."""
     first, (one, two) = group[0], (group[0].observed.recording, other.observed.recording)
     arms = [(first.arm, other.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, other.perturbed, strict=True))]
     return (

@@ -1,0 +1,66 @@
+"""Intervals of parameters hold a beam's own, which a chain with few joints is biased from."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+import vjm
+from tests.hidden.rigs import Rig, beam_of, write_hidden
+from vjm.identification.discretization import DiscretizationBias, parameter_shift
+from vjm.identification.records import Identification
+from vjm.identification.uncertainty import trajectory_information
+from vjm.records import Experiment
+
+
+@cache
+def identified(rig: Rig, seed: int) -> Identification:
+    """A fit of three recordings of a continuous beam."""
+    with TemporaryDirectory() as folder:
+        write_hidden(Path(folder), rig, (), seed)
+        experiment = vjm.load_experiment(Path(folder) / "experiment.toml")
+    moving = [one for one in experiment.recordings if one.role == "train" and one.kind != "quiet"]
+    return vjm.identify(Experiment(experiment.rig, tuple(moving[:3])))
+
+
+def off(rig: Rig, seed: int) -> list[float]:
+    """By how many of their standard errors the parameters are off."""
+    beam, _ = beam_of(rig, seed)
+    truth = {
+        "beam.bending_stiffness": beam.bending_stiffness,
+        "beam.kelvin_voigt_time": beam.kelvin_voigt_time,
+        "beam.hub_inertia": beam.hub_inertia,
+    }
+    found = identified(rig, seed).parameters
+    return [abs(estimate.value - truth[estimate.name]) / (estimate.std or np.nan) for estimate in found]
+
+
+@pytest.mark.parametrize("rig", ["hub", "clamped"])
+def test_the_standard_error_includes_what_more_joints_would_change(rig: Rig) -> None:
+    fit = identified(rig, 1)
+    assert max(off(rig, 1)) < 2.5
+    assert fit.trajectory is not None
+    noise = trajectory_information(fit.trajectory, True)[0]
+    x = fit.trajectory.point.x
+    stiffness = fit.trajectory.point.problem.parametrisation.physical_covariance(x, noise.covariance)[0, 0] ** 0.5
+    assert (fit.parameters[0].std or 0.0) > 3 * stiffness
+
+
+def test_one_step_finds_the_shift_that_several_do() -> None:
+    fit = identified("hub", 1)
+    assert fit.trajectory is not None
+    bias = DiscretizationBias.of(fit.trajectory.point, fit.model.rig)
+    shift = parameter_shift(fit.trajectory.point, fit.model.rig)
+    assert bias is not None
+    assert shift == pytest.approx(bias.shift, rel=0.3)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth() -> None:
+    """95 % of them: 17 of 20 or more."""
+    held = [max(off(rig, seed)) < 1.96 for rig in ("hub", "clamped") for seed in range(1, 11)]
+    assert sum(held) >= 17
