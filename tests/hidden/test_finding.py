@@ -86,9 +86,11 @@ def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
     assert diagnosis.verdict == "named"
     (cause,), (hidden,) = diagnosis.causes, truth.effects
     assert cause.effect.id == "coulomb_friction"
-    assert cause.parameters["torque"].value == pytest.approx(hidden.parameters["torque"], rel=0.01)
+    torque = cause.parameters["torque"]
+    assert torque.value == pytest.approx(hidden.parameters["torque"], rel=0.015)
+    assert abs(torque.value - hidden.parameters["torque"]) < 2 * (torque.std or 0.0)
     assert diagnosis.gain is not None
-    assert diagnosis.gain.reduction > 0.9
+    assert diagnosis.gain.reduction > 0.95
 
 
 @pytest.mark.slow

@@ -31,12 +31,15 @@ INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks s
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
 LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
+# Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): up to this one (phi = 17 deg) it
+# is linear in phi within 0.5 %, so that derivatives lead back.
+_FOLLOWED = 0.3
 _FEW = 4  # simulations by which initial states come near enough for a fit of all parameters
 _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
 _RESTARTS = (0.5, 2.0, 4.0)  # multiples of a joint's compliance: of its frequency, two thirds to half an octave
 _RESTART_STEPS = 5  # after which a start that leads elsewhere shows
 _MISSED = 1e-3  # significance level at which a recording is missed
-_STUCK, _LITTLE = 5, 0.002  # steps, and the share of chi^2 that they must gain for a fit to go on
+_STUCK, _LITTLE = 5, 0.002  # accepted steps, and the share of chi^2 that they must gain for a fit to go on
 _SLOW = 0.1  # share of what is missing, beside noise, that as many steps must gain: the rest takes ten times as many
 _MARGIN = 0.1  # of a segment, simulated beyond its values: sensors that are early or late are so by less
 
@@ -52,13 +55,16 @@ class StoppingRule:
 
     def __init__(self, record: float = np.inf, most: float = np.inf) -> None:
         self.record, self.most = record, most
-        self.history: list[float] = []
+        self.steps = 0
+        self.accepted: list[float] = []
 
     def __call__(self, point: Point, predicted: float) -> bool:
         """Return True to end the fit at a point, given the predicted decrease of chi^2 by its next step."""
-        self.history.append(point.chi2)
-        stuck = len(self.history) > _STUCK and self.history[-_STUCK] - point.chi2 < _least_gain(point)
-        return len(self.history) > self.most or stuck or point.chi2 - 3 * predicted > self.record
+        self.steps += 1
+        if not self.accepted or point.chi2 != self.accepted[-1]:
+            self.accepted.append(point.chi2)
+        stuck = len(self.accepted) > _STUCK and self.accepted[-_STUCK] - point.chi2 < _least_gain(point)
+        return self.steps > self.most or stuck or point.chi2 - 3 * predicted > self.record
 
 
 def _least_gain(point: Point) -> float:
@@ -221,9 +227,8 @@ def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop
         observed = _with_preceding_motion(observed, fit.point.runs)
     problem = replace(fit.point.problem, observed=tuple(observed))
     states = [state_at(fit.point.runs, part) for part in observed]
-    if len(fit.point.runs) == len(whole):  # the simulation of a whole recording may be anywhere at their beginnings
-        likely = fit_initial_states(problem.arms(fit.point.x), observed, states, problem.step_multiple, most=_FEW)
-        states = [run.state for run, _ in likely]
+    if len(fit.point.runs) == len(whole):
+        states = _initial_states(problem, fit.point.x, states)
     found = _minimum(problem, fit.point.x, states, stop)
     # What was estimated last is remembered by effects that are fitted from here.
     observed = _with_preceding_motion([run.observed for run in found.point.runs], found.point.runs)
@@ -232,9 +237,38 @@ def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop
     return replace(found, point=Point(problem, found.point.x, tuple(runs)), shift=fit.shift)
 
 
+def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:
+    """Return likely initial states (2 nv,) of segments, from those of whole recordings there, or from rest.
+
+    The simulation of a whole recording may be anywhere where a segment of it begins.
+    """
+    arms, observed = problem.arms(x), problem.observed
+    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, most=_FEW)]
+    lost = [k for k, run in enumerate(runs) if not is_followed([run])]
+    if lost:
+        resting = fit_initial_states(
+            [arms[k] for k in lost], [observed[k] for k in lost], None, problem.step_multiple, most=2 * _FEW
+        )
+        for k, (run, _) in zip(lost, resting, strict=True):
+            runs[k] = min(runs[k], run, key=lambda run: run.cost)
+    return [run.state for run in runs]
+
+
+def is_followed(runs: Sequence[Run]) -> bool:
+    """Return True if simulations of parts of a recording follow its motion, so that slopes tell what they lack."""
+    missed = sum(run.chi2 - run.observed.count for run in runs)
+    moved = sum(run.observed.motion for run in runs)
+    return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= _FOLLOWED**2 * moved
+
+
 def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:
-    """Return a recording's parts of a duration [s]; a quiet one, in which nothing gets out of phase, stays whole."""
-    if observed.recording.kind == "quiet" or not np.isfinite(duration):
+    """Return a recording's parts of a duration [s].
+
+    A quiet one of a clamped arm stays whole: nothing gets out of phase in it. A joint that is held where the model
+    knows of no load turns ever faster in its simulations.
+    """
+    held = observed.recording.kind == "quiet" and not observed.recording.theta.shape[1]
+    if held or not np.isfinite(duration):
         return (observed,)
     return observed.segments(duration, _MARGIN * duration)
 

@@ -20,6 +20,7 @@ from vjm.diagnosis.candidate_fit import (
     INCOMPLETE,
     StoppingRule,
     cut,
+    is_followed,
     refit,
     restarted,
     start_size,
@@ -38,9 +39,6 @@ Tell = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
 
 _FIRST_SEGMENT = 0.5  # of the first horizon, three periods: a frequency wrong by 30 % is then half a cycle late
-# Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): up to this one (phi = 17 deg) it
-# is linear in phi within 0.5 %, so that derivatives lead back.
-_FOLLOWED = 0.3
 _GROWTH = 3.0  # of segments: a frequency fitted to some periods is right to far less than the sixth part of a cycle
 _LINEAR = 0.5  # share of a linear forecast that a fit has never fallen short of, beside effects without slopes
 _NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that a good fit may leave
@@ -125,7 +123,8 @@ class Search:
         fits = segment_fits = {best.names: best}
         best, family = self._forward_selection(best, fits)
         for duration in self._durations()[1:]:
-            if is_nonsmooth(best.effects):  # the longer a recording, the more minima the likelihood of its state has
+            # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
+            if is_nonsmooth(best.effects) and not self._explains_all(best, best):
                 break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:
@@ -155,9 +154,18 @@ class Search:
         return SearchResult(base, family, family)
 
     def _in_segments(self) -> TrajectoryFit:
-        """Fit the model without effects to the shortest segments."""
+        """Fit the model without effects to the shortest segments, from nominal values as well where its fit is lost."""
         self.tell("fitting segments")
-        return cut(self.start, self.whole, self._durations()[0], StoppingRule())
+        problem, duration = self.start.point.problem, self._durations()[0]
+        base = cut(self.start, self.whole, duration, StoppingRule())
+        if self.is_followed(base):
+            return base
+        try:
+            nominal = replace(self.start, point=problem.point(problem.parametrisation.start))
+            other = cut(nominal, self.whole, duration, StoppingRule(base.chi2))
+        except (SimulationDivergedError, InsufficientDataError):
+            return base
+        return min(base, other, key=lambda fit: fit.chi2)
 
     def open_loop(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Return a model in whole recordings, from their most likely initial states where it was not fitted to them."""
@@ -216,17 +224,18 @@ class Search:
 
     def is_followed(self, fit: TrajectoryFit) -> bool:
         """Return True if a model follows each recording's motion, so that slopes tell what it lacks."""
-        for one in self.whole:
-            runs = [run for run in fit.point.runs if run.observed.recording.file == one.recording.file]
-            missed = sum(run.chi2 - run.observed.count for run in runs)
-            if one.recording.kind != "quiet" and missed > _FOLLOWED**2 * one.motion:
-                return False
-        return True
+        files = [one.recording.file for one in self.whole]
+        return all(
+            is_followed([run for run in fit.point.runs if run.observed.recording.file == file]) for file in files
+        )
 
     def _durations(self) -> list[float]:
         """Durations of segments [s], one after another; the last is infinite, for whole recordings."""
         point = self.start.point
-        duration = _FIRST_SEGMENT * point.problem.first_horizon(point.x)
+        # A fit that lost the phase may have any frequency.
+        nominal = point.problem.parametrisation.start
+        horizon = min(point.problem.first_horizon(x) for x in (point.x, nominal))
+        duration = _FIRST_SEGMENT * horizon
         longest = max(float(np.ptp(one.recording.time)) for one in self.whole)
         durations = []
         while duration < longest / 1.5:  # or the whole would hardly be longer
@@ -373,12 +382,14 @@ class Search:
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
         """Fit a model to longer segments; None where it does not follow them.
 
-        It must not lose so much that derivatives tell nothing more.
+        It must not lose so much that derivatives tell nothing more; with stick-slip or play, nothing but noise is left.
         """
         self.tell("lengthening segments")
         try:
             longer = cut(fit, self.whole, duration, StoppingRule())
         except (SimulationDivergedError, InsufficientDataError):
+            return None
+        if is_nonsmooth(fit.effects) and not self._explains_all(longer, longer):
             return None
         return None if longer.misfit > INCOMPLETE * max(1.0, fit.misfit) else longer
 
