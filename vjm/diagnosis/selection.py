@@ -161,8 +161,9 @@ class Search:
         if self.is_followed(base):
             return base
         try:
-            nominal = replace(self.start, point=problem.point(problem.parametrisation.start))
-            other = cut(nominal, self.whole, duration, StoppingRule(base.chi2))
+            x = self.start.point.x.copy()
+            x[: len(problem.parametrisation.coordinates)] = problem.parametrisation.start
+            other = cut(replace(self.start, point=problem.point(x)), self.whole, duration, StoppingRule(base.chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return base
         return min(base, other, key=lambda fit: fit.chi2)
@@ -287,7 +288,8 @@ class Search:
             found = self._fitted(best, promising, found, fits) if promising else found
             if self._explains_all(found, best):
                 return found
-        if found is not None and any(effect.adds_joint(best.point.chain) for effect in found.new_effects):
+        added = [] if found is None else [effect for effect in found.effects if effect.key not in best.names]
+        if found is not None and any(effect.adds_joint(best.point.chain) for effect in added):
             found = fits[found.names] = restarted(found)
         if base is not None and len(best.new_effects) == 1 and not self._explains_all(found, best):
             found = self._fitted(base, self._pairs(base, best), found, fits)
