@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, int, int], None]  # called with (text, done, total) now and then
 
+_CI95 = 1.96  # standard errors: two-sided 95 % of a normal distribution
 REFERENCE = "reference"  # the condition in which the effect being sought is known to be absent
 
 
@@ -118,11 +120,13 @@ class Estimate:
     Attributes:
         name: `LINK.quantity` or `LINK.quantity_J`, as `beam.bending_stiffness` or `beam.stiffness_2`.
         value: in `unit`.
-        std: standard error in `unit`; None for a parameter that was not estimated.
+        std: standard error by the recordings' noise, in `unit`; None for a parameter that was not estimated.
         unit: SI.
         identifiable: whether the data determine it.
         reason: in words, why not; empty where they do.
         remedy: in words, which recording would; empty where they do.
+        discretization_shift: what more virtual joints would change of the value, to first order, in `unit`; None where
+            that was not measured.
     """
 
     name: str
@@ -132,6 +136,22 @@ class Estimate:
     identifiable: bool = True
     reason: str = ""
     remedy: str = ""
+    discretization_shift: float | None = None
+
+    @property
+    def std_discretisation(self) -> float | None:
+        """Error by so few virtual joints, as a standard deviation [unit]; None where it was not measured."""
+        return None if self.discretization_shift is None else abs(self.discretization_shift)
+
+    @property
+    def error(self) -> float | None:
+        """Standard error by noise and discretization together [unit]; None where the parameter was not estimated."""
+        return None if self.std is None else math.hypot(self.std, self.discretization_shift or 0.0)
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """95 % interval by noise and discretization together [unit]; None where the parameter was not estimated."""
+        return None if self.error is None else (self.value - _CI95 * self.error, self.value + _CI95 * self.error)
 
 
 @dataclass(frozen=True, repr=False)

@@ -13,7 +13,6 @@ import vjm
 from tests.hidden.rigs import Rig, beam_of, write_hidden
 from vjm.identification.discretization import DiscretizationBias, parameter_shift
 from vjm.identification.records import Identification
-from vjm.identification.uncertainty import trajectory_information
 from vjm.records import Experiment
 
 
@@ -36,18 +35,26 @@ def off(rig: Rig, seed: int) -> list[float]:
         "beam.hub_inertia": beam.hub_inertia,
     }
     found = identified(rig, seed).parameters
-    return [abs(estimate.value - truth[estimate.name]) / (estimate.std or np.nan) for estimate in found]
+    return [abs(estimate.value - truth[estimate.name]) / (estimate.error or np.nan) for estimate in found]
 
 
 @pytest.mark.parametrize("rig", ["hub", "clamped"])
 def test_the_standard_error_includes_what_more_joints_would_change(rig: Rig) -> None:
     fit = identified(rig, 1)
     assert max(off(rig, 1)) < 2.5
-    assert fit.trajectory is not None
-    noise = trajectory_information(fit.trajectory, True)[0]
-    x = fit.trajectory.point.x
-    stiffness = fit.trajectory.point.problem.parametrisation.physical_covariance(x, noise.covariance)[0, 0] ** 0.5
-    assert (fit.parameters[0].std or 0.0) > 3 * stiffness
+    stiffness = fit.parameters[0]
+    assert stiffness.std is not None
+    assert stiffness.std_discretisation is not None
+    assert stiffness.error is not None
+    assert stiffness.ci95 is not None
+    assert stiffness.std_discretisation > 3 * stiffness.std  # else the noise alone would hold the truth
+    assert np.diff(stiffness.ci95) == pytest.approx(2 * 1.96 * np.hypot(stiffness.std, stiffness.std_discretisation))
+    link = fit.to_dict()["model"]["links"][0]
+    assert link["bending_stiffness"]["ci95"] == pytest.approx(stiffness.ci95)
+    # K = EI / cell: it has the same relative errors.
+    joint, cell = link["virtual_joints"][0]["stiffness"], fit.model.chain.links[0].cells[0]
+    for name in ("std", "std_discretisation"):
+        assert joint[name] == pytest.approx(getattr(stiffness, name) / cell, rel=1e-6)
 
 
 def test_one_step_finds_the_shift_that_several_do() -> None:

@@ -14,6 +14,8 @@ class Entry(BaseModel):
 class Known(Entry):
     value: float
     std: float | None
+    std_discretisation: float | None
+    ci95: list[float | None] | None = Field(min_length=2, max_length=2)  # None: no end
 
 
 class VirtualLink(Entry):
@@ -89,6 +91,8 @@ class EstimateResult(Entry):
     parameter: str
     value: float | None
     std: float | None
+    std_discretisation: float | None
+    ci95: list[float | None] | None = Field(min_length=2, max_length=2)  # None: no end
     unit: str
 
 
@@ -134,6 +138,8 @@ class SimulateResult(Common):
 class Size(Entry):
     value: float | None
     std: float | None
+    std_discretisation: float | None
+    ci95: list[float | None] | None = Field(min_length=2, max_length=2)  # None: no end
     unit: str
 
 

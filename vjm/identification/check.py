@@ -70,11 +70,20 @@ def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
 
 
 def estimates(
-    parametrisation: Parametrisation, x: Array, information: Information, physical: Array
+    parametrisation: Parametrisation,
+    x: Array,
+    information: Information,
+    physical: Array,
+    shift: Array | None = None,
 ) -> tuple[Estimate, ...]:
-    """Return every parameter at coordinates x (p,) with its standard error and whether the data determine it, in words.
+    """Return every parameter with its errors and whether the data determine it, in words.
 
-    `physical` is the (p, p) covariance of the physical parameters.
+    Args:
+        parametrisation: of the chain.
+        x: (p,) coordinates.
+        information: of the recordings.
+        physical: (p, p) covariance of the physical parameters.
+        shift: (p,) what more virtual joints would change of the coordinates; None where that was not measured.
     """
     values = parametrisation.physical(x)
     std = np.sqrt(np.maximum(np.diag(physical), 0))
@@ -82,6 +91,7 @@ def estimates(
     lower, upper = parametrisation.bounds
     at_bound = np.minimum(x - lower, upper - x) < 1e-6  # searches start no nearer
     visible = information.visible
+    shifts = [None] * x.size if shift is None else (parametrisation.jacobian(x) @ shift).tolist()
     result = []
     for k, coordinate in enumerate(parametrisation.coordinates):
         reason = remedy = ""
@@ -96,7 +106,8 @@ def estimates(
             if parametrisation.kind != "uniform" and at_bound[k]:
                 remedy += "; or fewer parameters (--parameters uniform)"
         error = float(std[k]) if np.isfinite(std[k]) and visible[k] else None
-        result.append(Estimate(coordinate.name, float(values[k]), error, coordinate.unit, not reason, reason, remedy))
+        found = (coordinate.name, float(values[k]), error, coordinate.unit)
+        result.append(Estimate(*found, not reason, reason, remedy, None if error is None else shifts[k]))
     return tuple(result)
 
 

@@ -90,11 +90,10 @@ def identify(
     search, first = first_fit(data, loss, progress)
     fit, notes = search.enough_joints(first)
     information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
-    if fit.point.problem.parametrisation.kind == "uniform":
-        shift = parameter_shift(fit.point, data.rig)
-        information = information if shift is None else information.with_bias(shift)
+    uniform = fit.point.problem.parametrisation.kind == "uniform"
+    shift = parameter_shift(fit.point, data.rig) if uniform else None
     data = replace(search.data, joints=search.joint_choices(fit))
-    return _result(experiment, method, data, fit, information, progress, notes, whiteness, search.torque)
+    return _result(experiment, method, data, fit, information, progress, notes, whiteness, search.torque, shift)
 
 
 def _result(
@@ -107,11 +106,12 @@ def _result(
     notes: tuple[str, ...] = (),
     whiteness: tuple[Whiteness, ...] = (),
     torque: TorqueFit | None = None,
+    shift: Array | None = None,
 ) -> Identification:
     trajectory, point = (None, fit) if isinstance(fit, TorqueFit) else (fit, fit.point)
     rig, parametrisation, chain = data.rig, point.problem.parametrisation, point.chain
     covariance = parametrisation.physical_covariance(point.x, information.covariance)
-    parameters = estimates(parametrisation, point.x, information, covariance)
+    parameters = estimates(parametrisation, point.x, information, covariance, shift)
     known = [k for k, estimate in enumerate(parameters) if estimate.std is not None]
     model = Model(chain, rig, *data.noise, parameters)
     nominal = Model(nominal_chain(rig, chain.links), rig, *data.noise)

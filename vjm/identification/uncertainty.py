@@ -63,11 +63,6 @@ class Information:
         result: Array = inverse @ self.score_covariance @ inverse + unknown / _SINGULAR
         return result
 
-    def with_bias(self, shift: Array) -> Information:
-        """Return the information of estimates that are off by (p,) as well, as if that had as large a variance."""
-        score = self.normal @ shift
-        return replace(self, score_covariance=self.score_covariance + np.outer(score, score))
-
     @property
     def visible(self) -> Mask:
         """(p,) True where the residuals respond to a coordinate at all."""

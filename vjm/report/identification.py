@@ -158,9 +158,11 @@ def _stiffness_points(fit: Identification) -> list[str]:
     links = result_object(fit)["model"]["links"]
     for link, identified, nominal in zip(fit.model.chain.links, links, fit.nominal.chain.links, strict=True):
         bending = identified["bending_stiffness"]
-        change = 100 * (bending["value"] / nominal.bending_stiffness - 1)
+        value, std = bending["value"], bending["std"]
+        error = None if std is None else math.hypot(std, bending["std_discretisation"] or 0.0)
+        change = 100 * (value / nominal.bending_stiffness - 1)
         beside = f"{abs(change):.1f} % {'above' if change > 0 else 'below'} nominal"
-        text = f"{link.name}: bending stiffness {with_error(**bending)} N m², {beside}"
+        text = f"{link.name}: bending stiffness {with_error(value, error)} N m², {beside}"
         points.append(f"{text}; {counted(link.virtual_joints, 'virtual joint')}.")
     return points
 
@@ -216,7 +218,7 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str =
     """
     rows, compared = [], _values_by_name(nominal)
     for estimate in estimates:
-        value, std = estimate.value, estimate.std
+        value, std = estimate.value, estimate.error
         state = "no" if not estimate.identifiable else "yes" if std is not None else "fixed"
         relative = None if std is None or value == 0 else abs(100 * std / value)
         uncertain = with_error(value, std), interval(value, std), number(relative, 2)

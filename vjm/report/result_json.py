@@ -23,7 +23,9 @@ from vjm.simulation.model import Model
 Result = dict[str, Any]
 Uncertain = Any  # a float, or a ufloat of the package uncertainties
 _IDENTIFIABLE = ("identifiable", "reason", "remedy")  # fields of an Estimate
-_ESTIMATED = ("value", "std", "unit")
+_ERRORS = ("std", "std_discretisation", "ci95")
+_ESTIMATED = ("value", *_ERRORS, "unit")
+_MORE_JOINTS = "more virtual joints"  # tag of the variable that stands for them
 
 
 def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
@@ -33,19 +35,34 @@ def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array
 
 
 def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, Uncertain]:
-    """Return the estimates that have a standard error by name, uncorrelated where there is no covariance (p, p)."""
+    """Return the estimates that have a standard error by name, uncorrelated where there is no covariance (p, p).
+
+    What more virtual joints would change is a variable of its own, since it moves all estimates together.
+    """
     estimated = [estimate for estimate in estimates if estimate.std is not None and math.isfinite(estimate.std)]
     stds = np.array([estimate.std for estimate in estimated], dtype=float)
     if covariance is None or covariance.shape != (stds.size, stds.size) or not np.isfinite(covariance).all():
         covariance = np.diag(stds**2)
     values = [estimate.value for estimate in estimated]
     correlated = uncertainties.correlated_values(values, covariance) if estimated else ()
-    return dict(zip([estimate.name for estimate in estimated], correlated, strict=True))
+    more_joints = uncertainties.ufloat(0.0, 1.0, _MORE_JOINTS)
+    shifts = [estimate.discretization_shift for estimate in estimated]
+    shifted = [
+        value if shift is None else value + shift * more_joints for value, shift in zip(correlated, shifts, strict=True)
+    ]
+    return dict(zip([estimate.name for estimate in estimated], shifted, strict=True))
 
 
-def _std(value: Uncertain) -> float | None:
-    """Return a standard error; None where a value rests on nothing that was estimated."""
-    return float(value.std_dev) if isinstance(value, uncertainties.UFloat) else None
+def _quantity(value: Uncertain) -> Result:
+    """Return a value with its errors, None where it rests on nothing that was estimated or measured."""
+    nominal = uncertainties.nominal_value(value)
+    if not isinstance(value, uncertainties.UFloat):
+        return {"value": nominal, **dict.fromkeys(_ERRORS)}
+    parts = value.error_components()
+    shift = next((error for variable, error in parts.items() if variable.tag == _MORE_JOINTS), None)
+    noise = math.sqrt(sum(error**2 for variable, error in parts.items() if variable.tag != _MORE_JOINTS))
+    estimate = Estimate("", nominal, noise, "", discretization_shift=shift)
+    return {"value": nominal, **{name: getattr(estimate, name) for name in _ERRORS}}
 
 
 def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
@@ -57,7 +74,7 @@ def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
     fields = {"length": link.lengths, "mass_center": link.mass_centers, "mass": link.masses, "inertia": link.inertias}
     return {
         "name": link.name,
-        "bending_stiffness": {"value": uncertainties.nominal_value(bending), "std": _std(bending)},
+        "bending_stiffness": _quantity(bending),
         "hub_inertia": link.hub_inertia,
         "virtual_links": [{name: values[i] for name, values in fields.items()} for i in range(link.lengths.size)],
         "virtual_joints": [_joint(link, j, known) for j in range(link.virtual_joints)],
@@ -71,8 +88,8 @@ def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
     time = known.get(f"{link.name}.kelvin_voigt_time", damping / stiffness if stiffness > 0 else 0.0)
     uniform = bending / float(link.cells[j])
     return {
-        "stiffness": {"value": stiffness, "std": _std(known.get(f"{link.name}.stiffness_{j + 1}", uniform))},
-        "damping": {"value": damping, "std": _std(known.get(f"{link.name}.damping_{j + 1}", time * uniform))},
+        "stiffness": _quantity(known.get(f"{link.name}.stiffness_{j + 1}", uniform)) | {"value": stiffness},
+        "damping": _quantity(known.get(f"{link.name}.damping_{j + 1}", time * uniform)) | {"value": damping},
     }
 
 
