@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, cut, refit
-from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
+from vjm.effects import CoulombFriction, CubicStiffness, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
 from vjm.identification.trajectory_fit import (
@@ -103,6 +103,18 @@ def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch
     assert trial is not None
     for run in trial.runs:
         assert run.state == pytest.approx(off)
+
+
+def test_a_start_that_cannot_be_simulated_is_taken_nearer_to_the_null() -> None:
+    """So strong a softening takes all stiffness from a link that is bent as far."""
+    truth = CubicStiffness(link=0, coefficient=-0.3)
+    start = in_segments(recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0))
+    far = replace(truth, coefficient=-25.0)
+    with pytest.raises(SimulationDivergedError):
+        replace(start.point.problem, effects=(far,)).point(np.r_[start.point.x, far.coordinates])
+    found = refit(start, [far])
+    assert found is not None
+    assert found.effects[0].values["coefficient"] == pytest.approx(-0.3, rel=0.05)
 
 
 def in_segments(recordings: list[Recording]) -> TrajectoryFit:

@@ -88,6 +88,14 @@ def test_a_small_loop_loses_next_to_nothing_and_is_as_stiff_as_before() -> None:
     assert np.abs(moment).max() < 1e-3 * STIFFNESS * 1e-4
 
 
+@pytest.mark.parametrize("rate", [3.0, 300.0, 3e5])
+def test_slip_is_stable_however_fast_a_joint_turns_for_an_instant(rate: float) -> None:
+    effect = Hysteresis(ratio=0.3, yield_angle=0.02)
+    time = effect.max_step(CHAIN) / 2 * np.arange(401.0)
+    _, z = followed(effect, time, rate * time)
+    assert np.abs(z).max() < 1.5 * effect.yields(CHAIN)[0]
+
+
 def test_bouc_wen_follows_its_own_equation() -> None:
     effect = Hysteresis(ratio=0.3, yield_angle=0.02)
     rates, y = effect.state_rates(CHAIN), effect.yields(CHAIN)[0]

@@ -95,6 +95,21 @@ def test_the_torque_is_odd_and_falls_with_the_twist() -> None:
     assert (np.diff(found) <= 1e-9).all()
 
 
+def test_other_states_have_the_same_hub_on_either_flank_and_between_them() -> None:
+    effect = Backlash(gap=GAP)
+    chain = effect.chain(HUB)
+    motor, root, n = chain.active[0], chain.roots[0], chain.size
+    state = np.random.default_rng(1).standard_normal(2 * n)
+    others = effect.other_states(chain, state)
+    assert others[:, root] == pytest.approx([-GAP / 2, 0.0, GAP / 2])
+    assert not others[:, n + root].any()
+    for start in (0, n):  # angles, rates
+        hub = others[:, start + motor] + others[:, start + root]
+        assert hub == pytest.approx(state[start + motor] + state[start + root])
+    rest = np.setdiff1d(np.arange(2 * n), [motor, root, n + motor, n + root])
+    assert (others[:, rest] == state[rest]).all()
+
+
 def test_a_huge_twist_does_not_overflow() -> None:
     with np.errstate(over="raise", invalid="raise"):
         assert np.isfinite(flank_torque(np.array([-50.0, 50.0]), gap=1e-6)).all()

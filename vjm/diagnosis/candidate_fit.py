@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from time import monotonic
 
 import numpy as np
 from scipy import stats
@@ -30,6 +31,7 @@ from vjm.simulation.system import Trajectory
 INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a start that are tried as long as it cannot be simulated
 LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
 # Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): up to this one (phi = 17 deg) it
 # is linear in phi within 0.5 %, so that derivatives lead back.
@@ -51,10 +53,11 @@ class StoppingRule:
         record: chi^2 of the best so far; a fit whose next three steps would not come near it is given up, the next one
             being the best of them as long as the linearised problem is any guide.
         most: number of steps.
+        deadline: reading of `time.monotonic` after which it ends every fit [s].
     """
 
-    def __init__(self, record: float = np.inf, most: float = np.inf) -> None:
-        self.record, self.most = record, most
+    def __init__(self, record: float = np.inf, most: float = np.inf, deadline: float = np.inf) -> None:
+        self.record, self.most, self.deadline = record, most, deadline
         self.steps = 0
         self.accepted: list[float] = []
 
@@ -64,7 +67,8 @@ class StoppingRule:
         if not self.accepted or point.chi2 != self.accepted[-1]:
             self.accepted.append(point.chi2)
         stuck = len(self.accepted) > _STUCK and self.accepted[-_STUCK] - point.chi2 < _least_gain(point)
-        return self.steps > self.most or stuck or point.chi2 - 3 * predicted > self.record
+        ended = self.steps > self.most or monotonic() > self.deadline
+        return ended or stuck or point.chi2 - 3 * predicted > self.record
 
 
 def _least_gain(point: Point) -> float:
@@ -115,25 +119,33 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
     Returns:
         The fit; None where it cannot be simulated.
     """
-    problem = replace(start.point.problem, effects=tuple(effects))
-    chain = start.point.x[: len(problem.parametrisation.coordinates)]
-    x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in effects)]), *problem.bounds)
-    while True:
-        arms = problem.arms(x)
-        pairs = zip(start.point.runs, arms, strict=True)
-        states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
-        try:
-            return _minimum(problem, x, states, StoppingRule() if stop is None else stop)
-        except (SimulationDivergedError, InsufficientDataError):
-            if problem.step_multiple == 1.0:
-                return None
-        problem = replace(problem, step_multiple=1.0)
+    known = {effect.key for effect in start.effects}
+    for share in _SHARES:  # a linear guess may be far beyond what can be simulated
+        sized = [effect if effect.key in known else _with_share(effect, share) for effect in effects]
+        problem = replace(start.point.problem, effects=tuple(sized))
+        chain = start.point.x[: len(problem.parametrisation.coordinates)]
+        x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in sized)]), *problem.bounds)
+        for step_multiple in dict.fromkeys((problem.step_multiple, 1.0)):
+            problem = replace(problem, step_multiple=step_multiple)
+            pairs = zip(start.point.runs, problem.arms(x), strict=True)
+            states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
+            try:
+                return _minimum(problem, x, states, StoppingRule() if stop is None else stop)
+            except (SimulationDivergedError, InsufficientDataError):
+                continue
+    return None
 
 
-def restarted(fit: TrajectoryFit) -> TrajectoryFit:
+def _with_share(effect: Effect, share: float) -> Effect:
+    sizes = np.arange(effect.coordinates.size) < effect.magnitude_count
+    return effect.at(np.where(sizes, share, 1.0) * effect.coordinates)
+
+
+def restarted(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
     """Fit a model again from other compliances of its effects that are joints of their own; return the best fit.
 
-    Such a joint vibrates, and where its frequency is wrong by a cycle over a segment there is another minimum.
+    Such a joint vibrates, and where its frequency is wrong by a cycle over a segment there is another minimum. After
+    the deadline, as of `StoppingRule`, what has been found is returned.
     """
     best = fit
     for effect, part in zip(fit.effects, fit.point.problem.parts, strict=True):
@@ -145,11 +157,15 @@ def restarted(fit: TrajectoryFit) -> TrajectoryFit:
             x[part.start + effect.magnitude_count : part.stop] = 0.0  # shape parameters' typical values
             try:
                 trial = fit_trajectory(
-                    fit.point.problem, x, None, fit.point.states, stop=StoppingRule(best.chi2, _RESTART_STEPS)
+                    fit.point.problem, x, None, fit.point.states, stop=StoppingRule(best.chi2, _RESTART_STEPS, deadline)
                 )
                 if trial.chi2 < best.chi2:
                     best = fit_trajectory(
-                        trial.point.problem, trial.point.x, None, trial.point.states, stop=StoppingRule()
+                        trial.point.problem,
+                        trial.point.x,
+                        None,
+                        trial.point.states,
+                        stop=StoppingRule(deadline=deadline),
                     )
             except (SimulationDivergedError, InsufficientDataError):
                 continue
@@ -167,18 +183,19 @@ def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop
     record, iterations = np.inf, 0  # slopes tell whether a record can be reached once the initial states are likely
     before = np.inf
     while True:
-        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(record, _FEW_STEPS))
+        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(record, _FEW_STEPS, stop.deadline))
         record, iterations = stop.record, iterations + fit.iterations
         point = replace(fit.point, runs=_multistart(fit.point))
-        if before - point.chi2 < _least_gain(point):
+        if before - point.chi2 < _least_gain(point) or monotonic() > stop.deadline:
             return replace(fit, point=point, iterations=iterations)
         before, x, states = point.chi2, point.x, point.states
 
 
 def _multistart(point: Point) -> tuple[Run, ...]:
-    """Return runs, those of missed segments from the best of their initial states and of two others.
+    """Return runs, those of missed segments from the best of their initial states and of others.
 
-    These are rest of the active joints, and the state in which the segment before ends, or rest of the whole arm.
+    These are rest of the active joints, the state in which the segment before ends, or rest of the whole arm, and what
+    effects propose.
     """
     best, trials = [*point.runs], []
     # Where the parameters are wrong most segments are missed, and no start of theirs leads out of that.
@@ -186,11 +203,12 @@ def _multistart(point: Point) -> tuple[Run, ...]:
     for k, run in enumerate(point.runs):
         if run.chi2 < usual * stats.chi2.isf(_MISSED, run.observed.count):
             continue
-        resting = run.state.copy()
+        resting, before = run.state.copy(), _before(point.runs, run.observed)
         resting[run.chain.size + run.chain.active] = 0.0
-        trials.append((k, resting))
-        before = _before(point.runs, run.observed)
-        trials.append((k, state_at(before, run.observed) if before else run.prior.rest))
+        previous = state_at(before, run.observed) if before else run.prior.rest
+        trials += [(k, resting), (k, previous)]
+        for effect in run.arm.effects:
+            trials += [(k, state) for known in (run.state, previous) for state in effect.other_states(run.chain, known)]
     if not trials:
         return point.runs
     arms, observed = point.problem.arms(point.x), point.problem.observed

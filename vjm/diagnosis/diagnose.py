@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from time import monotonic
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
 from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
 from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
-from vjm.diagnosis.records import Cause, Diagnosis
+from vjm.diagnosis.records import Budget, Cause, Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.screen import Workers
 from vjm.diagnosis.selection import Rules, Search, SearchResult, find_preexisting_effects
@@ -35,6 +36,10 @@ from vjm.simulation.run import Run
 # Decrease of chi^2 over what is left from which an effect of a change matters where something is missing already in the
 # reference recordings: as much as is left, since the old error, in another motion, may well explain less.
 _LEAST_CHANGE = 1.0
+# Default budget: of processor time, for seven recordings of 5 s, shared by two processes; and the part of a budget that
+# is kept for what follows the search (alternatives, simulations), a fifth of the time of most searches.
+_PROCESSOR_SECONDS, _USUAL_DURATION, _MOST_PROCESSES = 240.0, 35.0, 2
+_CONCLUSION = 0.25
 
 
 def diagnose(
@@ -43,6 +48,7 @@ def diagnose(
     max_effects: int = 3,
     jobs: int = 1,
     seed: int = 0,
+    budget: float | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find what a model of an arm lacks: which physical effects or sensor faults, how large, and what is gained.
@@ -53,6 +59,9 @@ def diagnose(
         max_effects: number of causes at most.
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
         seed: of all random numbers.
+        budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
+            infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings, in
+            proportion more for longer ones, and twice as much for one process.
         progress: told (text, done, total) while it runs.
 
     Returns:
@@ -68,17 +77,23 @@ def diagnose(
     for name, value, least in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
             raise ShapeError(name, value, f"a whole number of at least {least}")
+    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | float) or not budget > 0):
+        raise ShapeError("budget", budget, "a positive number of seconds, or None")
+    began, seconds = monotonic(), _default_budget(experiment, jobs) if budget is None else float(budget)
     tell = _Stages(progress)
     insufficient = why_insufficient(experiment)
     tell("fitting the model without effects")
     baseline = fit_baseline(experiment, tell.inside)
     with Workers.start(jobs) as workers:
-        reference, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers)
+        deadline = began + (1 - _CONCLUSION) * seconds
+        reference, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers, deadline)
         start = SearchStart.of(baseline, reference)
         matters = _LEAST_CHANGE if start.reference_misfit > 1 else Rules.matters
-        rules = Rules(matters=matters, most=max_effects, seed=seed)
+        rules = Rules(matters=matters, most=max_effects, seed=seed, deadline=deadline)
         search = Search(experiment.rig, start.reference, chosen, rules, tell, workers)
         result = search.without_effects() if insufficient else search.run()
+        exhausted = rules.exhausted and not insufficient
+        search.rules = replace(rules, deadline=began + seconds)
         # Whole recordings show more than segments, but what a model loses in them only segments show.
         tested = result.first if result.best.effects else result.last
         table = tested.table(rules.alpha, rules.least_decrease(min(search.start.chi2, search.start.point.count)))
@@ -92,7 +107,15 @@ def diagnose(
         if not insufficient and is_unexplained(findings):
             resemblance = describe_residual(result.best.point, result.best.effects, experiment.rig)
             findings = replace(findings, resemblance=resemblance)
-        return conclude(findings)
+        missed = search.unfinished - {effect.id for effect in result.best.effects}
+        spent = Budget(seconds, monotonic() - began, exhausted or bool(missed), tuple(sorted(missed)))
+        return conclude(replace(findings, budget=spent))
+
+
+def _default_budget(experiment: Experiment, jobs: int) -> float:
+    """Return the time [s] that a diagnosis may take unless another is given."""
+    recorded = sum(float(np.ptp(recording.time)) for recording in experiment.with_role("train"))
+    return _PROCESSOR_SECONDS / min(jobs, _MOST_PROCESSES) * max(1.0, recorded / _USUAL_DURATION)
 
 
 def _findings(

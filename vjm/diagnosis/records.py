@@ -121,6 +121,16 @@ class Gain:
 
 
 @dataclass(frozen=True)
+class Budget:
+    """Time that a diagnosis may take and took [s]."""
+
+    seconds: float  # that the search and its conclusions may take; infinite: as long as they need
+    spent: float = 0.0
+    exhausted: bool = False  # the search was ended before it was done
+    not_tried: tuple[str, ...] = ()  # ids of effects that may be needed and were not fitted to the end
+
+
+@dataclass(frozen=True)
 class Remaining:
     """Residuals of the best model."""
 
@@ -158,6 +168,7 @@ class Diagnosis(SimulatedResult):
         reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
         changed_misfit: of the other recordings, by the best model.
         seed: of random numbers.
+        budget: the time that it might take, and what it left undone.
         verdict: `none`, `named`, `set`, `unknown` or `insufficient`.
         gain: on held-out recordings; None where there are none.
         remaining: residuals of the best model.
@@ -187,6 +198,7 @@ class Diagnosis(SimulatedResult):
     reference_misfit: float = 1.0
     changed_misfit: float = 1.0
     seed: int = 0
+    budget: Budget = Budget(float("inf"))
     verdict: Verdict = "insufficient"
     gain: Gain | None = None
     remaining: Remaining = Remaining(None)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from time import monotonic
 
 import numpy as np
 
@@ -54,12 +55,23 @@ class Rules:
         matters: decrease of chi^2 from which an effect matters, as a share of what remains.
         most: number of effects at most.
         seed: of random numbers.
+        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
     """
 
     alpha: float = 0.01
     matters: float = 0.0025
     most: int = 3
     seed: int = 0
+    deadline: float = np.inf
+
+    @property
+    def exhausted(self) -> bool:
+        """True after the deadline."""
+        return monotonic() > self.deadline
+
+    def stop(self, record: float = np.inf) -> StoppingRule:
+        """Return the stopping rule of a fit, given the best chi^2 so far."""
+        return StoppingRule(record, deadline=self.deadline)
 
     def least_decrease(self, chi2: float) -> float:
         """Return the decrease to a chi^2 from which an effect matters."""
@@ -97,6 +109,7 @@ class Search:
         rules: when the search goes on.
         tell: told what is being done.
         workers: share the work.
+        unfinished: ids of effects whose fits were wanted when the deadline came.
     """
 
     def __init__(
@@ -114,6 +127,7 @@ class Search:
         self.recordings = [one.recording for one in self.whole]
         self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
         self.p_values: dict[Key, float] = {}
+        self.unfinished: set[str] = set()
         self._decreases: dict[Key, float] = {}
         self._first: FamilyTest | None = None  # beside the model without effects
 
@@ -123,6 +137,8 @@ class Search:
         fits = segment_fits = {best.names: best}
         best, family = self._forward_selection(best, fits)
         for duration in self._durations()[1:]:
+            if self.rules.exhausted:
+                break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
             if is_nonsmooth(best.effects) and not self._explains_all(best, best):
                 break
@@ -143,6 +159,8 @@ class Search:
 
     def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
         """Add the effects that are needed beside a model and its chain's discretization error."""
+        if self.rules.exhausted:
+            return fit, self.screen(fit)
         best = fits[fit.names] = self._corrected(fit)  # so few joints, over many periods, look like a small cause
         best, family = self._forward_selection(best, fits, small=True)
         return best, family or self.screen(best)
@@ -157,13 +175,13 @@ class Search:
         """Fit the model without effects to the shortest segments, from nominal values as well where its fit is lost."""
         self.tell("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
-        base = cut(self.start, self.whole, duration, StoppingRule())
+        base = cut(self.start, self.whole, duration, self.rules.stop())
         if self.is_followed(base):
             return base
         try:
             x = self.start.point.x.copy()
             x[: len(problem.parametrisation.coordinates)] = problem.parametrisation.start
-            other = cut(replace(self.start, point=problem.point(x)), self.whole, duration, StoppingRule(base.chi2))
+            other = cut(replace(self.start, point=problem.point(x)), self.whole, duration, self.rules.stop(base.chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return base
         return min(base, other, key=lambda fit: fit.chi2)
@@ -185,13 +203,13 @@ class Search:
             others = [one for one in others if one.names != best.names]
             # Stick-slip is slow to fit: it is no second choice where there is none in the first.
             others = [one for one in others if not is_nonsmooth(one.effects) or is_nonsmooth(best.effects)]
-            if others:
+            if others and not self.rules.exhausted:
                 self.tell("fitting the next best")
                 second = min(others, key=lambda one: one.chi2)
                 try:
                     if is_nonsmooth(second.effects) or fits is result.fits:
                         return self.open_loop(second)
-                    return cut(second, self.whole, np.inf, StoppingRule())
+                    return cut(second, self.whole, np.inf, self.rules.stop())
                 except (SimulationDivergedError, InsufficientDataError):
                     return None
         return None
@@ -290,7 +308,7 @@ class Search:
                 return found
         added = [] if found is None else [effect for effect in found.effects if effect.key not in best.names]
         if found is not None and any(effect.adds_joint(best.point.chain) for effect in added):
-            found = fits[found.names] = restarted(found)
+            found = fits[found.names] = restarted(found, self.rules.deadline)
         if base is not None and len(best.new_effects) == 1 and not self._explains_all(found, best):
             found = self._fitted(base, self._pairs(base, best), found, fits)
         return found
@@ -317,9 +335,12 @@ class Search:
         new = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
         if new:
             added = sorted({one.id for effects in new for one in effects} - {one.id for one in start.effects})
-            self.tell("fitting " + ", ".join(added))
-            trials = self.workers.map(partial(_fit, start, record), new)
-            fits |= {trial.names: trial for trial in trials if trial is not None}
+            if not self.rules.exhausted:
+                self.tell("fitting " + ", ".join(added))
+                trials = self.workers.map(partial(_fit, start, self.rules, record), new)
+                fits |= {trial.names: trial for trial in trials if trial is not None}
+            if self.rules.exhausted:
+                self.unfinished |= set(added)
         return [fits[names] for names in keys if names in fits]
 
     def _with(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
@@ -358,7 +379,7 @@ class Search:
             record: chi^2 of no interest beyond.
         """
         kept = tuple(one for one in fit.effects if one is not effect)
-        fewer, known = refit(fit, kept, StoppingRule(record)), fits.get(fit.names - {effect.key})
+        fewer, known = refit(fit, kept, self.rules.stop(record)), fits.get(fit.names - {effect.key})
         best = min((one for one in (fewer, known) if one is not None), key=lambda one: one.chi2, default=None)
         if best is not None:
             fits[best.names] = best
@@ -388,7 +409,7 @@ class Search:
         """
         self.tell("lengthening segments")
         try:
-            longer = cut(fit, self.whole, duration, StoppingRule())
+            longer = cut(fit, self.whole, duration, self.rules.stop())
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if is_nonsmooth(fit.effects) and not self._explains_all(longer, longer):
@@ -408,15 +429,15 @@ class Search:
         return tuple(result.last.screen.effects[k] for k in self.needed(result.best, result.last))
 
 
-def _fit(start: TrajectoryFit, record: float, effects: Sequence[Effect]) -> TrajectoryFit | None:
-    return refit(start, effects, StoppingRule(record))
+def _fit(start: TrajectoryFit, rules: Rules, record: float, effects: Sequence[Effect]) -> TrajectoryFit | None:
+    return refit(start, effects, rules.stop(record))
 
 
 _MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
 
 
 def find_preexisting_effects(
-    baseline: Baseline, effects: Sequence[Effect], rig: Rig, tell: Tell, workers: Workers
+    baseline: Baseline, effects: Sequence[Effect], rig: Rig, tell: Tell, workers: Workers, deadline: float = np.inf
 ) -> tuple[TrajectoryFit, str]:
     """Extend the model of the reference recordings by the effect that explains much of them, if one does.
 
@@ -426,6 +447,7 @@ def find_preexisting_effects(
         rig: the arm.
         tell: told what is being done.
         workers: share the work.
+        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
 
     Returns:
         The model, and a warning where the baseline misses the reference recordings; empty where it does not.
@@ -439,7 +461,7 @@ def find_preexisting_effects(
     )
     start = replace(baseline.fit, point=_as(baseline.fit.point, None))
     smooth = [effect for effect in effects if not effect.nonsmooth]
-    best = Search(rig, start, smooth, _MUCH, tell, workers).run().best
+    best = Search(rig, start, smooth, replace(_MUCH, deadline=deadline), tell, workers).run().best
     if not best.effects:
         return baseline.fit, f"{warning}; no single candidate explains it"
     problem = best.point.problem

@@ -288,6 +288,13 @@ class Effect:
         """Return angles (..., nv) near q (..., nv) [rad] at which an arm without load would stay at rest."""
         return q
 
+    def other_states(self, chain: Chain, state: Array) -> Array:
+        """Return states (m, 2 nv) in which the arm may be instead of one (2 nv,), however far slopes lead from that.
+
+        Searches for initial states where something sticks or rattles begin from these as well.
+        """
+        return np.zeros((0, state.size))
+
     def max_step(self, chain: Chain) -> float:
         """Return the longest time step [s] with which a simulation resolves it."""
         return np.inf

@@ -246,6 +246,17 @@ class Backlash(JointEffect):
         rest[..., root] = np.clip(q[..., root], -self.gap / 2, self.gap / 2)
         return rest
 
+    def other_states(self, chain: Chain, state: Array) -> Array:
+        """Return states (3, 2 nv) with the hub on either flank and between them, moving with the motor."""
+        root, n = self.virtual_joints(chain).start - 1, chain.size
+        states = np.tile(state, (3, 1))
+        states[:, root] = self.gap * np.array([-0.5, 0.0, 0.5])
+        states[:, n + root] = 0.0
+        # The hub stays where it is: the motor, whose joint is the one before, takes up the difference.
+        states[:, root - 1] += state[root] - states[:, root]
+        states[:, n + root - 1] += state[n + root]
+        return states
+
     def _contact(self, beyond: Array) -> tuple[Array, Array]:
         """Depth to which a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
         if not self.smooth:

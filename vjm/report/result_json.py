@@ -227,6 +227,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
         "next_experiment": diagnosis.next_experiment,
         "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
         "noise": diagnosis.noise,
+        "budget": vars(diagnosis.budget),
         "model": _model_object(model.chain, diagnosis.parameters),
         "estimates": _estimates(diagnosis.parameters, *_ESTIMATED),
     }
