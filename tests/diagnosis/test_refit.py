@@ -109,9 +109,9 @@ def test_a_start_that_cannot_be_simulated_is_taken_nearer_to_the_null() -> None:
     """So strong a softening takes all stiffness from a link that is bent as far."""
     truth = CubicStiffness(link=0, coefficient=-0.3)
     start = in_segments(recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0))
-    far = replace(truth, coefficient=-25.0)
+    far = replace(truth, coefficient=-4.0)
     with pytest.raises(SimulationDivergedError):
-        replace(start.point.problem, effects=(far,)).point(np.r_[start.point.x, far.coordinates])
+        replace(start.point.problem, effects=(far,)).point(np.r_[start.point.x, far.coordinates], start.point.states)
     found = refit(start, [far])
     assert found is not None
     assert found.effects[0].values["coefficient"] == pytest.approx(-0.3, rel=0.05)

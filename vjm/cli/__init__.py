@@ -115,6 +115,11 @@ def _parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     ):
         text = f"{words} (default: {default})"
         diagnose.add_argument(option, metavar=metavar, type=_at_least(least), default=default, help=text)
+    text = (
+        "time after which the search ends with the best it has and says what it has not tried (default: 120 s for two "
+        "processes and up to 35 s of training recordings, more for more, twice as much for one process)"
+    )
+    diagnose.add_argument("--budget", metavar="SECONDS", type=_positive, default=None, help=text)
 
     more = "Of an experiment, the chain of its nominal values. The springs' stiffness is in the element vjm:model."
     text = "the URDF file (default: standard output; with --json, inside the result object)"
@@ -144,6 +149,16 @@ def _at_least(least: int) -> Callable[[str], int]:
         return value
 
     return whole
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of seconds")
+    return value
 
 
 def _names(text: str) -> tuple[str, ...]:

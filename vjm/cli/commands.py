@@ -86,7 +86,7 @@ def _identify(arguments: argparse.Namespace) -> None:
 
 
 def _diagnose(arguments: argparse.Namespace) -> None:
-    chosen = arguments.effects, arguments.max_effects, arguments.jobs, arguments.seed
+    chosen = arguments.effects, arguments.max_effects, arguments.jobs, arguments.seed, arguments.budget
     _run(arguments, lambda report: diagnose(load_experiment(arguments.experiment), *chosen, progress=report))
 
 
