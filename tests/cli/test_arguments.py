@@ -25,7 +25,7 @@ def test_choices_are_those_of_the_identification() -> None:
 
 def test_defaults_are_those_of_the_diagnosis() -> None:
     arguments, signature = _parse(["diagnose", "x.toml"]), inspect.signature(diagnose)
-    for name in ("effects", "max_effects", "jobs", "seed"):
+    for name in ("effects", "max_effects", "jobs", "seed", "budget"):
         assert getattr(arguments, name) == signature.parameters[name].default
 
 
@@ -78,6 +78,9 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
         ["diagnose", "x.toml", "--effects", "tip_payload,,drag"],
         ["diagnose", "x.toml", "--max-effects", "0"],
         ["diagnose", "x.toml", "--jobs", "all"],
+        ["diagnose", "x.toml", "--budget", "0"],
+        ["diagnose", "x.toml", "--budget", "long"],
+        ["diagnose", "x.toml", "--budget", "inf"],
         ["diagnose", "x.toml", "--seed", "-1"],
         ["urdf"],
         ["demo", "extra"],

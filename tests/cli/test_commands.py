@@ -122,9 +122,20 @@ def test_diagnose_prints_the_finding(
     ):
         assert words in told
     assert len(out.splitlines()) < 50
-    chosen = ["--effects", "tip_payload,linear_drag", "--max-effects", "2", "--jobs", "2", "--seed", "5"]
+    chosen = [
+        "--effects",
+        "tip_payload,linear_drag",
+        "--max-effects",
+        "2",
+        "--jobs",
+        "2",
+        "--seed",
+        "5",
+        "--budget",
+        "90",
+    ]
     assert "Nothing is missing" in run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", *chosen)[1]
-    assert asked == [(None, 3, 1, 0), (("tip_payload", "linear_drag"), 2, 2, 5)]
+    assert asked == [(None, 3, 1, 0, None), (("tip_payload", "linear_drag"), 2, 2, 5, 90.0)]
     assert run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", "-q") == (0, "", "")
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from vjm.diagnosis.records import (
     Alternative,
+    Budget,
     Cause,
     Diagnosis,
     Proposal,
@@ -125,6 +126,43 @@ def test_the_verdict_follows_from_what_was_found(changes: dict[str, Any], verdic
     found = findings(**changes)
     assert conclude(found).verdict == verdict
     assert is_unexplained(found) == (verdict == "unknown")
+
+
+def test_large_causes_come_before_small_ones() -> None:
+    effects = [TipPayload(link=0, mass=1e-3), CubicStiffness(link=0), EncoderOffset(link=0), CameraRotation()]
+    sizes, gains = [90.0, 1e5, 50.0, 2e3], [1e-6, 1e-3, 5e-6, 1e-5]
+    causes = tuple(
+        replace(cause(effect), decrease=size, holdout_gain=gain)
+        for effect, size, gain in zip(effects, sizes, gains, strict=True)
+    )
+    diagnosis = conclude(findings(causes=causes))
+    assert [one.effect.id for one in diagnosis.main_causes] == ["cubic_stiffness", "camera_rotation"]
+    # Of small ones, what gains most where it was not fitted comes first.
+    assert [one.effect.id for one in diagnosis.minor_causes] == ["encoder_offset", "tip_payload"]
+    assert diagnosis.causes == diagnosis.main_causes + diagnosis.minor_causes
+
+
+def test_a_small_cause_alone_is_the_main_one() -> None:
+    diagnosis = conclude(findings(causes=(replace(cause(), decrease=30.0),)))
+    assert [one.role for one in diagnosis.causes] == ["main"]
+
+
+def test_the_model_without_causes_is_recommended_where_they_make_predictions_worse() -> None:
+    random = np.random.default_rng(1)
+    small, large = (size * random.standard_normal((400, 2, 2)) for size in (3e-4, 6e-4))
+    worse = conclude(findings(recordings=(compared(recording(), small, large),)))
+    assert worse.recommended is worse.reference
+    assert worse.gain is not None
+    assert worse.gain.harmful
+    better = conclude(findings(recordings=(compared(recording(), large, small),)))
+    assert better.recommended is better.model
+
+
+def test_a_search_that_was_ended_says_what_it_has_not_tried() -> None:
+    ended = conclude(findings(budget=Budget(60.0, 61.0, True, ("backlash", "hysteresis"))))
+    (said,) = [warning for warning in ended.warnings if "budget of 60 s" in warning]
+    assert "backlash, hysteresis" in said
+    assert not [warning for warning in conclude(findings(budget=Budget(60.0, 30.0))).warnings if "budget" in warning]
 
 
 def test_a_cause_of_no_use_is_no_cause() -> None:

@@ -156,6 +156,8 @@ class CauseResult(Entry):
     indistinguishable_from: list[str]
     alternatives: list[Alternative]
     evidence: str
+    role: Literal["main", "minor"]
+    holdout_gain_m: float | None
 
 
 class FollowedRecording(Entry):
@@ -192,6 +194,13 @@ class Remaining(Entry):
     description: str
 
 
+class BudgetResult(Entry):
+    seconds: float | None
+    spent: float
+    exhausted: bool
+    not_tried: list[str]
+
+
 class DiagnoseResult(Common):
     command: Literal["diagnose"]
     notes: list[str]
@@ -204,6 +213,8 @@ class DiagnoseResult(Common):
     next_experiment: str | None
     symptoms: list[str]
     noise: str
+    budget: BudgetResult
+    recommended: Literal["with causes", "without causes"]
     model: ModelResult
     estimates: list[EstimateResult]
 

@@ -108,6 +108,28 @@ def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(aft
     assert all(part in headline.lower() for part in ("viscous friction", "no candidate explains", "odd in velocity"))
 
 
+def test_a_small_cause_is_told_after_the_headline() -> None:
+    found = pair()
+    delay, marker = found.causes
+    page = result_page(replace(found, causes=(delay, replace(marker, role="minor", holdout_gain=2e-5))))
+    assert "marker" not in page.headline
+    (said,) = [plain(point) for point in page.points if point.startswith("Also present, and small: ")]
+    assert "marker" in said
+    assert said.endswith("held-out error less by 0.020 mm.")
+
+
+def test_the_headline_says_first_where_causes_make_predictions_worse() -> None:
+    found = pair()
+    assert found.gain is not None
+    gain = replace(found.gain, before=3e-4, after=5e-4, reduction=-0.67, interval=(-0.7, -0.6))
+    page = result_page(replace(found, gain=gain))
+    assert page.grade == "poor"
+    assert plain(page.headline).startswith(
+        "Use the model without these causes: with these causes the held-out error grows from 0.30 mm to 0.50 mm."
+    )
+    assert replace(found, gain=gain).to_dict()["recommended"] == "without causes"
+
+
 def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     found = pair()
     assert found.gain is not None

@@ -22,7 +22,7 @@ from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, res
 from vjm.diagnosis.screen import Workers
 from vjm.diagnosis.selection import Rules, Search, SearchResult, find_preexisting_effects
 from vjm.diagnosis.symptoms import Symptoms
-from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
+from vjm.diagnosis.verdict import conclude, held_out, is_unexplained, why_insufficient
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
@@ -131,6 +131,7 @@ def _findings(
     next_best = search.next_best(result)
     recordings = _compare_recordings(experiment, noise, start.reference, open_loop, next_best)
     model, reference = model_of(best, rig, noise), model_of(start.reference, rig, noise)
+    causes = _with_holdout_gains(causes, recordings, result, search)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
@@ -204,6 +205,35 @@ def _compare_recordings(
     )
 
 
+def _with_holdout_gains(
+    causes: Sequence[Cause], recordings: Sequence[RecordingComparison], result: SearchResult, search: Search
+) -> tuple[Cause, ...]:
+    """Simulate the held-out recordings without each cause, all else fitted again, and say what it gains there."""
+    tested = held_out(recordings)
+    if not tested:
+        return tuple(causes)
+    after = _marker_rms([one.simulated for one in tested])
+    if len(causes) == 1:
+        return (replace(causes[0], holdout_gain=_marker_rms([one.reference for one in tested]) - after),)
+    rig, gained = search.rig, []
+    for cause in causes:
+        without = result.fits.get(result.best.names - {cause.effect.key})
+        try:
+            observed = [Observations.of(rig, one.recording, one.noise) for one in tested]
+            runs = [] if without is None else _simulate(without, observed)
+        except SimulationDivergedError:
+            runs = []
+        before = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) if runs else None
+        gained.append(replace(cause, holdout_gain=None if before is None else before - after))
+    return tuple(gained)
+
+
+def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
+    """RMS of the marker residuals of several recordings together [m]."""
+    residual = np.concatenate([one.marker_residual.ravel() for one in simulated if one is not None])
+    return float(np.sqrt(np.nanmean(residual**2)))
+
+
 def _simulate(
     model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
 ) -> list[tuple[Run, bool]]:
@@ -255,6 +285,11 @@ def _notes(baseline: Baseline, start: SearchStart, result: SearchResult, search:
         notes.append(
             "even over segments the model without effects follows so little of the recordings that the table of "
             "candidates, which is linear, is no guide: each was fitted"
+        )
+    if search.unjustified:
+        notes.append(
+            f"{', '.join(search.unjustified)}: significant, but not determined by these recordings, or each of them is "
+            "predicted from the others no better with it than without; not kept"
         )
     if best.effects and not best.converged:
         notes.append("the last fit was ended once further steps no longer mattered")

@@ -34,6 +34,8 @@ class Cause:
     decrease: float  # of the training recordings' chi^2 by it
     alternatives: tuple[Alternative, ...]  # effects that explain the recordings as well in its place
     evidence: str  # in words
+    role: Literal["main", "minor"] = "main"  # minor: it is real, and explains next to nothing beside another cause
+    holdout_gain: float | None = None  # reduction of the held-out marker RMS by it [m]; None where it is not known
     # The recording in which the causes gain most, simulated with all effects but this; None where it cannot be.
     without: SimulatedRecording | None = None
 
@@ -119,6 +121,11 @@ class Gain:
     interval: tuple[float, float]  # of the reduction, 95 %, by a block bootstrap
     next_best: float | None = None  # of the next best model; None where there is none
 
+    @property
+    def harmful(self) -> bool:
+        """True if held-out recordings are certainly predicted worse with the causes than without."""
+        return self.interval[1] < 0
+
 
 @dataclass(frozen=True)
 class Budget:
@@ -146,7 +153,7 @@ class Diagnosis(SimulatedResult):
 
     Attributes:
         experiment: what was diagnosed.
-        causes: new effects of the best model, the one that explains most first.
+        causes: new effects of the best model: main ones, the one that explains most first, then minor ones.
         candidates: table of the effects that were looked for.
         model: the best model, with the causes.
         reference: the model before any change, without them.
@@ -203,6 +210,21 @@ class Diagnosis(SimulatedResult):
     gain: Gain | None = None
     remaining: Remaining = Remaining(None)
     next_experiment: str | None = None
+
+    @property
+    def main_causes(self) -> tuple[Cause, ...]:
+        """Causes that explain what is wrong."""
+        return tuple(cause for cause in self.causes if cause.role == "main")
+
+    @property
+    def minor_causes(self) -> tuple[Cause, ...]:
+        """Causes that are real and explain next to nothing beside the main ones, the most useful first."""
+        return tuple(cause for cause in self.causes if cause.role == "minor")
+
+    @property
+    def recommended(self) -> Model:
+        """The model to use: the best one, or the reference where held-out recordings are predicted worse with it."""
+        return self.reference if self.gain is not None and self.gain.harmful else self.model
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:

@@ -27,6 +27,7 @@ from vjm.diagnosis.candidate_fit import (
     start_size,
     state_at,
 )
+from vjm.diagnosis.cross_validation import is_determined, prediction_error
 from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
@@ -110,6 +111,8 @@ class Search:
         tell: told what is being done.
         workers: share the work.
         unfinished: ids of effects whose fits were wanted when the deadline came.
+        unjustified: ids of effects that were dropped, since the recordings do not determine them or are predicted no
+            better with them.
     """
 
     def __init__(
@@ -128,6 +131,7 @@ class Search:
         self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
         self.p_values: dict[Key, float] = {}
         self.unfinished: set[str] = set()
+        self.unjustified: list[str] = []
         self._decreases: dict[Key, float] = {}
         self._first: FamilyTest | None = None  # beside the model without effects
 
@@ -155,6 +159,9 @@ class Search:
                 best, family = self._select_small(best, fits)
         if family is None:
             best, family = self._select_small(best, fits)
+        justified = self._justified(best, fits)
+        if justified is not best:
+            best, family = justified, self.screen(justified)
         return SearchResult(best, self._first or family, family, self.p_values, fits, segment_fits)
 
     def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
@@ -164,6 +171,27 @@ class Search:
         best = fits[fit.names] = self._corrected(fit)  # so few joints, over many periods, look like a small cause
         best, family = self._forward_selection(best, fits, small=True)
         return best, family or self.screen(best)
+
+    def _justified(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
+        """Drop effects whose sizes are not determined, or with which recordings are predicted no better than without.
+
+        Unlike significance, which noise alone decides, these tests fail effects that stand in for something else.
+        """
+        error = None
+        for effect in sorted(fit.new_effects, key=lambda effect: self._decreases.get(effect.key, 0.0)):
+            if self.rules.exhausted:
+                break
+            fewer = self.without(fit, effect, fits)
+            if fewer is None:
+                continue
+            determined = is_determined(fit, effect, self.rules.alpha)
+            if determined and error is None:
+                error = prediction_error(fit)
+            # A model predicts what it was not fitted to no better than what it was.
+            if not determined or (error is not None and error > fewer.chi2 and error >= prediction_error(fewer)):
+                self.unjustified.append(effect.id)
+                return self._justified(fewer, fits)
+        return fit
 
     def without_effects(self) -> SearchResult:
         """Return the result before anything was looked for: the model without effects, in segments."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.records import Diagnosis, Gain, Remaining, RepeatComparison, Verdict
+from vjm.diagnosis.records import Budget, Cause, Diagnosis, Gain, Remaining, RepeatComparison, Verdict
 from vjm.records import REFERENCE, Array, Experiment, RecordingComparison
 
 _UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard deviations
@@ -19,15 +19,18 @@ _UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard d
 # training recordings may be the error of the noise's size.
 _NO_GAIN, _SMALL_DECREASE = 0.002, 0.02
 _CLEARLY_MORE = 2.0  # times the misfit before the change: misfits add in squares, the new one is then 1.7 times the old
+# Share of the largest cause's decrease of chi^2. Without a cause that explains less, the RMS of what was wrong changes
+# by half a percent, which the two digits that are shown of it do not tell.
+_MINOR = 0.01
 _DISTINGUISHING = 30.0  # chi^2, three times the least that distinguishes: a linear forecast may be too large
 
 
 def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
     """Return why recordings cannot support a diagnosis, a sentence each; nothing where they can."""
-    train, held_out = experiment.with_role("train"), experiment.with_role("holdout")
+    train, testing = experiment.with_role("train"), experiment.with_role("holdout")
     referenced = any(recording.condition == REFERENCE for recording in experiment.recordings)
     reasons = []
-    if not held_out:
+    if not testing:
         reasons.append(
             "no recording is held out, so that nothing could confirm a cause: give one of another kind or amplitude "
             'role = "holdout"'
@@ -49,23 +52,27 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
         for label in dict.fromkeys(recording.repeat for recording in experiment.recordings if recording.repeat)
         if len({recording.condition for recording in experiment.recordings if recording.repeat == label}) > 1
     ]
-    if held_out and all(recording.frames.size < 30 for recording in held_out):  # an RMS within 13 % (1/sqrt(2 N))
+    if testing and all(recording.frames.size < 30 for recording in testing):  # an RMS within 13 % (1/sqrt(2 N))
         reasons.append("the held-out recordings show next to no marker: nothing could confirm a cause")
     return tuple(reasons)
+
+
+def held_out(recordings: Sequence[RecordingComparison]) -> list[RecordingComparison]:
+    """Return the held-out recordings that judge the causes: those in which something may have changed, if there are."""
+    usable = [one for one in recordings if one.recording.role == "holdout" and one.reference and one.simulated]
+    usable = [one for one in usable if one.recording.frames.size]
+    return [one for one in usable if one.recording.condition != REFERENCE] or usable
 
 
 def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
     """Return the improvement of held-out recordings; None where none of them can be simulated by both models.
 
-    Those in the reference condition count only if there is no other. The interval is by a block bootstrap of the
-    squared residuals, with blocks as long as these are correlated.
+    The interval is by a block bootstrap of the squared residuals, with blocks as long as these are correlated.
     """
-    held_out = [one for one in recordings if one.recording.role == "holdout" and one.reference and one.simulated]
-    held_out = [one for one in held_out if one.recording.frames.size]
-    held_out = [one for one in held_out if one.recording.condition != REFERENCE] or held_out
-    if not held_out:
+    tested = held_out(recordings)
+    if not tested:
         return None
-    frames = [_squares(comparison) for comparison in held_out]
+    frames = [_squares(comparison) for comparison in tested]
     before, after, next_best, count = np.sum([part.sum(axis=0) for part in frames], axis=0)
     blocks = []
     for part in frames:
@@ -80,7 +87,7 @@ def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain
     return Gain(
         before=float(np.sqrt(before / count)),
         after=float(np.sqrt(after / count)),
-        noise=held_out[0].noise[0],
+        noise=tested[0].noise[0],
         reduction=float(1 - np.sqrt(after / before)),
         interval=(low, high),
         next_best=float(np.sqrt(next_best / count)) if np.isfinite(next_best) else None,
@@ -148,6 +155,7 @@ def conclude(findings: Diagnosis) -> Diagnosis:
     if findings.causes and useless and not unexplained:
         findings = _without_causes(findings)
         gain = _estimate_gain(findings.recordings, findings.seed)
+    findings = replace(findings, causes=_ranked(findings.causes))
     verdict: Verdict = "named" if findings.causes else "none"
     if any(cause.alternatives for cause in findings.causes):
         verdict = "set"
@@ -156,9 +164,20 @@ def conclude(findings: Diagnosis) -> Diagnosis:
     elif findings.reference_misfit == 1 and findings.residuals.p_value < _UNLIKELY:
         note = "the residuals are a little more than noise, and too little to matter"
         findings = replace(findings, notes=(*findings.notes, note))
+    if findings.budget.exhausted:
+        findings = replace(findings, warnings=(*findings.warnings, _budget_warning(findings.budget)))
     remaining = Remaining(findings.residuals.p_value, _description(findings))
     next_experiment = _next_experiment(findings, verdict)
     return replace(findings, verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
+
+
+def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Return causes with their roles, large ones before small ones."""
+    most = max((cause.decrease for cause in causes), default=0.0)
+    roles = [replace(cause, role="minor" if cause.decrease < _MINOR * most else "main") for cause in causes]
+    main = sorted((one for one in roles if one.role == "main"), key=lambda one: -one.decrease)
+    minor = sorted((one for one in roles if one.role == "minor"), key=lambda one: -(one.holdout_gain or 0.0))
+    return (*main, *minor)
 
 
 def _without_causes(findings: Diagnosis) -> Diagnosis:
@@ -171,6 +190,16 @@ def _without_causes(findings: Diagnosis) -> Diagnosis:
         next_best=(),
         recordings=tuple(replace(one, simulated=one.reference, alternative=None) for one in findings.recordings),
         warnings=(*findings.warnings, warning),
+    )
+
+
+def _budget_warning(budget: Budget) -> str:
+    tried = (
+        f"not tried to the end: {', '.join(budget.not_tried)}" if budget.not_tried else "small effects not looked for"
+    )
+    return (
+        f"the search was ended after its budget of {budget.seconds:.3g} s, with the best it had; {tried}; a larger "
+        "--budget, fewer --effects or more --jobs would let it finish"
     )
 
 

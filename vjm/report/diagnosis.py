@@ -44,7 +44,9 @@ _METHOD = (
 def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = None) -> Page:
     """Return the page of a diagnosis: the report with its pictures, or without any a summary."""
     headline, grade = _headline(diagnosis)
-    points = _cause_points(diagnosis) + _gain_points(diagnosis) + _residual_points(diagnosis)
+    if diagnosis.causes and diagnosis.recommended is diagnosis.reference:
+        headline, grade = f"{_harm(diagnosis)} {headline}", "poor"
+    points = _minor_points(diagnosis) + _cause_points(diagnosis) + _gain_points(diagnosis) + _residual_points(diagnosis)
     if diagnosis.verdict == "none":
         points += _small_effect_points(diagnosis)
     if diagnosis.verdict != "insufficient":
@@ -89,11 +91,12 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
     if kind == "insufficient":
         why = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "they show too little"
         return f"These recordings cannot support a diagnosis: {why}.", "poor"
-    causes = "; and ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in diagnosis.causes)
+    main = diagnosis.main_causes
+    causes = "; and ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in main)
     if kind == "named":
         return f"{capital(causes)}. {_improvement(diagnosis)}".rstrip(), "good"
     if kind == "set":
-        choices = "; and ".join(_choice(cause, diagnosis.model) for cause in diagnosis.causes)
+        choices = "; and ".join(_choice(cause, diagnosis.model) for cause in main)
         text = f"{capital(choices)}: these recordings cannot distinguish them. {_improvement(diagnosis)}"
         return text.rstrip(), "fair"
     description = diagnosis.remaining.description.rstrip(".")
@@ -103,6 +106,24 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
         return f"{capital(causes)}, and something more that no candidate explains{ending}.", "poor"
     part = f" A part of it looks like this: {causes}." if diagnosis.causes else ""
     return f"Something is missing that no candidate explains{ending}.{part}", "poor"
+
+
+def _harm(diagnosis: Diagnosis) -> str:
+    gain = diagnosis.gain
+    if gain is None:
+        return ""
+    change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
+    causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
+    return f"Use the model without {causes}: with {causes} the held-out error grows {change}."
+
+
+def _minor_points(diagnosis: Diagnosis) -> list[str]:
+    points = []
+    for cause in diagnosis.minor_causes:
+        gain = cause.holdout_gain
+        held = "" if gain is None else f"; held-out error {'less' if gain >= 0 else 'more'} by {millimetres(abs(gain))}"
+        points.append(f"Also present, and small: {_choice(cause, diagnosis.model)}{held}.")
+    return points
 
 
 def _choice(cause: Cause, model: Model) -> str:
@@ -218,8 +239,10 @@ def _cause_table(diagnosis: Diagnosis) -> Table:
         for name, size in cause.parameters.items():
             value = f"{size.value:.6g}" if size.std is None else with_error(size.value, size.std)
             everyday = UNKNOWN if size.std is None else quantity(size.value, size.std, size.unit)
-            rows.append((named(cause.effect.id), where, name, value, unit(size.unit), everyday))
-    headers = ("cause", "where", "parameter", "value ± standard error", "unit", "in everyday units")
+            gained = UNKNOWN if cause.holdout_gain is None else number(1e3 * cause.holdout_gain, 2)
+            rows.append((named(cause.effect.id), cause.role, where, name, value, unit(size.unit), everyday, gained))
+    uncertain = ("parameter", "value ± standard error", "unit", "in everyday units")
+    headers = ("cause", "role", "where", *uncertain, "held-out gain [mm]")
     return Table("Causes", headers, tuple(rows), words=3)
 
 

@@ -228,6 +228,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
         "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
         "noise": diagnosis.noise,
         "budget": vars(diagnosis.budget),
+        "recommended": "without causes" if diagnosis.recommended is diagnosis.reference else "with causes",
         "model": _model_object(model.chain, diagnosis.parameters),
         "estimates": _estimates(diagnosis.parameters, *_ESTIMATED),
     }
@@ -251,6 +252,8 @@ def _cause(cause: Cause, model: Model) -> Result:
             for item in cause.alternatives
         ],
         "evidence": cause.evidence,
+        "role": cause.role,
+        "holdout_gain_m": cause.holdout_gain,
     }
 
 
