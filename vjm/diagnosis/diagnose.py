@@ -80,7 +80,7 @@ def diagnose(
     if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | float) or not budget > 0):
         raise ShapeError("budget", budget, "a positive number of seconds, or None")
     began, seconds = monotonic(), _default_budget(experiment, jobs) if budget is None else float(budget)
-    tell = _Stages(progress)
+    tell = _Stages(progress, began, seconds)
     insufficient = why_insufficient(experiment)
     tell("fitting the model without effects")
     baseline = fit_baseline(experiment, tell.inside)
@@ -314,10 +314,14 @@ def _chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...
 
 
 class _Stages:
-    """Progress of a diagnosis, whose number of stages is not known before: each takes 15 % of what remains."""
+    """Progress of a diagnosis, whose number of stages is not known before: each takes 15 % of what remains.
 
-    def __init__(self, progress: Progress | None) -> None:
+    Where more of the budget has gone, that is its progress.
+    """
+
+    def __init__(self, progress: Progress | None, began: float, budget: float) -> None:
         self.progress = progress
+        self.began, self.budget = began, budget
         self.stage = 0
 
     def __call__(self, text: str) -> None:
@@ -327,5 +331,6 @@ class _Stages:
     def inside(self, text: str, done: int, total: int) -> None:
         """Report the progress inside a stage."""
         if self.progress is not None:
-            share = 1 - 0.85 ** (self.stage + done / max(total, 1))
-            self.progress(text, int(100 * share), 100)
+            stages = 1 - 0.85 ** (self.stage + done / max(total, 1))
+            spent = min((monotonic() - self.began) / self.budget, 1.0)
+            self.progress(text, int(100 * max(stages, spent)), 100)

@@ -46,6 +46,11 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
     headline, grade = _headline(diagnosis)
     if diagnosis.causes and diagnosis.recommended is diagnosis.reference:
         headline, grade = f"{_harm(diagnosis)} {headline}", "poor"
+    if diagnosis.budget.exhausted and diagnosis.budget.not_tried:
+        untried = listed([named(name).lower() for name in diagnosis.budget.not_tried[:MOST_NAMED]])
+        more = len(diagnosis.budget.not_tried) - MOST_NAMED
+        others = f" and {counted(more, 'other')}" if more > 0 else ""
+        headline, grade = f"{headline} The search ran out of time before it had tried {untried}{others}.", "poor"
     points = _minor_points(diagnosis) + _cause_points(diagnosis) + _gain_points(diagnosis) + _residual_points(diagnosis)
     if diagnosis.verdict == "none":
         points += _small_effect_points(diagnosis)
