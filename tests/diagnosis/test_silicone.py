@@ -19,7 +19,7 @@ SOME = ["tip_payload", "clamp_compliance", "linear_drag", "structural_damping", 
 
 @pytest.mark.parametrize("effects", [SOME, pytest.param(None, marks=pytest.mark.slow)], ids=["some", "all"])
 def test_the_mass_on_the_tip_is_named_and_weighed(effects: list[str] | None) -> None:
-    diagnosis = vjm.diagnose(vjm.load_experiment(DATA / "experiment.toml"), effects=effects)
+    diagnosis = vjm.diagnose(vjm.load_experiment(DATA / "experiment.toml"), effects=effects, budget=float("inf"))
     assert diagnosis.verdict == "named"
     assert [cause.effect.id for cause in diagnosis.causes] == ["tip_payload"]
     assert diagnosis.causes[0].parameters["mass"].value == pytest.approx(WEIGHED, rel=0.1)

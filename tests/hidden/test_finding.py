@@ -26,11 +26,12 @@ SOME = [
 ]
 
 
+UNLIMITED = float("inf")  # s: what is found must not depend on how fast the computer is
 FEW = ("drive_small_1.csv", "drive_large.csv")  # training recordings of the hub rig that are enough for much
 
 
 def diagnosed(file: Path, effects: list[str] | None = None) -> vjm.Diagnosis:
-    return vjm.diagnose(vjm.load_experiment(file), effects=effects)
+    return vjm.diagnose(vjm.load_experiment(file), effects=effects, budget=UNLIMITED)
 
 
 def with_few(file: Path) -> vjm.Experiment:
@@ -70,7 +71,7 @@ def test_a_late_camera_is_found_in_coloured_noise(plant: Plant) -> None:
 
 def test_two_causes_are_found(plant: Plant) -> None:
     file, truth = plant("hub", "torque_gain", "marker_offset", seed=12)
-    diagnosis = vjm.diagnose(with_few(file), effects=SOME)
+    diagnosis = vjm.diagnose(with_few(file), effects=SOME, budget=UNLIMITED)
     assert diagnosis.verdict == "named"
     assert_found(diagnosis, truth)
     first, second = diagnosis.causes  # each with what is lost without it alone
@@ -82,7 +83,9 @@ def test_two_causes_are_found(plant: Plant) -> None:
 
 def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
     file, truth = plant("hub", "coulomb_friction", seed=17)
-    diagnosis = vjm.diagnose(with_few(file), effects=["coulomb_friction", "viscous_friction", "torque_gain"])
+    diagnosis = vjm.diagnose(
+        with_few(file), effects=["coulomb_friction", "viscous_friction", "torque_gain"], budget=UNLIMITED
+    )
     assert diagnosis.verdict == "named"
     (cause,), (hidden,) = diagnosis.causes, truth.effects
     assert cause.effect.id == "coulomb_friction"
@@ -96,7 +99,9 @@ def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
 @pytest.mark.slow
 def test_play_is_found_beside_what_looks_like_it(plant: Plant) -> None:
     file, _ = plant("hub", "backlash", seed=18)
-    diagnosis = vjm.diagnose(with_few(file), effects=["backlash", "gear_elasticity", "coulomb_friction"])
+    diagnosis = vjm.diagnose(
+        with_few(file), effects=["backlash", "gear_elasticity", "coulomb_friction"], budget=UNLIMITED
+    )
     assert [cause.effect.id for cause in diagnosis.causes] == ["backlash"]
 
 
@@ -104,7 +109,7 @@ def test_play_is_found_beside_what_looks_like_it(plant: Plant) -> None:
 def test_gravity_without_which_nothing_is_followed_is_found(plant: Plant) -> None:
     """Without it the model misses by a thousand times the noise."""
     file, truth = plant("hub", "in_plane_gravity", seed=7)
-    diagnosis = vjm.diagnose(with_few(file), effects=["in_plane_gravity", *SOME], max_effects=1)
+    diagnosis = vjm.diagnose(with_few(file), effects=["in_plane_gravity", *SOME], budget=UNLIMITED, max_effects=1)
     assert_found(diagnosis, truth)
     assert diagnosis.candidates[0].effect.id == "in_plane_gravity"  # the most needed at first sight
 
@@ -113,7 +118,7 @@ def test_what_cannot_be_told_apart_is_a_set(plant: Plant) -> None:
     """Without gravity a turned camera and an encoder's offset are the same."""
     file, _ = plant("hub", "camera_rotation", seed=13)
     sensors = [effect.id for effect in BUILTIN if effect.sensor]
-    diagnosis = vjm.diagnose(with_few(file), effects=sensors)
+    diagnosis = vjm.diagnose(with_few(file), effects=sensors, budget=UNLIMITED)
     assert diagnosis.verdict == "set"
     assert classes(diagnosis) == [{"camera_rotation", "encoder_offset"}]
     assert diagnosis.next_experiment
@@ -132,11 +137,21 @@ def test_a_cause_that_is_not_in_the_list_is_not_named(plant: Plant) -> None:
     file, _ = plant("hub", "time_offset", seed=15)
     clocks = {"time_offset", "clock_scale", "rolling_shutter"}
     others = [effect.id for effect in BUILTIN if effect.id not in clocks and not effect.nonsmooth]
-    diagnosis = vjm.diagnose(with_few(file), effects=others, max_effects=1)
+    diagnosis = vjm.diagnose(with_few(file), effects=others, budget=UNLIMITED, max_effects=1)
     assert diagnosis.verdict == "unknown"
     assert diagnosis.remaining.description
     assert diagnosis.remaining.p_value is not None
     assert diagnosis.remaining.p_value < 1e-3
+
+
+def test_a_search_ends_with_its_budget_and_says_what_it_left_untried(plant: Plant) -> None:
+    file, _ = plant("hub", "time_offset", seed=15)
+    diagnosis = vjm.diagnose(with_few(file), effects=["time_offset", "camera_scale"], budget=1e-3)
+    assert diagnosis.budget.exhausted
+    assert "time_offset" in diagnosis.budget.not_tried
+    assert (diagnosis.verdict, diagnosis.causes) == ("unknown", ())
+    assert diagnosis.budget.spent > diagnosis.budget.seconds
+    assert "ran out of time before it had tried" in diagnosis.summary()
 
 
 @pytest.mark.slow
@@ -144,7 +159,7 @@ def test_two_processes_find_what_one_does(plant: Plant) -> None:
     file, _ = plant("hub", "time_offset", seed=15)
     experiment = with_few(file)
     effects = ["time_offset", "torque_gain"]
-    one, two = (vjm.diagnose(experiment, effects, max_effects=1, jobs=jobs) for jobs in (1, 2))
+    one, two = (vjm.diagnose(experiment, effects, max_effects=1, jobs=jobs, budget=UNLIMITED) for jobs in (1, 2))
     assert [cause.effect.id for cause in one.causes] == ["time_offset"]
     assert (two.verdict, two.causes, two.remaining) == (one.verdict, one.causes, one.remaining)
 
