@@ -128,6 +128,8 @@ class Chain(Record):
     name: str  # of the arm
     links: Annotated[tuple[LinkChain, ...], Field(min_length=1)]  # from the base outwards
     gravity: tuple[float, float] = (0.0, 0.0)  # in the plane, (x, y) of the base frame [m/s^2]
+    # Apparent inertia of each active joint's drive, against the turn of that joint itself [kg m^2].
+    armature: float = 0.0
 
     @property
     def size(self) -> int:

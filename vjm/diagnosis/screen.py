@@ -328,7 +328,8 @@ def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[
 def _moved(run: Run, extended: Sequence[Arm | None]) -> list[PerturbedArm]:
     """Arms of an effect off its null, as far as it acts in a recording."""
     absent = run.observed.recording.condition == REFERENCE
-    return [PerturbedArm(run.arm if absent or arm is None else arm, _STEP) for arm in extended]
+    recording = run.observed.recording
+    return [PerturbedArm(run.arm if absent or arm is None else arm.in_recording(recording), _STEP) for arm in extended]
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
@@ -356,7 +357,7 @@ def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect])
         extended = Arm.of(point.chain, (*present, effect))
         for run in point.runs:
             absent = run.observed.recording.condition == REFERENCE
-            arms.append(run.arm if absent else extended)
+            arms.append(run.arm if absent else extended.in_recording(run.observed.recording))
             states.append(run.state if absent else transfer_state(run.chain, extended.chain, run.state))
             starts.append(InitialStatePrior.of(arms[-1], run.observed.recording))
     count = len(point.runs)

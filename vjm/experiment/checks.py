@@ -127,11 +127,13 @@ def _recording_warnings(rig: Rig, recording: Recording) -> Iterator[str]:
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
     yield from _absence_warnings(markers, names, needs_x)
     yield from _gap_warnings(time)
-    for quantity, values in (("theta", recording.theta), ("tau", recording.tau)):
+    sensors = (("theta", recording.theta), ("tau", recording.tau))
+    for quantity, values in sensors if recording.input == "torque" else sensors[:1]:
         for index, column in zip(rig.active_links, values.T, strict=True):
             measured = recording.time[np.isfinite(column)]
             yield from _coverage_warnings(f"{rig.links[index].name}.{quantity}", measured, time)
-    if recording.kind == "driven" and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
+    torque = recording.kind == "driven" and recording.input == "torque"
+    if torque and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
         yield "every torque is zero, though the kind is 'driven'"
     with np.errstate(over="ignore", invalid="ignore"):  # absurd coordinates deserve the sentence on units, not noise
         units = list(_unit_warnings(markers, sum(link.length for link in rig.links)))

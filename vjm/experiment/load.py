@@ -153,7 +153,7 @@ def _recording_files(file: Path, document: dict[str, Any]) -> list[Path]:
 def _read_recording(file: Path, table: dict[str, Any], rig: Rig) -> Recording:
     """Return the recording in a CSV file; its table in the experiment file is valid by itself."""
     columns, body = _read_text(file)
-    check_columns(file, columns, rig, table["kind"], row=1)
+    check_columns(file, columns, rig, table["kind"], table.get("input", "torque"), row=1)
     if not body or body.isspace():
         raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
     values, lines = _parse_at_once(body, columns) or _parse_row_by_row(file, columns, body.decode("utf-8"))

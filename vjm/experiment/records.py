@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 Joint = Literal["revolute", "clamped"]
 Kind = Literal["driven", "decay", "static", "quiet"]
 Role = Literal["train", "holdout"]
+Input = Literal["torque", "motion"]
 MarkersFrame = Literal["base", "link"]
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -203,6 +204,10 @@ class Recording:
         payload: known extra mass on the last link's tip [kg].
         repeat: label shared by recordings that repeat one experiment.
         condition: `reference` where the effect being sought is known to be absent.
+        input: what drives the active joints: `torque`, as measured, or `motion`: they turn as their encoders say,
+            whatever torque that takes; one that was recorded is not used.
+        acceleration: (T, number of active joints) of joints that turn as given [rad/s^2], worked out from theta where
+            the recording is simulated; None: not yet, or the input is the torque.
 
     Raises:
         ExperimentError: a field has the wrong type or value.
@@ -221,6 +226,8 @@ class Recording:
     payload: _Payload = 0.0
     repeat: Annotated[str | None, MinLen(1), "a label shared by recordings that repeat one experiment"] = None
     condition: Annotated[str | None, MinLen(1), 'a label, as "reference"'] = None
+    input: Annotated[Input, '"torque" or "motion"'] = "torque"
+    acceleration: Array | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Validate, and make arrays of what was measured."""
@@ -240,6 +247,8 @@ class Recording:
             raise RecordingError(name, None, "tau", problem, expected)
         unknown = np.full(next(iter(arrays.values())).shape if arrays else (time.size, 0), np.nan)
         markers = _array(name, "markers", self.markers, "(T, k, 2) positions [m]", (time.size, None, 2))
+        if self.input == "motion":
+            arrays["tau"] = np.full_like(arrays.get("theta", unknown), np.nan)
         for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": time, "markers": markers}.items():
             object.__setattr__(self, key, value)
 
@@ -262,7 +271,7 @@ class Recording:
         if not hasattr(frame, "columns"):
             raise RecordingError(name, None, None, f"got {shown(frame)}", "a pandas DataFrame")
         columns = tuple(str(column) for column in frame.columns)
-        check_columns(name, columns, rig, kind)
+        check_columns(name, columns, rig, kind, fields.get("input", "torque"))
         values = {column: _numbers(name, column, frame[column]) for column in columns}
         _check_time(name, "t", values["t"])
         unknown = np.full(values["t"].size, np.nan)
@@ -388,7 +397,14 @@ def _as_rig(rig: Rig | Link) -> Rig:
     return rig
 
 
-def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, row: int | None = None) -> None:
+def check_columns(
+    name: Path | str,
+    columns: Sequence[str],
+    rig: Rig,
+    kind: Kind,
+    given: Input = "torque",
+    row: int | None = None,
+) -> None:
     """Check that each column occurs once, that the rig knows it, and that none is missing.
 
     Raises:
@@ -403,7 +419,7 @@ def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind
         if column not in known:
             problem = _unknown_reason(column, rig, known) if column else "a column without a name"
             raise RecordingError(name, row, column, problem, f"only the columns {_known_columns(rig)}")
-    for column, expected in _needed_columns(columns, rig, kind):
+    for column, expected in _needed_columns(columns, rig, kind == "driven" and given == "torque"):
         if column not in columns:
             raise RecordingError(name, row, column, "the column is missing", expected)
 
@@ -425,8 +441,17 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
     for column, joint in enumerate(active):
         if not np.isfinite(recording.theta[:, column]).any():
             raise RecordingError(name, None, f"{joint}.theta", "every cell is empty", "joint angles [rad]")
-        if recording.kind == "driven" and not np.isfinite(recording.tau[:, column]).any():
-            raise RecordingError(name, None, f"{joint}.tau", "every cell is empty", "joint torques [N m]")
+        torque = recording.kind == "driven" and recording.input == "torque"
+        if torque and not np.isfinite(recording.tau[:, column]).any():
+            expected = 'joint torques [N m], or input = "motion" where the joints turn as their encoders say'
+            raise RecordingError(name, None, f"{joint}.tau", "every cell is empty", expected)
+        known = int(np.isfinite(recording.theta[:, column]).sum())
+        if recording.input == "motion" and known < _MIN_FRAMES:
+            expected = f"at least {_MIN_FRAMES}, since the motion of the joint is given by them"
+            raise RecordingError(name, None, f"{joint}.theta", f"{known} angles", expected)
+    if recording.input == "motion" and not active:
+        expected = "a link with an active joint"
+        raise RecordingError(name, None, "input", "the motion of no joint is given: every link is clamped", expected)
     measured = np.isfinite(recording.markers)
     usable = measured[:, :, 1]
     for link, own in zip(rig.links, rig.marker_slices, strict=True):
@@ -528,12 +553,12 @@ def _unknown_reason(column: str, rig: Rig, known: set[str]) -> str:
     return f"unknown column{suggestion(column, sorted(known))}"
 
 
-def _needed_columns(columns: Sequence[str], rig: Rig, kind: Kind) -> Iterator[tuple[str, str]]:
+def _needed_columns(columns: Sequence[str], rig: Rig, torque: bool) -> Iterator[tuple[str, str]]:
     yield "t", "the time of each row [s]"
     for link in rig.links:
         if link.joint == "revolute":
             yield f"{link.name}.theta", _angle_of(link.name)
-        if link.joint == "revolute" and kind == "driven":
+        if link.joint == "revolute" and torque:
             yield f"{link.name}.tau", f"the torque that drives link '{link.name}' [N m]"
         pairs = list(zip(link.marker_columns[::2], link.marker_columns[1::2], strict=True))
         given = [pair for pair in pairs if pair[0] in columns or pair[1] in columns]

@@ -115,7 +115,7 @@ class TrajectoryProblem(Record):
         chain, present = self.chain(x), self.present(x)
         reference, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
         wanted = [each.recording for each in self.observed] if recordings is None else recordings
-        return tuple(reference if each.condition == REFERENCE else extended for each in wanted)
+        return tuple((reference if one.condition == REFERENCE else extended).in_recording(one) for one in wanted)
 
     def point(self, x: Array, states: Sequence[Array] | None = None) -> Point:
         """Simulate every recording at coordinates x (p,), from given or the most likely initial states (2 nv,).

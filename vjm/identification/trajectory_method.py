@@ -147,7 +147,7 @@ def first_fit(
         raise InsufficientDataError(
             "method trajectory",
             "no torque was measured at the active joints of any training recording, so none can be simulated",
-            "record the column LINK.tau, or use method 'torque'",
+            "record the column LINK.tau, or give the recordings input = \"motion\"",
         )
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_torque(data, progress=progress) if data.prepared else None
@@ -164,11 +164,12 @@ def first_fit(
 
 
 def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return the recordings whose torques are known, and what is wrong with the others."""
+    """Return the recordings whose torques or motion are known, and what is wrong with the others."""
     kept, problems = [], []
     for recording in recordings:
         try:
-            measured_torque(recording)
+            if recording.input == "torque":
+                measured_torque(recording)
             kept.append(recording)
         except InsufficientDataError as error:
             problems.append(str(error))

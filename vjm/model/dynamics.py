@@ -39,6 +39,10 @@ class Mechanism:
         self.model = pin.Model()
         self.model.gravity = pin.Motion(np.r_[chain.gravity if gravity is None else gravity, 0.0], np.zeros(3))
         _add_chain(self.model, chain, payload)
+        if chain.armature:
+            armature = np.zeros(self.model.nv)
+            armature[chain.active] = chain.armature
+            self.model.armature = armature
 
     @cached_property
     def _data(self) -> pin.Data:

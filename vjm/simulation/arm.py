@@ -16,6 +16,9 @@ from vjm.model.urdf import chain_to_urdf
 from vjm.records import Array, Recording
 
 T = TypeVar("T")
+# Inertia of a drive whose motion is given, over the arm's: reactions turn it by a millionth of the angle by which they
+# would turn the arm (large mass method: P. Leger, I. M. Ide and P. Paultre, Computers & Structures 36(6), 1990).
+_HEAVY = 1e6
 
 
 @dataclass(frozen=True)
@@ -41,11 +44,26 @@ class Arm:
             chain = effect.chain(chain)
         return cls(chain, present)
 
+    def in_recording(self, recording: Recording) -> Arm:
+        """Return the arm as a recording's input moves it: with drives that nothing stops if their motion is given."""
+        return self._prescribed if recording.input == "motion" else self
+
+    @cached_property
+    def _prescribed(self) -> Arm:
+        """The arm with so heavy drives that the torque of their given acceleration is all that counts."""
+        inertia = sum(float(link.masses.sum()) + link.payload for link in self.chain.links)
+        inertia *= sum(link.length for link in self.chain.links) ** 2
+        return Arm(replace(self.chain, armature=_HEAVY * inertia), self.effects)
+
     def inputs(self, recording: Recording) -> Recording:
-        """Return the recording with the inputs that really drove the arm."""
+        """Return the recording with the inputs that really drove the arm.
+
+        Where the motion of the active joints is given, that is the torque by which their drives follow it.
+        """
+        given = recording.acceleration
         for effect in self.effects:
             recording = effect.true_inputs(recording)
-        return recording
+        return recording if given is None else replace(recording, tau=self.chain.armature * given, input="torque")
 
     @cached_property
     def states(self) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.interpolate import make_smoothing_spline
 
 from vjm.chain.curve import marker_poses, transfer_state
 from vjm.chain.virtual_links import Chain
@@ -80,6 +81,20 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
     angles, rates = trajectory.sample(recording.time)
     markers = arcs.frames(arm, trajectory, recording.time)
     return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
+
+
+def _given_acceleration(recording: Recording) -> Array:
+    """Accelerations (T, n_a) of joints that turn as their encoders say [rad/s^2].
+
+    Those of a cubic smoothing spline, its penalty by generalised cross-validation (Craven and Wahba, Numerische
+    Mathematik 31, 1979): linear from one measured angle to the next, they integrate to the spline exactly.
+    """
+    acceleration = np.empty(recording.theta.shape)
+    for joint, theta in enumerate(recording.theta.T):
+        known = np.isfinite(theta)
+        spline = make_smoothing_spline(recording.time[known], theta[known])
+        acceleration[:, joint] = np.interp(recording.time, recording.time[known], spline(recording.time[known], 2))
+    return acceleration
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,6 +169,8 @@ class Observations:
     @classmethod
     def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
         """Return everything measured in a recording of a rig, with the sensors' 1-sigma noise [m, rad]."""
+        if recording.input == "motion" and recording.acceleration is None:
+            recording = replace(recording, acceleration=_given_acceleration(recording))
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
@@ -260,7 +277,9 @@ class Observations:
         begin = int(np.searchsorted(time, time[first] - margin))
         end = int(np.searchsorted(time, time[last - 1] + margin, side="right"))
         rows = slice(begin, end)
-        columns = {name: getattr(self.recording, name)[rows] for name in ("time", "theta", "tau", "markers")}
+        names = ("time", "theta", "tau", "markers", "acceleration")
+        known = {name: getattr(self.recording, name) for name in names}
+        columns = {name: values[rows] for name, values in known.items() if values is not None}
         frames = np.searchsorted(self.frames, (begin, end))
         part = self._only((self.instants >= first) & (self.instants < last))
         return replace(

@@ -78,7 +78,7 @@ class Model(Record):
 
     def arm_in(self, recording: Recording) -> Arm:
         """Return the arm of a recording; in a `reference` recording it has the reference effects only."""
-        return self._reference if recording.condition == REFERENCE else self.arm
+        return (self._reference if recording.condition == REFERENCE else self.arm).in_recording(recording)
 
     def simulate(self, recording: Recording) -> Simulation:
         """Simulate a recording open loop, from the initial state most likely given the whole of it.

@@ -47,7 +47,7 @@ class InitialStatePrior:
         Raises:
             SimulationDivergedError: joints that move nothing.
         """
-        chain, recording = arm.chain, arm.inputs(recording)
+        chain, recording = replace(arm.chain, armature=0.0), arm.inputs(recording)
         M, _, _, q = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         stiffness = min(link.bending_stiffness for link in chain.links)
         energy = 1.5 * stiffness * 0.1**2 / sum(link.length for link in chain.links)
