@@ -10,7 +10,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.interpolate import make_smoothing_spline
+from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.optimize import brentq
 
 from vjm.chain.curve import marker_poses, transfer_state
 from vjm.chain.virtual_links import Chain
@@ -83,18 +84,34 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
     return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
 
 
-def _given_acceleration(recording: Recording) -> Array:
-    """Accelerations (T, n_a) of joints that turn as their encoders say [rad/s^2].
+def _given_acceleration(recording: Recording, noise: float) -> Array:
+    """Accelerations (T, n_a) of joints that turn as their encoders say, with a 1-sigma noise [rad] [rad/s^2].
 
-    Those of a cubic smoothing spline, its penalty by generalised cross-validation (Craven and Wahba, Numerische
-    Mathematik 31, 1979): linear from one measured angle to the next, they integrate to the spline exactly.
+    Those of the smoothest cubic spline whose residuals are as large as the noise (discrepancy principle: Reinsch,
+    Numerische Mathematik 10, 1967). Linear from one measured angle to the next, they integrate to the spline exactly.
     """
     acceleration = np.empty(recording.theta.shape)
     for joint, theta in enumerate(recording.theta.T):
         known = np.isfinite(theta)
-        spline = make_smoothing_spline(recording.time[known], theta[known])
+        spline = _smoothest(recording.time[known], theta[known], noise)
         acceleration[:, joint] = np.interp(recording.time, recording.time[known], spline(recording.time[known], 2))
     return acceleration
+
+
+def _smoothest(time: Array, values: Array, noise: float) -> BSpline:
+    """The smoothest cubic spline through values (T,) at instants (T,) [s] that misses them by their noise, RMS."""
+
+    def spline(exponent: float) -> BSpline:
+        return make_smoothing_spline(time, values, lam=np.exp(exponent))
+
+    def excess(exponent: float) -> float:
+        return float(np.log(max(float(np.std(values - spline(exponent)(time))), 1e-300) / noise))
+
+    # The penalty is a time cubed: from a thousandth of an interval, which interpolates, to all of the recording.
+    least, most = 3 * np.log([1e-3 * float(np.diff(time).min()), float(np.ptp(time))])
+    if excess(least) >= 0:
+        return spline(least)
+    return spline(most if excess(most) <= 0 else brentq(excess, least, most, rtol=1e-3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +187,7 @@ class Observations:
     def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
         """Return everything measured in a recording of a rig, with the sensors' 1-sigma noise [m, rad]."""
         if recording.input == "motion" and recording.acceleration is None:
-            recording = replace(recording, acceleration=_given_acceleration(recording))
+            recording = replace(recording, acceleration=_given_acceleration(recording, noise[1]))
         frames = recording.frames
         seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))

@@ -72,7 +72,7 @@ def measured_torque(recording: Recording) -> tuple[Array, Array]:
         raise InsufficientDataError(
             f"simulation of {recording.file}",
             "no torque was measured at its active joints",
-            "record the column LINK.tau, or give the recording input = \"motion\"",
+            'record the column LINK.tau, or give the recording input = "motion"',
         )
     return recording.time[known], recording.tau[known]
 

@@ -1,0 +1,117 @@
+"""Recordings whose input is the motion of the active joints, as of arms whose torque nobody measures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import vjm
+from tests.diagnosis.rigs import RIG, chain_of, recorded
+from tests.experiment.experiment_files import DRIVEN, TOML, csv_text, rows, write_experiment
+from tests.simulation.integrators import simulate
+from tests.simulation.setups import jerky_torque, recording_of, rig_of, two_link_arm
+from vjm.chain.virtual_links import Chain
+from vjm.effects import CoulombFriction, JointSpring, TorqueGain, ViscousFriction
+from vjm.errors import ExperimentError, RecordingError
+from vjm.records import Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.measurement import Observations
+
+EXACT = (1e-6, 1e-7)  # m, rad
+
+
+def followed(arm: Arm, rig: Rig, recording: Recording) -> tuple[float, float]:
+    """Largest errors of markers [m] and angles [rad] of an arm in a recording whose motion is given."""
+    given = replace(recording, input="motion")
+    observed = Observations.of(rig, given, EXACT)
+    ((run, _),) = fit_initial_states([arm.in_recording(given)], [observed])
+    found = run.simulated_recording(True)
+    return float(np.nanmax(np.abs(found.marker_residual))), float(np.nanmax(np.abs(found.theta_residual)))
+
+
+def shown(arm: Arm, chain: Chain, seconds: float = 2.0) -> Recording:
+    """Exact readings of a chain driven by a jerky torque, from rest."""
+    time = np.arange(round(500 * seconds) + 1) / 500
+    recording = recording_of(chain, time, jerky_torque(chain.active.size, 3))
+    rest = np.zeros(arm.chain.size)
+    motion = simulate(arm, rig_of(chain), recording, rest, rest)
+    return replace(recording, markers=motion.markers, theta=motion.theta)
+
+
+def test_each_joint_of_an_arm_turns_as_given_relative_to_the_link_before_it() -> None:
+    chain = two_link_arm()
+    recording = shown(Arm(chain), chain)
+    markers, angles = followed(Arm(chain), rig_of(chain), recording)
+    assert np.nanmax(np.abs(recording.theta - recording.theta[0])) > 0.1
+    assert angles < 2e-5
+    assert markers < 1e-4
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        [ViscousFriction(link=0, coefficient=0.05), JointSpring(link=0, stiffness=0.1)],
+        [CoulombFriction(link=0, torque=0.02), TorqueGain(link=0, gain=0.7)],
+    ],
+    ids=["linear", "dry"],
+)
+def test_what_acts_on_the_drive_does_not_matter(effects: list[vjm.Effect]) -> None:
+    chain = chain_of()
+    recording = recorded(Arm.of(chain, effects), 1, noise=(0.0, 0.0))[1]
+    markers, angles = followed(Arm(chain), RIG, recording)
+    assert angles < 1e-4
+    assert markers < 1e-4
+    observed = Observations.of(RIG, recording, EXACT)
+    ((run, _),) = fit_initial_states([Arm(chain)], [observed])  # by its torque, without them
+    assert np.nanmax(np.abs(run.simulated_recording(True).marker_residual)) > 1e-2
+
+
+def test_segments_have_the_motion_of_the_whole_recording() -> None:
+    chain = chain_of()
+    recording = replace(recorded(Arm(chain), 2)[0], input="motion")
+    whole = Observations.of(RIG, recording, EXACT)
+    assert whole.recording.acceleration is not None
+    for part in whole.segments(0.5, 0.05):
+        rows = np.searchsorted(whole.recording.time, part.recording.time)
+        assert part.recording.acceleration == pytest.approx(whole.recording.acceleration[rows])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_link_is_identified_whatever_its_joint_does(seed: int) -> None:
+    truth = chain_of()
+    friction = [CoulombFriction(link=0, torque=0.01), TorqueGain(link=0, gain=0.8)]
+    recordings = [replace(one, input="motion") for one in recorded(Arm.of(truth, friction), seed, duration=4.0)]
+    fit = vjm.identify(vjm.Experiment(RIG, recordings), virtual_joints=3)
+    assert [estimate.name for estimate in fit.parameters] == ["beam.bending_stiffness", "beam.kelvin_voigt_time"]
+    stiffness = fit["beam.bending_stiffness"]
+    assert stiffness.value == pytest.approx(truth.links[0].bending_stiffness, abs=3 * (stiffness.std or 0.0))
+    assert all(one.simulated is not None and one.simulated.marker_rms < 3.2e-4 for one in fit.recordings)
+    assert any("without torque" in note for note in fit.notes)  # stiffness is relative to the given mass
+
+
+def test_no_torque_column_is_needed(tmp_path: Path) -> None:
+    columns = [column for column in DRIVEN if column != "arm.tau"]
+    text = csv_text(columns, rows(columns))
+    toml = TOML.replace('kind = "driven"', 'kind = "driven"\ninput = "motion"')
+    file = write_experiment(tmp_path, toml, drive_1=text, drive_2=text)
+    experiment = vjm.load_experiment(file)
+    assert [one.input for one in experiment.recordings] == ["motion", "motion", "torque"]
+    assert np.isnan(experiment.recordings[0].tau).all()
+
+
+def test_a_torque_that_was_recorded_is_not_used() -> None:
+    recording = replace(recorded(Arm(chain_of()), 1)[0], input="motion")
+    assert np.isnan(recording.tau).all()
+
+
+def test_what_cannot_be_motion_is_refused() -> None:
+    recording = recorded(Arm(chain_of()), 1)[0]
+    with pytest.raises(ExperimentError, match='"torque" or "motion"'):
+        replace(recording, input="angle")  # type: ignore[arg-type]
+    few = np.where(np.arange(recording.time.size)[:, None] < 5, recording.theta, np.nan)
+    with pytest.raises(RecordingError, match="5 angles; expected at least 10"):
+        vjm.Experiment(RIG, [replace(recording, theta=few, input="motion")])
