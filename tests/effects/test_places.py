@@ -21,6 +21,8 @@ JOINT = {
     "gear_elasticity",
     "backlash",
     "encoder_offset",
+    "actuator_lag",
+    "torque_saturation",
 }
 LINKS = {
     "clamp_compliance",
@@ -75,7 +77,8 @@ def test_everything_shows_where_everything_is_measured() -> None:
 
 
 def test_without_a_torque_there_is_none_that_is_wrong() -> None:
-    assert set(blind_effects(HUB, without(recording_of(HUB), "tau"))) == {"torque_gain", "torque_offset"}
+    recorded = {"torque_gain", "torque_offset", "actuator_lag", "torque_saturation"}
+    assert set(blind_effects(HUB, without(recording_of(HUB), "tau"))) == recorded
 
 
 def test_without_an_encoder_there_is_none_that_is_wrong() -> None:

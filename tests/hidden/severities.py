@@ -65,6 +65,8 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "lens_distortion": {"k1": Size(0.01, True)},
     "rolling_shutter": {"readout": Size(0.005, True)},
     "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
+    "actuator_lag": {"time_constant": Size(0.005)},
+    "torque_saturation": {"limit": Size(0.2, reciprocal=True)},
 }
 # A tilt: its two components come from one angle and one direction.
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
@@ -78,7 +80,8 @@ CLAMPED_FACTORS: Mapping[str, float] = {
 }
 
 EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES)
-_JOINT = ("coulomb_friction", "viscous_friction", "joint_spring", "torque_gain", "torque_offset")
+_ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation")
+_JOINT = ("coulomb_friction", "viscous_friction", "joint_spring", *_ACTUATOR)
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one.
 ONLY_WITH_HUB = (*_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
 

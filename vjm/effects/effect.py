@@ -42,6 +42,7 @@ class Parameter:
     upper: float = np.inf
     grid: tuple[float, ...] = ()  # values of a shape parameter from which searches start
     reciprocal: bool = False  # the effect grows with one over the value, whose null is infinite
+    threshold: float = np.inf  # of a reciprocal one: value below which it acts, where its coordinate is zero
     integer: bool = False  # it is a whole number, which is never varied in a fit
     from_spectrum: bool = False  # searches start from peaks of the residuals' spectrum instead of the grid [Hz]
     # Typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length l, its mass m
@@ -59,7 +60,8 @@ class Parameter:
         """Return the number that a search varies: zero at the null, one at a typical magnitude; of a shape, a log."""
         with np.errstate(divide="ignore"):
             if self.reciprocal:
-                return float(np.divide(self.typical_magnitude, max(value, 0.0)))
+                beyond = np.divide(self.typical_magnitude, max(value, 0.0)) - self.typical_magnitude / self.threshold
+                return max(float(beyond), 0.0)
             if self.shape_parameter:
                 return float(np.log(value / self.typical_magnitude))
         return (value - self.null) / self.typical_magnitude
@@ -67,7 +69,8 @@ class Parameter:
     def value(self, coordinate: float) -> float:
         """Return the value at a coordinate."""
         if self.reciprocal:
-            return self.typical_magnitude / coordinate if coordinate > 0 else np.inf
+            inverse = coordinate + self.typical_magnitude / self.threshold
+            return self.typical_magnitude / inverse if coordinate > 0 else np.inf
         if self.shape_parameter:
             return float(self.typical_magnitude * np.exp(coordinate))
         return self.null + self.typical_magnitude * coordinate
@@ -410,8 +413,13 @@ class ColumnEffect(JointEffect):
         missing = f"no {'torque' if self.column_of == 'tau' else 'encoder'} was recorded"
         return super().untestable(rig, recordings) or ("" if is_recorded(recordings, self.column_of) else missing)
 
+    @property
+    def own_column(self) -> int:
+        """Number of the joint's column."""
+        return self.link_index if self.column is None else self.column
+
     def with_column(self, values: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
         """Return values (T, n_a) with the joint's column times a gain, and an offset added."""
-        changed, own = values.copy(), self.link_index if self.column is None else self.column
+        changed, own = values.copy(), self.own_column
         changed[:, own] = gain * values[:, own] + offset
         return changed

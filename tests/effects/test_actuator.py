@@ -1,0 +1,161 @@
+"""Actuators: late and clipped torques against other ways to the same answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from tests.effects.setups import FORE, LINK, POST, chain_of, recording_of
+from vjm.chain.virtual_links import Array
+from vjm.effects import ActuatorLag, Effect, TorqueSaturation
+from vjm.records import Recording, Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import simulate_trajectories
+
+HUB, CHAIN = Rig("hub", (LINK,)), chain_of(LINK)
+
+
+def driven(time: Array, torque: Array) -> Recording:
+    """A recording of nothing but torques (T,) or (T, n_a)."""
+    tau = torque.reshape(time.size, -1)
+    return Recording(time, np.full((time.size, 1, 2), np.nan), np.zeros_like(tau), tau, kind="driven")
+
+
+def late_torque(recording: Recording, time_constant: float, instants: Array) -> Array:
+    """The lag of the torque that is linear between the samples, by an adaptive integrator from sample to sample."""
+    u, found, y = recording.tau[:, 0], [], float(recording.tau[0, 0])
+    for k, (start, end) in enumerate(zip(recording.time[:-1], recording.time[1:], strict=True)):
+        wanted = instants[(instants >= start) & (instants < end)]
+
+        def slope(t: float, y: Array, k: int = k, start: float = start, end: float = end) -> Array:
+            return np.asarray((u[k] + (u[k + 1] - u[k]) * (t - start) / (end - start) - y) / time_constant)
+
+        solved = solve_ivp(slope, (start, end), [y], t_eval=np.append(wanted, end), rtol=1e-11, atol=1e-13)
+        found.append(solved.y[0, :-1])
+        y = float(solved.y[0, -1])
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("time_constant", [3e-4, 0.005, 0.3])
+def test_a_late_torque_has_the_integrals_of_the_exact_response(time_constant: float) -> None:
+    """Over every hat function of the samples, which need not be evenly spaced."""
+    random = np.random.default_rng(1)
+    recording = driven(0.1 + np.cumsum(random.uniform(0.002, 0.02, 40)), random.normal(size=40))
+    late = ActuatorLag(time_constant=time_constant).true_inputs(recording)
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    # Each interval in parts, the first ones short: the response starts abruptly.
+    shares = np.append(0.0, np.geomspace(1e-3, 1.0, 12))
+    edges = np.unique((recording.time[:-1, None] + np.diff(recording.time)[:, None] * shares).ravel())
+    middles, halves = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
+    instants = (middles[:, None] + halves[:, None] * nodes).ravel()
+    weight = (halves[:, None] * weights).ravel()
+    exact = late_torque(recording, time_constant, instants)
+    found = np.interp(instants, late.time, late.tau[:, 0])
+    for hat in np.eye(40):
+        tested = weight * np.interp(instants, recording.time, hat)
+        assert found @ tested == pytest.approx(exact @ tested, abs=1e-9)
+
+
+@given(st.floats(1e-6, 10.0), st.floats(-1.0, 1.0), st.floats(-5.0, 5.0))
+def test_a_torque_that_rises_steadily_is_late_by_the_time_constant(lag: float, first: float, slope: float) -> None:
+    time = np.arange(60) * lag
+    late = ActuatorLag(time_constant=lag).true_inputs(driven(time, first + slope * time)).tau[:, 0]
+    assert late[-10:] == pytest.approx(first + slope * (time[-10:] - lag), abs=1e-9 + 1e-9 * abs(slope) * time[-1])
+
+
+def test_motion_under_a_late_torque_is_that_under_one_sampled_much_faster() -> None:
+    """What is left of a torque being linear between samples is a hundredth of what an encoder shows."""
+    time, fine = np.arange(501) / 250, np.arange(0, 100 * 500 + 1) / 25000
+    torque = 0.1 * np.sign(np.sin(9.0 * time)) + 0.1 * np.sin(35.0 * time)
+    recording = driven(time, torque)
+    exact = driven(fine, np.append(late_torque(recording, 0.006, fine[:-1]), 0.0))
+    samples = driven(time, exact.tau[::100])  # the response itself at the samples, linear between
+    late = ActuatorLag(time_constant=0.006).true_inputs(recording)
+    rest, angles = np.zeros(CHAIN.size), []
+    for each in (exact, late, samples):
+        (steps,) = simulate_trajectories([Arm(CHAIN)], [each], [rest], [rest])
+        angles.append(steps.angles(time)[:, 0])
+    assert np.abs(angles[1] - angles[0]).max() < 1e-6
+    assert np.abs(angles[1] - angles[0]).max() < 0.1 * np.abs(angles[2] - angles[0]).max()
+
+
+def test_only_known_torques_of_the_joint_are_late() -> None:
+    rig = Rig("arm", (POST, LINK, FORE))
+    recording = recording_of(rig, 40)
+    recording.tau[5::3, 1] = np.nan
+    (first, second) = ActuatorLag().variants(rig, [recording])
+    late = second.at(np.array([2.0])).true_inputs(recording).tau
+    known = np.isfinite(recording.tau).all(axis=1)
+    np.testing.assert_array_equal(late[:, 0], recording.tau[:, 0])
+    np.testing.assert_array_equal(late[~known], recording.tau[~known])
+    alone = driven(recording.time[known], recording.tau[known, 1])
+    assert late[known, 1] == pytest.approx(second.at(np.array([2.0])).true_inputs(alone_column(alone)).tau[:, 1])
+    assert not np.allclose(first.at(np.array([2.0])).true_inputs(recording).tau[known, 0], recording.tau[known, 0])
+
+
+def alone_column(recording: Recording) -> Recording:
+    """The same with a column of zeros before it."""
+    return replace(
+        recording, tau=np.column_stack([0 * recording.tau, recording.tau]), theta=np.zeros((len(recording.time), 2))
+    )
+
+
+@given(st.integers(0, 99), st.floats(0.05, 3.0))
+def test_a_saturated_torque_has_the_integrals_of_the_clipped_one(seed: int, limit: float) -> None:
+    """Over every hat function of the samples; the torque crosses both limits from one sample to the next."""
+    random = np.random.default_rng(seed)
+    recording = driven(np.cumsum(random.uniform(0.002, 0.02, 30)), random.normal(size=30))
+    clipped = TorqueSaturation(limit=limit).true_inputs(recording)
+    fine = np.linspace(recording.time[0], recording.time[-1], 200001)
+    exact = np.interp(fine, recording.time, recording.tau[:, 0]).clip(-limit, limit)
+    lost = exact - np.interp(fine, recording.time, clipped.tau[:, 0])
+    for hat in np.eye(30):
+        assert np.trapezoid(lost * np.interp(fine, recording.time, hat), fine) == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_saturated_torque_is_clipped_at_its_joint() -> None:
+    rig = Rig("arm", (POST, LINK, FORE))
+    recording = recording_of(rig)
+    levels = np.where(np.arange(12) < 6, 0.2, 0.7)
+    recording.tau[:, 1] = levels
+    clipped = TorqueSaturation(limit=0.3, link=2, column=1).true_inputs(recording)
+    np.testing.assert_array_equal(clipped.tau[:, 0], recording.tau[:, 0])
+    assert clipped.tau[:4, 1] == pytest.approx(0.2, abs=5e-3)
+    assert clipped.tau[8:, 1] == pytest.approx(0.3, abs=5e-3)
+
+
+def test_limits_are_counted_from_the_largest_torque() -> None:
+    recordings = [recording_of(HUB), replace(recording_of(HUB), tau=3 * recording_of(HUB).tau)]
+    peak = 3 * np.abs(recordings[0].tau).max()
+    (absent,) = TorqueSaturation().variants(HUB, recordings)
+    assert absent.at(np.array([1e-9])).limit == pytest.approx(peak)
+    assert absent.at(np.array([1.0])).limit == pytest.approx(peak / 3)
+    assert absent.at(np.array([-1.0])).is_null
+    for limit in (0.2 * peak, 0.9 * peak):
+        assert absent.at(replace(absent, limit=limit).coordinates).limit == pytest.approx(limit)
+    assert replace(absent, limit=1.1 * peak).coordinates == pytest.approx([0.0])
+    assert absent.bounds[0] == pytest.approx([0.0])
+
+
+def test_every_torque_changes_little_with_the_limit_next_to_the_largest() -> None:
+    recording = driven(np.arange(500) / 500, np.sin(np.arange(500) / 20))
+    (absent,) = TorqueSaturation().variants(HUB, [recording])
+    lost = [np.abs(absent.at(np.array([c])).true_inputs(recording).tau - recording.tau).max() for c in (1e-3, 1e-2)]
+    assert lost == pytest.approx([2e-3, 2e-2], rel=0.1)
+
+
+@pytest.mark.parametrize("effect", [ActuatorLag(), TorqueSaturation()], ids=lambda effect: effect.id)
+def test_without_a_torque_they_are_not_looked_for(effect: Effect) -> None:
+    unknown = replace(recording_of(HUB), tau=np.full((12, 1), np.nan))
+    assert "torque" in effect.untestable(HUB, [unknown])
+    assert effect.untestable(HUB, [unknown, recording_of(HUB)]) == ""
+
+
+def test_an_arm_that_is_never_driven_shows_no_limit() -> None:
+    idle = replace(recording_of(HUB), tau=np.zeros((12, 1)))
+    assert "driven" in TorqueSaturation().untestable(HUB, [idle])
