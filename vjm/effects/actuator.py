@@ -1,8 +1,8 @@
 """The actuator at an active joint: a torque that comes late, is clipped, or depends on the motor's angle.
 
-Between its samples a recorded torque is linear, and what an actuator makes of it is not. It is replaced by the piecewise
-linear function nearest in the mean square, which has the same integrals over each hat function of the samples, so that
-motion slower than the sampling cannot tell the two apart.
+Between its samples a recorded torque is linear, and what an actuator makes of it is not. That is replaced by the
+piecewise linear function nearest in the mean square, which has the same integrals over each hat function of the
+samples, so that motion slower than the sampling cannot tell the two apart.
 """
 
 from __future__ import annotations
