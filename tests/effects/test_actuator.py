@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from tests.effects.setups import FORE, LINK, POST, chain_of, recording_of
 from vjm.chain.virtual_links import Array
-from vjm.effects import ActuatorLag, Effect, TorqueSaturation
+from vjm.effects import ActuatorLag, Cogging, Effect, TorqueSaturation
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
@@ -159,3 +159,30 @@ def test_without_a_torque_they_are_not_looked_for(effect: Effect) -> None:
 def test_an_arm_that_is_never_driven_shows_no_limit() -> None:
     idle = replace(recording_of(HUB), tau=np.zeros((12, 1)))
     assert "driven" in TorqueSaturation().untestable(HUB, [idle])
+
+
+def test_cogging_is_a_wave_of_the_joint_s_angle() -> None:
+    chain, rng = chain_of(POST, LINK), np.random.default_rng(2)
+    joint, q = chain.active[0], rng.normal(size=(50, chain.size))
+    force = Cogging(amplitude=0.02, count=18.0, phase=0.4, link=1).force(chain, 0.0)
+    assert force is not None
+    found = force(np.zeros(50), q, 0 * q, np.zeros((50, 0)))
+    assert found[:, joint] == pytest.approx(0.02 * np.sin(18.0 * q[:, joint] + 0.4))
+    assert not np.delete(found, joint, axis=1).any()
+
+
+def test_a_joint_comes_to_rest_where_cogging_pulls_it() -> None:
+    """A rigid arm that is let go near a stable place swings about it with the frequency of that spring."""
+    stiff = replace(CHAIN, links=tuple(replace(link, stiffness=300 * link.stiffness) for link in CHAIN.links))
+    time, start = np.arange(1001) / 250, np.zeros(CHAIN.size)
+    start[0] = 0.002
+    arm = Arm.of(stiff, (Cogging(amplitude=0.05, count=20.0, phase=np.pi).placed(HUB, 0),))
+    (steps,) = simulate_trajectories([arm], [driven(time, 0 * time)], [start], [0 * start])
+    inertia = LINK.hub_inertia + LINK.mass * LINK.length**2 / 3
+    swing = 0.002 * np.cos(np.sqrt(0.05 * 20.0 / inertia) * time)
+    assert steps.angles(time)[:, 0] == pytest.approx(swing, abs=1e-4)
+
+
+def test_steps_follow_waves_that_pass_fast() -> None:
+    slow, fast = (Cogging(amplitude=0.01, count=count).max_step(CHAIN) for count in (10.0, 100.0))
+    assert slow == pytest.approx(10 * fast)

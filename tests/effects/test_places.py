@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
-from vjm.effects import BUILTIN, CameraRotation, ExternalTone, Hysteresis, ViscoelasticCreep
+from vjm.effects import BUILTIN, CameraRotation, Cogging, ExternalTone, Hysteresis, ViscoelasticCreep
 from vjm.records import Recording, Rig
 
 CLAMPED, HUB = Rig("post", (POST,)), Rig("hub", (LINK,))
@@ -23,6 +23,7 @@ JOINT = {
     "encoder_offset",
     "actuator_lag",
     "torque_saturation",
+    "cogging",
 }
 LINKS = {
     "clamp_compliance",
@@ -60,6 +61,14 @@ def test_tones_are_sought_down_to_one_period_of_the_longest_recording() -> None:
     slow = replace(recording_of(HUB), time=0.02 * np.arange(12))
     (tone,) = ExternalTone().variants(HUB, [recording_of(HUB), slow])
     assert tone.at(tone.bounds[0].clip(-1.0)).frequency == pytest.approx(1 / 0.22)
+
+
+def test_cogging_is_sought_down_to_one_wave_in_the_largest_turn() -> None:
+    turning = replace(recording_of(HUB), theta=np.linspace(0.2, 0.6, 12)[:, None])
+    (wave,) = Cogging().variants(HUB, [turning, replace(turning, theta=0.5 * turning.theta)])
+    assert wave.at(wave.bounds[0].clip(-9.0)).count == pytest.approx(2 * np.pi / 0.4)
+    resting = replace(turning, theta=np.zeros((12, 1)))
+    assert Cogging().variants(HUB, [resting])[0].bounds[0][2] == pytest.approx(np.log(1.0 / 24.0))
 
 
 def without(recording: Recording, *names: str) -> Recording:

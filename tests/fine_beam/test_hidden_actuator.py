@@ -57,9 +57,23 @@ def test_dry_friction_is_not_what_an_actuator_clips_or_delays() -> None:
 
 @pytest.mark.parametrize(
     ("physics", "error"),
-    [(Physics(actuator_lag_time_constant=0.005), 1e-7), (Physics(torque_saturation_limit=0.12), 3e-6)],
-    ids=["lag", "saturation"],
+    [
+        (Physics(actuator_lag_time_constant=0.005), 1e-7),
+        (Physics(torque_saturation_limit=0.12), 3e-6),
+        (Physics(cogging_amplitude=0.01, cogging_count=80.0), 1e-7),
+    ],
+    ids=["lag", "saturation", "cogging"],
 )
 def test_half_the_step_changes_next_to_nothing(physics: Physics, error: float) -> None:
     run = Run(drive(TIME))
     assert rms(alone(HUB, physics, run), alone(HUB, physics, run, step=0.5 * physics.step)) < error
+
+
+def test_cogging_goes_with_the_motor_s_angle() -> None:
+    physics = Physics(cogging_amplitude=0.05, cogging_count=18.0, cogging_phase=0.4)
+    motion = alone(RIGID, physics, Run(0.3 * np.sin(6.0 * TIME)))
+    turned = rigid(lambda t, y: 0.3 * np.sin(6.0 * t) + 0.05 * float(np.sin(18.0 * y[0] + 0.4)))
+    np.testing.assert_allclose(motion.theta, turned, atol=2e-5)
+    held = alone(HUB, physics, Run(held=True))
+    assert held.hold == pytest.approx(-0.05 * np.sin(0.4))
+    np.testing.assert_allclose(held.theta, 0.0, atol=1e-9)

@@ -2,6 +2,7 @@
 
 from vjm.effects import actuator, bending, joint, loads, sensors
 from vjm.effects.actuator import ActuatorLag as ActuatorLag
+from vjm.effects.actuator import Cogging as Cogging
 from vjm.effects.actuator import TorqueSaturation as TorqueSaturation
 from vjm.effects.bending import CubicStiffness as CubicStiffness
 from vjm.effects.bending import Hysteresis as Hysteresis
