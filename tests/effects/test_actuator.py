@@ -1,4 +1,4 @@
-"""Actuators: late and clipped torques against other ways to the same answer."""
+"""Actuators: late, clipped and uneven torques, and friction by speed, against other ways to the same answer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from tests.effects.setups import FORE, LINK, POST, chain_of, recording_of
 from vjm.chain.virtual_links import Array
-from vjm.effects import ActuatorLag, Cogging, Effect, TorqueSaturation
+from vjm.effects import ActuatorLag, Cogging, CoulombFriction, Effect, Stribeck, TorqueSaturation
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
@@ -186,3 +186,37 @@ def test_a_joint_comes_to_rest_where_cogging_pulls_it() -> None:
 def test_steps_follow_waves_that_pass_fast() -> None:
     slow, fast = (Cogging(amplitude=0.01, count=count).max_step(CHAIN) for count in (10.0, 100.0))
     assert slow == pytest.approx(10 * fast)
+
+
+def test_friction_falls_with_the_joint_s_rate() -> None:
+    """Along a motion that is given, it takes the integral of its torque over the way."""
+    time = np.linspace(0.0, 2.0, 20001)
+    q, v = np.zeros((2, time.size, CHAIN.size))
+    q[:, 0], v[:, 0] = 0.1 * np.sin(4 * time), 0.4 * np.cos(4 * time)
+    arm = Arm.of(CHAIN, (Stribeck(torque=0.008, speed=0.1),))
+    z = arm.follow(time, q, v)
+    push = arm.forces(0.0)
+    assert push is not None
+    work = np.trapezoid((push(time, q, v, z) * v).sum(axis=1), time)
+    expected = -0.008 * np.trapezoid(np.exp(-((v[:, 0] / 0.1) ** 2)) * np.abs(v[:, 0]), time)
+    assert work == pytest.approx(expected, rel=5e-3)
+
+
+def test_friction_by_speed_beside_coulomb_s_holds_both_torques() -> None:
+    stiff = replace(CHAIN, links=tuple(replace(link, stiffness=300 * link.stiffness) for link in CHAIN.links))
+    effects = tuple(each.placed(HUB, 0) for each in (CoulombFriction(torque=0.02), Stribeck(torque=0.03, speed=0.1)))
+    arm, time, rest = Arm.of(stiff, effects), np.arange(501) / 250, np.zeros(CHAIN.size)
+    for torque, moves in ((0.048, False), (0.052, True)):
+        ramp = torque * np.minimum(time, 1.0)
+        (steps,) = simulate_trajectories([arm], [driven(time, ramp)], [rest], [rest])
+        assert bool(np.abs(steps.angles(time)[:, 0]).max() > 5e-3) is moves
+
+
+def test_steadily_turning_fast_there_is_coulomb_s_friction_only() -> None:
+    stiff = replace(CHAIN, links=tuple(replace(link, stiffness=300 * link.stiffness) for link in CHAIN.links))
+    inertia, time = LINK.hub_inertia + LINK.mass * LINK.length**2 / 3, np.arange(251) / 250
+    turning = np.zeros(CHAIN.size)
+    turning[0] = 3.0
+    effects = CoulombFriction(torque=0.02).placed(HUB, 0), Stribeck(torque=0.03, speed=0.1).placed(HUB, 0)
+    (steps,) = simulate_trajectories([Arm.of(stiff, effects)], [driven(time, 0 * time)], [0 * turning], [turning])
+    assert steps.angles(time)[-1, 0] == pytest.approx(3.0 - 0.5 * 0.02 / inertia, abs=1e-3)

@@ -37,6 +37,7 @@ def test_coordinate_one_is_a_typical_magnitude(effect: Effect) -> None:
 POWERS = {  # of length, mass and time
     "": (0, 0, 0),
     "rad": (0, 0, 0),
+    "rad/s": (0, 0, -1),
     "per turn": (0, 0, 0),
     "rad/(N m)": (-2, -1, 2),
     "kg": (0, 1, 0),

@@ -24,6 +24,7 @@ JOINT = {
     "actuator_lag",
     "torque_saturation",
     "cogging",
+    "stribeck",
 }
 LINKS = {
     "clamp_compliance",

@@ -77,3 +77,33 @@ def test_cogging_goes_with_the_motor_s_angle() -> None:
     held = alone(HUB, physics, Run(held=True))
     assert held.hold == pytest.approx(-0.05 * np.sin(0.4))
     np.testing.assert_allclose(held.theta, 0.0, atol=1e-9)
+
+
+STRIBECK = Physics(coulomb_friction_torque=0.02, stribeck_torque=0.03, stribeck_speed=0.1)
+
+
+def test_friction_that_falls_with_speed_holds_what_friction_at_rest_does() -> None:
+    for torque, moves in ((0.049, False), (0.051, True)):
+        motion = alone(RIGID, STRIBECK, Run(np.full(501, torque)))
+        assert bool(np.abs(motion.theta).max() > 1e-3) is moves
+
+
+def test_friction_falls_with_the_speed_of_a_rigid_arm() -> None:
+    """Pushed to and fro as hard as friction at rest allows it to go on at once."""
+    torque = 0.3 * np.cos(8.0 * TIME)
+
+    def friction(t: float, y: Array) -> float:
+        level = 0.02 + 0.03 * np.exp(-((y[1] / 0.1) ** 2))
+        return float(0.3 * np.cos(8.0 * t) - level * np.tanh(y[1] / 1e-5))
+
+    motion = alone(RIGID, STRIBECK, Run(torque))
+    np.testing.assert_allclose(motion.theta, rigid(friction), atol=6e-5)
+    constant = replace(STRIBECK, coulomb_friction_torque=0.05, stribeck_torque=0.0)
+    assert np.abs(motion.theta - alone(RIGID, constant, Run(torque)).theta).max() > 3e-3
+
+
+def test_friction_at_high_speed_is_coulomb_s_alone() -> None:
+    fast = Run(push=np.eye(2 * 9)[9] * 3.0)
+    start = alone(RIGID, Physics(), fast).rates[:, 0]
+    slowed = alone(RIGID, STRIBECK, fast).rates[:, 0]
+    np.testing.assert_allclose((start - slowed)[[100, 400]], 0.02 / INERTIA * TIME[[100, 400]], rtol=1e-3)
