@@ -47,7 +47,7 @@ def spectral_starts(
 def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> tuple[list[float], float]:
     """Return numbers of waves in a turn whose torques explain most of the residuals, and how many are independent.
 
-    The torque's wave goes along with the joint's simulated angle. What it does is that of the arm's modes about rest.
+    What a torque does is that of the arm's modes about rest.
     """
     assert isinstance(variant, JointEffect)
     kinds = [(run, run.observed.recording) for run in runs]
@@ -79,6 +79,17 @@ def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> tuple[list[float], f
     return peaks, float(highest - lowest) / resolution
 
 
+def _joint_angle(run: Run, joint: int) -> Array:
+    """Return the measured angle (S + 1,) of a joint at the simulation's instants [rad]; if there is none, its own.
+
+    Of many waves in a turn, a simulation that is a little off soon has a different phase.
+    """
+    recording, path = run.observed.recording, run.trajectory
+    theta = recording.theta[:, int(np.searchsorted(run.chain.active, joint))]
+    known = np.isfinite(theta)
+    return np.interp(path.time, recording.time[known], theta[known]) if known.any() else path.q[:, joint]
+
+
 def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array]:
     """Return what torques exp(i count q) (C,) at a joint do to the predictions (N, C), and the residuals (N,).
 
@@ -95,7 +106,7 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
     flow, phi1, phi2, _ = phi_functions(oscillators, path.step, 1)
     # Torques that are linear over each step.
     early, late = (path.step * shapes[joint, :, None] * phi[:, :, 1] for phi in (phi1 - phi2, phi2))
-    waves = np.exp(1j * np.multiply.outer(path.q[:, joint], counts))
+    waves = np.exp(1j * np.multiply.outer(_joint_angle(run, joint), counts))
     state = np.zeros((m, 2, c + 2 * m), dtype=complex)
     state[np.repeat(range(m), 2), np.tile((0, 1), m), c + np.arange(2 * m)] = 1.0
     moved = np.empty((len(path.time), m, c + 2 * m), dtype=np.complex64)  # memory takes the time
