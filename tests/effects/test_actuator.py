@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from tests.effects.setups import FORE, LINK, POST, chain_of, recording_of
+from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
 from vjm.effects import ActuatorLag, Cogging, CoulombFriction, Effect, Stribeck, TorqueSaturation
 from vjm.records import Recording, Rig
@@ -18,6 +19,18 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 
 HUB, CHAIN = Rig("hub", (LINK,)), chain_of(LINK)
+
+BEAM = Beam(LINK.length, LINK.mass, LINK.bending_stiffness, 5e-4, joint="revolute", hub_inertia=LINK.hub_inertia)
+BOTH_WAYS = [
+    (ActuatorLag(time_constant=0.008), Physics(actuator_lag_time_constant=0.008), 3e-3),
+    (TorqueSaturation(limit=0.05), Physics(torque_saturation_limit=0.05), 1e-3),
+    (
+        Cogging(amplitude=0.006, count=40.0, phase=0.5),
+        Physics(cogging_amplitude=0.006, cogging_count=40.0, cogging_phase=0.5),
+        2e-3,
+    ),
+    (Stribeck(torque=0.006, speed=0.12), Physics(stribeck_torque=0.006, stribeck_speed=0.12), 1e-2),
+]
 
 
 def driven(time: Array, torque: Array) -> Recording:
@@ -220,3 +233,17 @@ def test_steadily_turning_fast_there_is_coulomb_s_friction_only() -> None:
     effects = CoulombFriction(torque=0.02).placed(HUB, 0), Stribeck(torque=0.03, speed=0.1).placed(HUB, 0)
     (steps,) = simulate_trajectories([Arm.of(stiff, effects)], [driven(time, 0 * time)], [0 * turning], [turning])
     assert steps.angles(time)[-1, 0] == pytest.approx(3.0 - 0.5 * 0.02 / inertia, abs=1e-3)
+
+
+@pytest.mark.parametrize(("effect", "physics", "error"), BOTH_WAYS, ids=lambda each: getattr(each, "id", None))
+def test_the_continuous_beam_says_the_same(effect: Effect, physics: Physics, error: float) -> None:
+    """Encoders' angles by two simulations that share nothing, over what the effect changes of them."""
+    time, chain = np.arange(1501) / 500, chain_of(LINK, n=10, kelvin_voigt=5e-4)
+    torque = 0.06 * np.sin(5.7 * time + 0.4) * np.minimum(4 * time, 1.0) + 0.03 * np.sin(14.5 * time)
+    rest = np.zeros(chain.size)
+    (steps,) = simulate_trajectories([Arm.of(chain, (effect.placed(HUB, 0),))], [driven(time, torque)], [rest], [rest])
+    (beam,) = simulate_runs(BEAM, physics, time, [Run(torque)])
+    (plain,) = simulate_runs(BEAM, Physics(), time, [Run(torque)])
+    off, change = steps.angles(time)[:, 0] - beam.theta, beam.theta - plain.theta
+    assert np.abs(change).max() > 1e-3
+    assert np.linalg.norm(off) < error * np.linalg.norm(change)

@@ -134,6 +134,14 @@ class Stribeck(_DryFriction):
         """Share of the torque at rest that there is at rates (...) [rad/s]."""
         return np.asarray(np.exp(-((rate / self.speed) ** 2)))
 
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s] that resolves sticking.
+
+        It acts about reversals only, so that a bristle's delay there is a larger part of what it does: with half the
+        step, torque and speed come out as if they were 1 % smaller and larger instead of 3 %.
+        """
+        return super().max_step(chain) / 2
+
 
 @dataclass(frozen=True)
 class ViscousFriction(JointEffect):
