@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.diagnosis.rigs import chain_of, point_of, recorded
-from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, cut, refit
-from vjm.effects import CoulombFriction, CubicStiffness, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
+from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
+from vjm.diagnosis import selection
+from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, cut, information_of, refit
+from vjm.effects import (
+    ActuatorLag,
+    CoulombFriction,
+    CubicStiffness,
+    Effect,
+    GearElasticity,
+    ViscoelasticCreep,
+    ViscousFriction,
+)
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
 from vjm.identification.trajectory_fit import (
@@ -22,6 +32,8 @@ from vjm.identification.trajectory_fit import (
 )
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 Array = NDArray[np.float64]
@@ -133,3 +145,40 @@ def missing_step(effect: Effect) -> tuple[Point, _TrajectoryStep, Array]:
     off = np.zeros(2 * arm.chain.size)
     off[arm.chain.size] = 0.1
     return point, _TrajectoryStep(20.0, 1.0, np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0]), off
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_lag_is_right_in_recordings_that_begin_in_motion(seed: int) -> None:
+    """What the torque was before is not known; initial states, which are estimated, take over what that does."""
+    truth = ActuatorLag(link=0, time_constant=0.012)
+    begun = []
+    for recording in recorded(Arm.of(chain_of(), (truth,)), seed, duration=3.0):
+        later = slice(int(np.searchsorted(recording.time, 0.7)), None)
+        columns = {name: getattr(recording, name)[later] for name in ("time", "theta", "tau", "markers")}
+        begun.append(replace(recording, **columns))
+    assert all(np.abs(recording.tau[0]) > 0.01 for recording in begun)
+    point = point_of(chain_of(), (), begun)
+    problem = replace(point.problem, effects=(truth,))
+    fit = fit_trajectory(problem, np.r_[point.x, replace(truth, time_constant=0.004).coordinates])
+    lag = fit.effects[0].coordinates[0]
+    std = float(np.sqrt(information_of(fit).covariance[-1, -1]))
+    assert fit.misfit == pytest.approx(1.0, abs=0.03)
+    assert abs(lag - truth.coordinates[0]) < 3 * std
+    assert std < 0.01 * lag
+
+
+def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Segments of a wrong model may be followed all the same."""
+    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
+
+    def diverging(arms: Sequence[Arm], observed: Sequence[Observations], *rest: object) -> list[tuple[Run, bool]]:
+        if any(one.recording.file == "drive_1.csv" for one in observed):
+            raise SimulationDivergedError(1.0, 0.005, "no remedy")
+        return fit_initial_states(arms, observed, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(selection, "fit_initial_states", diverging)
+    search = selection.Search(RIG, TrajectoryFit(point), [], selection.Rules(), lambda text: None)
+    in_parts = TrajectoryFit(replace(point, runs=(*point.runs, *point.runs)))
+    found = search.open_loop(in_parts).point
+    assert [run.observed.recording.file for run in found.runs] == ["drive_0.csv"]
+    assert len(found.problem.observed) == 1

@@ -17,6 +17,7 @@ from vjm.effects import (
     CameraRotation,
     CameraScale,
     ClampCompliance,
+    Cogging,
     CoulombFriction,
     CubicStiffness,
     Effect,
@@ -228,6 +229,30 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     for effect in candidate_set.variants:
         typical = effect.parameters[1].typical_magnitude
         assert effect.bounds[0][2] == pytest.approx(np.log(0.5 / typical), rel=1e-3)
+
+
+@pytest.mark.parametrize("noise", [(3e-6, 1e-2), (1e-1, 1e-6)], ids=["markers", "encoder"])
+@pytest.mark.parametrize("count", [23.0, 41.0])
+def test_cogging_is_looked_for_at_the_count_that_either_sensor_shows(noise: tuple[float, float], count: float) -> None:
+    chain = chain_of()
+    wave = replace(sized(bound(Cogging()), 0.3), count=count)
+    point = point_of(chain, (), recorded(Arm.of(chain, (wave,)), 7, noise=noise, factor=3.0), noise)
+    candidate_set = CandidateSet.of([Cogging()], RIG, [run.observed.recording for run in point.runs], point.runs)
+    counts = [effect.values["count"] for effect in candidate_set.variants]
+    turn = max(float(np.ptp(run.trajectory.q[:, 0])) for run in point.runs)
+    resolution = 2 * np.pi / turn
+    assert min(abs(each - count) for each in counts) < 0.3 * resolution < 0.15 * count
+    seen = Screen.of(point, (), candidate_set.variants)
+    assert abs(counts[int(np.argmax(seen.statistics))] - count) < 0.3 * resolution
+    assert (candidate_set.multiplicity >= 1).all()
+
+
+def test_a_joint_that_hardly_turns_shows_no_cogging() -> None:
+    chain = chain_of()
+    point = point_of(chain, (), recorded(Arm(chain), 7, factor=1e-3))
+    candidate_set = CandidateSet.of([Cogging()], RIG, [run.observed.recording for run in point.runs], point.runs)
+    assert candidate_set.variants == ()
+    assert "turn too little" in candidate_set.untestable[0].reason
 
 
 def test_beside_a_fit_without_a_hub_a_gear_is_no_candidate() -> None:

@@ -38,7 +38,7 @@ from vjm.simulation.integrate import simulate_trajectories
 
 HUB = chain_of(LINK)
 # What has internal states may give back what it took: the contract follows it over a motion.
-LOSSES = [effect for effect in PRESENT if effect.dissipative and not isinstance(effect, CoulombFriction)]
+LOSSES = [effect for effect in PRESENT if effect.dissipative and not effect.nonsmooth]
 
 
 def force(effect: Effect, chain: Chain, q: Array, v: Array, time: float = 0.0, states: Sequence[float] = ()) -> Array:

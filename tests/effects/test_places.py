@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
-from vjm.effects import BUILTIN, CameraRotation, ExternalTone, Hysteresis, ViscoelasticCreep
+from vjm.effects import BUILTIN, CameraRotation, Cogging, ExternalTone, Hysteresis, ViscoelasticCreep
 from vjm.records import Recording, Rig
 
 CLAMPED, HUB = Rig("post", (POST,)), Rig("hub", (LINK,))
@@ -21,6 +21,10 @@ JOINT = {
     "gear_elasticity",
     "backlash",
     "encoder_offset",
+    "actuator_lag",
+    "torque_saturation",
+    "cogging",
+    "stribeck",
 }
 LINKS = {
     "clamp_compliance",
@@ -60,6 +64,14 @@ def test_tones_are_sought_down_to_one_period_of_the_longest_recording() -> None:
     assert tone.at(tone.bounds[0].clip(-1.0)).frequency == pytest.approx(1 / 0.22)
 
 
+def test_cogging_is_sought_down_to_one_wave_in_the_largest_turn() -> None:
+    turning = replace(recording_of(HUB), theta=np.linspace(0.2, 0.6, 12)[:, None])
+    (wave,) = Cogging().variants(HUB, [turning, replace(turning, theta=0.5 * turning.theta)])
+    assert wave.at(wave.bounds[0].clip(-9.0)).count == pytest.approx(2 * np.pi / 0.4)
+    resting = replace(turning, theta=np.zeros((12, 1)))
+    assert Cogging().variants(HUB, [resting])[0].bounds[0][2] == pytest.approx(np.log(1.0 / 24.0))
+
+
 def without(recording: Recording, *names: str) -> Recording:
     return replace(recording, **{name: np.full_like(getattr(recording, name), np.nan) for name in names})
 
@@ -75,7 +87,8 @@ def test_everything_shows_where_everything_is_measured() -> None:
 
 
 def test_without_a_torque_there_is_none_that_is_wrong() -> None:
-    assert set(blind_effects(HUB, without(recording_of(HUB), "tau"))) == {"torque_gain", "torque_offset"}
+    recorded = {"torque_gain", "torque_offset", "actuator_lag", "torque_saturation"}
+    assert set(blind_effects(HUB, without(recording_of(HUB), "tau"))) == recorded
 
 
 def test_without_an_encoder_there_is_none_that_is_wrong() -> None:

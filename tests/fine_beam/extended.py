@@ -29,12 +29,13 @@ class Fields(NamedTuple):
 
 
 class Parts(NamedTuple):
-    """Where in a state y (B, d) the coordinates, rates, Maxwell arms' coordinates and slips are."""
+    """Where in a state y (B, d) the coordinates, rates, Maxwell arms' coordinates, slips and a late torque are."""
 
     coordinates: slice
     rates: slice
     maxwell: slice
     slip: slice
+    torque: slice
 
 
 class Extended:
@@ -55,7 +56,7 @@ class Extended:
         self.arc: Array = physics.rest_curvature_curvature * basis.nodes
         self.tip_heading: Array = self._tip_heading()
         self.parts = self._parts(size, nodes)
-        self.dimension: int = self.parts.slip.stop
+        self.dimension: int = self.parts.torque.stop
         self.gravity: Array = np.add(beam.gravity, (physics.in_plane_gravity_gx, physics.in_plane_gravity_gy))
         tips = beam.payload + physics.tip_payload_mass + np.asarray(payloads, dtype=float)
         self.tip_masses, self.group = np.unique(tips, return_inverse=True)
@@ -74,7 +75,8 @@ class Extended:
         n = self.size
         maxwell = 2 * n + (size if self.physics.viscoelastic_creep_ratio != 0.0 else 0)
         slip = maxwell + (nodes if self.physics.hysteresis_ratio != 0.0 else 0)
-        return Parts(slice(0, n), slice(n, 2 * n), slice(2 * n, maxwell), slice(maxwell, slip))
+        torque = slip + (1 if self.revolute and self.physics.actuator_lag_time_constant > 0.0 else 0)
+        return Parts(slice(0, n), slice(n, 2 * n), slice(2 * n, maxwell), slice(maxwell, slip), slice(slip, torque))
 
     def _set_masses(self) -> None:
         """Kernels (N, N) and masses beyond each node (N,) of the distinct payloads; one for each member."""
@@ -135,6 +137,9 @@ class Extended:
             matrix[parts.maxwell, parts.maxwell] = -np.eye(arms.shape[1]) / (
                 self.physics.viscoelastic_creep_time_constant
             )
+        if parts.torque.stop > parts.torque.start:
+            matrix[parts.rates, parts.torque] = np.linalg.solve(self.mass[k], np.eye(n)[:, :1])
+            matrix[parts.torque, parts.torque] = -1.0 / self.physics.actuator_lag_time_constant
         return matrix
 
     def fields(self, state: Array) -> Fields:
@@ -215,10 +220,13 @@ class Extended:
         return np.asarray(self.beam.bending_stiffness * extra)
 
     def _add_joint(self, force: Array, coordinates: Array, rates: Array, torque: Array) -> None:
-        """Torque, spring and viscous friction at the joint, and the play behind it."""
+        """Torque, spring, viscous friction and cogging at the joint, and the play behind it."""
         physics = self.physics
         force[:, 0] += torque - physics.joint_spring_stiffness * coordinates[:, 0]
         force[:, 0] -= physics.viscous_friction_coefficient * rates[:, 0]
+        if physics.cogging_amplitude:
+            turn = physics.cogging_count * coordinates[:, 0] + physics.cogging_phase
+            force[:, 0] += physics.cogging_amplitude * np.sin(turn)
         if self.motor and physics.backlash_gap > 0.0:
             twist, twist_rate = coordinates[:, 0] - coordinates[:, 1], rates[:, 0] - rates[:, 1]
             passed = transmission_torque(physics, self.beam.hub_inertia, twist, twist_rate)

@@ -44,6 +44,11 @@ class Physics:
         stiffness_drift_rate: of the bending stiffness EI (1 + rate t), 1/s.
         rest_curvature_curvature: of the unloaded link, 1/m.
         external_tone_amplitude, external_tone_frequency, external_tone_phase: tip force normal to the link; N, Hz, rad.
+        actuator_lag_time_constant: of the true torque behind the one that is asked for, s.
+        torque_saturation_limit: to which the torque that is asked for is clipped, N m.
+        cogging_amplitude, cogging_count, cogging_phase: torque by the motor's angle; N m, waves in a turn, rad.
+        stribeck_torque, stribeck_speed: what dry friction at rest exceeds that of fast motion by, and the rate at which
+            a part 1/e of it is left; N m, rad/s.
     """
 
     tip_payload_mass: float = 0.0
@@ -70,6 +75,13 @@ class Physics:
     external_tone_amplitude: float = 0.0
     external_tone_frequency: float = 1.0
     external_tone_phase: float = 0.0
+    actuator_lag_time_constant: float = 0.0
+    torque_saturation_limit: float = inf
+    cogging_amplitude: float = 0.0
+    cogging_count: float = 24.0
+    cogging_phase: float = 0.0
+    stribeck_torque: float = 0.0
+    stribeck_speed: float = 0.1
 
     @property
     def has_motor(self) -> bool:
@@ -81,7 +93,18 @@ class Physics:
         """Longest step that follows what is not smooth, s."""
         if self.backlash_gap > 0.0:
             return 5e-4
-        return 1e-3 if self.coulomb_friction_torque > 0.0 else 2e-3
+        abrupt = self.has_dry_friction or isfinite(self.torque_saturation_limit) or self.cogging_amplitude != 0.0
+        return 1e-3 if abrupt else 2e-3
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether the joint may stick."""
+        return self.coulomb_friction_torque > 0.0 or self.stribeck_torque > 0.0
+
+    def dry_friction(self, rate: Array) -> Array:
+        """Largest dry friction at the joint, N m, (B,), at rates of it, rad/s, (B,)."""
+        falling = np.exp(-((rate / self.stribeck_speed) ** 2))
+        return np.asarray(self.coulomb_friction_torque + self.stribeck_torque * falling)
 
     @property
     def nodes(self) -> int:

@@ -127,6 +127,7 @@ def simulate_runs(
         bend = state[:, extended.parts.coordinates] @ extended.curvature.T
         state[:, extended.parts.slip] = np.clip(bend, -yields, yields)
     drive = _drive(time, runs, holds)
+    state[:, extended.parts.torque] = drive.start[0, :, None]
     states = Stepper(extended).run(time, drive, state, physics.step if step is None else step)
     return [
         Motion(_extended(beam, physics, [run], size), time, states[:, k], float(holds[k])) for k, run in enumerate(runs)

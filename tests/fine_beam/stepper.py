@@ -13,6 +13,7 @@ from tests.fine_beam.integrator import phi_functions
 Array = NDArray[np.float64]
 
 _STILL = 1e-10  # rad/s; a joint slower than this at the end of a step sticks
+_SAME = 1e-10  # N m; friction that a further trial would change less is found
 _MOST_TRIALS = 12
 _SPLITS = 7  # of a step in which dry friction changes: 16 us remain of 2 ms
 
@@ -40,7 +41,7 @@ class Stepper:
 
     def __init__(self, beam: Extended) -> None:
         self._beam = beam
-        self._friction = beam.physics.coulomb_friction_torque if beam.revolute else 0.0
+        self._sticks = beam.revolute and beam.physics.has_dry_friction
         groups = range(len(beam.tip_masses))
         self._linear = [beam.linear(k) for k in groups]
         rates = np.stack([matrix[beam.parts.rates].T for matrix in self._linear])
@@ -55,10 +56,11 @@ class Stepper:
         for k, interval in enumerate(np.diff(time)):
             count = max(1, int(np.ceil(interval / longest - 1e-6)))
             length = round(interval / count, 12)
-            torques = np.linspace(drive.start[k], drive.end[k], 2 * count + 1)
+            limit = self._beam.physics.torque_saturation_limit
+            torques = np.clip(np.linspace(drive.start[k], drive.end[k], 2 * count + 1), -limit, limit)
             for step in range(count):
                 given, now = torques[2 * step : 2 * step + 3], time[k] + step * length
-                if self._friction:
+                if self._sticks:
                     state, friction = self._cover(state, now, length, given, friction, _SPLITS)
                 else:
                     state = self._advance(state, now, length, given)
@@ -84,17 +86,18 @@ class Stepper:
     ) -> tuple[Array, Array] | None:
         """One step with friction (B,), constant over it and in [-T, T]; the states and the friction.
 
-        A joint that moves at the end had all the friction against it; any other ends at rest. Under `whole`, None as
-        soon as a joint that moved stops or a joint at rest does not stay so.
+        A joint that moves at the end had all the friction against it; any other ends at rest. T is that at the rate in
+        the middle of the step. Under `whole`, None as soon as a joint that moved stops or a joint at rest does not stay
+        so.
         """
-        joint, limit = self._beam.parts.rates.start, self._friction
+        joint, level = self._beam.parts.rates.start, self._beam.physics.dry_friction
         before = state[:, joint]
         resting = np.abs(before) < _STILL
-        friction = np.where(resting, guess, -limit * np.sign(before))
+        friction = np.where(resting, guess, -level(before) * np.sign(before))
         gain = np.full(len(state), length / self._inertia())  # rad/s of the joint for 1 N m over the step
         previous = None
         for _ in range(_MOST_TRIALS):
-            trial = self._advance(state, time, length, torques + friction)
+            trial = self._advance(state, time, length, torques, friction)
             rate = trial[:, joint]
             if whole and np.any(~resting & (rate * before <= 0.0)):
                 return None
@@ -102,8 +105,9 @@ class Stepper:
                 change = friction - previous[0]
                 moved = np.abs(change) > 1e-12
                 gain[moved] = (rate - previous[1])[moved] / change[moved]
+            limit = level(0.5 * (before + rate))
             wanted = np.clip(friction - rate / gain, -limit, limit)
-            if np.all((wanted == friction) | (np.abs(rate) < _STILL)):
+            if np.all((np.abs(wanted - friction) < _SAME) | (np.abs(rate) < _STILL)):
                 break
             previous = friction, rate
             friction = wanted
@@ -114,25 +118,30 @@ class Stepper:
         share = 0.5 if self._beam.motor else 1.0
         return share * self._beam.beam.hub_inertia + 0.002 * self._beam.beam.mass * self._beam.beam.length**2
 
-    def _advance(self, state: Array, time: float, length: float, torques: Array) -> Array:
-        """One step of `length` s with torques (3, B) at its start, middle and end."""
+    def _advance(
+        self, state: Array, time: float, length: float, torques: Array, friction: Array | float = 0.0
+    ) -> Array:
+        """One step of `length` s with torques (3, B) at its start, middle and end, and constant friction (B,)."""
         weights = self._weights_of(length)
         middle = time + 0.5 * length
-        first = self._remainder(state, time, torques[0])
+        first = self._remainder(state, time, torques[0], friction)
         free = _times(weights.half, state)
         stage = free + _times(weights.half_weight, first)
-        second = self._remainder(stage, middle, torques[1])
-        third = self._remainder(free + _times(weights.half_weight, second), middle, torques[1])
+        second = self._remainder(stage, middle, torques[1], friction)
+        third = self._remainder(free + _times(weights.half_weight, second), middle, torques[1], friction)
         last = _times(weights.half, stage) + _times(weights.half_weight, 2.0 * third - first)
-        fourth = self._remainder(last, time + length, torques[2])
+        fourth = self._remainder(last, time + length, torques[2], friction)
         driven = _times(weights.first, first) + _times(weights.middle, second + third) + _times(weights.last, fourth)
         return _times(weights.whole, state) + driven
 
-    def _remainder(self, state: Array, time: float, torque: Array) -> Array:
+    def _remainder(self, state: Array, time: float, torque: Array, friction: Array | float) -> Array:
         """Time derivative of the states less its linear part, (B, d)."""
         parts = self._beam.parts
         derivative = np.zeros_like(state)
-        exact = self._beam.accelerations(state, time, torque)
+        if parts.torque.stop > parts.torque.start:
+            derivative[:, parts.torque.start] = torque / self._beam.physics.actuator_lag_time_constant
+            torque = state[:, parts.torque.start]
+        exact = self._beam.accelerations(state, time, torque + friction)
         derivative[:, parts.rates] = exact - _times(self._linear_rates, state)
         if parts.slip.stop > parts.slip.start:
             derivative[:, parts.slip] = self._beam.slip_rates(state)

@@ -65,6 +65,10 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "lens_distortion": {"k1": Size(0.01, True)},
     "rolling_shutter": {"readout": Size(0.005, True)},
     "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
+    "actuator_lag": {"time_constant": Size(0.005)},
+    "torque_saturation": {"limit": Size(0.2, reciprocal=True)},
+    "cogging": {"amplitude": Size(0.006)},
+    "stribeck": {"torque": Size(0.006)},
 }
 # A tilt: its two components come from one angle and one direction.
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
@@ -78,7 +82,8 @@ CLAMPED_FACTORS: Mapping[str, float] = {
 }
 
 EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES)
-_JOINT = ("coulomb_friction", "viscous_friction", "joint_spring", "torque_gain", "torque_offset")
+_ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
+_JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one.
 ONLY_WITH_HUB = (*_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
 
@@ -173,6 +178,11 @@ def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
             return {"yield_angle": 0.05 * spread}
         case "external_tone":
             return {"frequency": random.uniform(1.5, 12.0), "phase": random.uniform(0.0, 2.0 * np.pi)}
+        case "stribeck":
+            return {"speed": 0.1 * spread}
+        case "cogging":
+            count = round(12.0 * 8.0 ** random.uniform())  # slots times poles, up to 96
+            return {"count": float(count), "phase": random.uniform(0.0, 2.0 * np.pi)}
         case "marker_offset":
             return {"marker": float(random.integers(1, 6))}
     return {}

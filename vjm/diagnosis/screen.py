@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from multiprocessing import get_context
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from scipy import stats
@@ -26,6 +26,7 @@ from scipy import stats
 from vjm.chain.curve import transfer_state
 from vjm.diagnosis.candidate_fit import LEAST_START
 from vjm.diagnosis.records import Candidate
+from vjm.diagnosis.search_starts import spectral_starts
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
@@ -394,7 +395,7 @@ class CandidateSet:
             effects: absent effects, without a place.
             rig: the arm.
             recordings: what was measured.
-            runs: simulations of these or of their segments; frequencies of periodic forces are those of the residuals.
+            runs: simulations of these or of their segments; periodic forces and torques are as the residuals are.
         """
         variants: list[Effect] = []
         multiplicity: list[float] = []
@@ -407,57 +408,12 @@ class CandidateSet:
             own, tests = effect.variants(rig, recordings), 1.0
             for parameter in effect.parameters:
                 if parameter.from_spectrum:
-                    peaks, frequencies = _residual_peaks(recordings, runs)
-                    places = {variant.link: variant for variant in own}.values()
-                    changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
-                    own = tuple(replace(variant, **change) for variant in places for change in changes)
-                    tests = frequencies / max(len(own), 1)
+                    own, tests = spectral_starts(parameter, own, recordings, runs)
+            if not own:
+                untestable.append(Candidate.untestable(effect, "the joints turn too little to show a whole wave"))
             variants += own
             multiplicity += [tests] * len(own)
         return cls(tuple(variants), np.array(multiplicity), tuple(untestable))
-
-
-def _residual_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> tuple[list[float], float]:
-    """Frequencies of the residuals' highest spectral peaks [Hz], and the number of independent frequencies searched.
-
-    Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
-    """
-    time = max((recording.time[recording.frames] for recording in recordings), key=lambda t: float(np.ptp(t)))
-    duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
-    highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its image
-    frequencies = np.arange(1 / duration, highest, 1 / (4 * duration))  # between two, a peak loses 5 % at most
-    peaks: list[float] = []
-    for chosen in ([run for run in runs if run.observed.recording.kind == "quiet"], runs):
-        power, first = _power(chosen, frequencies), len(peaks)
-        for k in np.argsort(power)[::-1].tolist() if chosen else ():
-            # Half the width of the main lobe of Hann's window (Harris, Proceedings of the IEEE 66, 1978).
-            if all(abs(frequencies[k] - peak) > 2.0 / duration for peak in peaks):
-                peaks.append(float(frequencies[k]))
-            if len(peaks) == first + 3:  # more tones at once have not been met
-                break
-    return peaks, duration * highest
-
-
-def _power(runs: Sequence[Run], frequencies: Array) -> Array:
-    """Power of the residuals (F,), all recordings, marker coordinates and encoders together."""
-    power = np.zeros(frequencies.size)
-    for file in dict.fromkeys(run.observed.recording.file for run in runs):
-        parts = [run for run in runs if run.observed.recording.file == file]
-        grids = [(run.observed.recording.time, *run.observed.on_grid(run.residual)) for run in parts]
-        frames = [time[run.observed.frames] for run, (time, _, _) in zip(parts, grids, strict=True)]
-        end = max(float(time[-1]) for time, _, _ in grids) - parts[0].observed.began
-        for times, residuals in (
-            (frames, [markers for _, markers, _ in grids]),
-            ([time for time, _, _ in grids], [angles for _, _, angles in grids]),
-        ):
-            instants, residual = np.concatenate(times) - parts[0].observed.began, np.concatenate(residuals)
-            known = np.isfinite(residual).any(axis=1)
-            if known.any():
-                # Hann's window: what drifts slowly must not leak into all other frequencies.
-                window = np.sin(np.pi * instants[known] / max(end, 1e-300)) ** 2
-                waves = np.exp(-2j * np.pi * np.outer(frequencies, instants[known])) * window
-                power += np.sum(np.abs(waves @ np.nan_to_num(residual[known])) ** 2, axis=1) / np.sum(window**2)
-    return power
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ The same search in the reference recordings alone finds what was there before a 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,6 +37,7 @@ from vjm.identification.discretization import DiscretizationBias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.run import Run
 
 Tell = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
@@ -215,13 +217,30 @@ class Search:
         return min(base, other, key=lambda fit: fit.chi2)
 
     def open_loop(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Return a model in whole recordings, from their most likely initial states where it was not fitted to them."""
+        """Return a model in whole recordings, from their most likely initial states where it was not fitted to them.
+
+        Recordings that it cannot be simulated over are left out.
+        """
         if len(fit.point.runs) == len(self.whole):
             return fit
         problem = replace(fit.point.problem, observed=self.whole)
-        states = [state_at(fit.point.runs, one) for one in self.whole]
-        likely = fit_initial_states(problem.arms(fit.point.x), self.whole, states, problem.step_multiple)
-        return TrajectoryFit(Point(problem, fit.point.x, tuple(run for run, _ in likely)))
+        arms = problem.arms(fit.point.x)
+
+        def likely(chosen: Sequence[int]) -> list[Run]:
+            states = [state_at(fit.point.runs, self.whole[k]) for k in chosen]
+            own = [self.whole[k] for k in chosen]
+            found = fit_initial_states([arms[k] for k in chosen], own, states, problem.step_multiple)
+            return [run for run, _ in found]
+
+        try:
+            runs = likely(range(len(arms)))
+        except SimulationDivergedError:  # what follows segments may leave whole recordings, as negative damping does
+            runs = []
+            for k in range(len(arms)):
+                with contextlib.suppress(SimulationDivergedError):
+                    runs += likely([k])
+        problem = replace(problem, observed=tuple(run.observed for run in runs))
+        return TrajectoryFit(Point(problem, fit.point.x, tuple(runs)))
 
     def next_best(self, result: SearchResult) -> TrajectoryFit | None:
         """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""

@@ -1,6 +1,9 @@
 """Effects that a model may lack: candidate physics and sensor faults, one small class each."""
 
-from vjm.effects import bending, joint, loads, sensors
+from vjm.effects import actuator, bending, joint, loads, sensors
+from vjm.effects.actuator import ActuatorLag as ActuatorLag
+from vjm.effects.actuator import Cogging as Cogging
+from vjm.effects.actuator import TorqueSaturation as TorqueSaturation
 from vjm.effects.bending import CubicStiffness as CubicStiffness
 from vjm.effects.bending import Hysteresis as Hysteresis
 from vjm.effects.bending import RestCurvature as RestCurvature
@@ -19,6 +22,7 @@ from vjm.effects.joint import ClampCompliance as ClampCompliance
 from vjm.effects.joint import CoulombFriction as CoulombFriction
 from vjm.effects.joint import GearElasticity as GearElasticity
 from vjm.effects.joint import JointSpring as JointSpring
+from vjm.effects.joint import Stribeck as Stribeck
 from vjm.effects.joint import TorqueGain as TorqueGain
 from vjm.effects.joint import TorqueOffset as TorqueOffset
 from vjm.effects.joint import ViscousFriction as ViscousFriction
@@ -39,7 +43,7 @@ from vjm.effects.sensors import TimeOffset as TimeOffset
 # One absent instance of each public effect in these modules.
 BUILTIN: tuple[Effect, ...] = tuple(
     kind()
-    for module in (loads, joint, bending, sensors)
+    for module in (loads, joint, actuator, bending, sensors)
     for name, kind in vars(module).items()
     if isinstance(kind, type) and issubclass(kind, Effect) and kind.__module__ == module.__name__ and name[0] != "_"
 )

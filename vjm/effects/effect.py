@@ -42,8 +42,10 @@ class Parameter:
     upper: float = np.inf
     grid: tuple[float, ...] = ()  # values of a shape parameter from which searches start
     reciprocal: bool = False  # the effect grows with one over the value, whose null is infinite
+    threshold: float = np.inf  # of a reciprocal one: value below which it acts, where its coordinate is zero
     integer: bool = False  # it is a whole number, which is never varied in a fit
-    from_spectrum: bool = False  # searches start from peaks of the residuals' spectrum instead of the grid [Hz]
+    # Searches start from peaks of the residuals' spectrum, over time or over the joint's angle, instead of the grid.
+    from_spectrum: Literal["", "time", "joint_angle"] = ""
     # Typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length l, its mass m
     # and the time (m l^3 / EI)^(1/2). In these units all uniform beams have the same equation of motion; the first
     # natural frequency of a clamped one is 0.56.
@@ -59,7 +61,8 @@ class Parameter:
         """Return the number that a search varies: zero at the null, one at a typical magnitude; of a shape, a log."""
         with np.errstate(divide="ignore"):
             if self.reciprocal:
-                return float(np.divide(self.typical_magnitude, max(value, 0.0)))
+                beyond = np.divide(self.typical_magnitude, max(value, 0.0)) - self.typical_magnitude / self.threshold
+                return max(float(beyond), 0.0)
             if self.shape_parameter:
                 return float(np.log(value / self.typical_magnitude))
         return (value - self.null) / self.typical_magnitude
@@ -67,7 +70,8 @@ class Parameter:
     def value(self, coordinate: float) -> float:
         """Return the value at a coordinate."""
         if self.reciprocal:
-            return self.typical_magnitude / coordinate if coordinate > 0 else np.inf
+            inverse = coordinate + self.typical_magnitude / self.threshold
+            return self.typical_magnitude / inverse if coordinate > 0 else np.inf
         if self.shape_parameter:
             return float(self.typical_magnitude * np.exp(coordinate))
         return self.null + self.typical_magnitude * coordinate
@@ -382,6 +386,48 @@ class LinkEffect(Effect):
 
 
 @dataclass(frozen=True)
+class WaveEffect(LinkEffect):
+    """A wave, whose first three parameters are its amplitude, its frequency or number of waves, and its phase.
+
+    A search varies amplitude cos(phase) and amplitude sin(phase), in which the motion is about linear.
+
+    Attributes:
+        lowest: frequency or number of waves to which searches may go.
+    """
+
+    lowest: float = field(default=0.0, kw_only=True, compare=False)
+
+    @property
+    def coordinates(self) -> Array:
+        """(3,) amplitudes of cosine and sine over a typical one, logarithm of the frequency over a typical one."""
+        amplitude, frequency, phase = self.parameters
+        radius, angle = amplitude.coordinate(getattr(self, amplitude.name)), getattr(self, phase.name)
+        tone = frequency.coordinate(getattr(self, frequency.name))
+        return np.array([radius * np.cos(angle), radius * np.sin(angle), tone])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (3,); without amplitude, at phase zero."""
+        amplitude, frequency, phase = self.parameters
+        cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
+        size, angle = amplitude.value(float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
+        changes: dict[str, Any] = {amplitude.name: size, frequency.name: frequency.value(tone), phase.name: angle}
+        return replace(self, **changes)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (3,), (3,) of the coordinates, of which only the frequency has any."""
+        frequency = self.parameters[1]
+        low, high = frequency.bounds
+        low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
+        return np.array([-np.inf, -np.inf, low]), np.array([np.inf, np.inf, high])
+
+    @property
+    def magnitude_count(self) -> int:
+        """Number of magnitudes: of cosine and sine."""
+        return 2
+
+
+@dataclass(frozen=True)
 class JointEffect(LinkEffect):
     """An effect at a link's active joint."""
 
@@ -417,8 +463,13 @@ class ColumnEffect(JointEffect):
         missing = f"no {'torque' if self.column_of == 'tau' else 'encoder'} was recorded"
         return super().untestable(rig, recordings) or ("" if is_recorded(recordings, self.column_of) else missing)
 
+    @property
+    def own_column(self) -> int:
+        """Number of the joint's column."""
+        return self.link_index if self.column is None else self.column
+
     def with_column(self, values: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
         """Return values (T, n_a) with the joint's column times a gain, and an offset added."""
-        changed, own = values.copy(), self.link_index if self.column is None else self.column
+        changed, own = values.copy(), self.own_column
         changed[:, own] = gain * values[:, own] + offset
         return changed

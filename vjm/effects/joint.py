@@ -26,25 +26,27 @@ _LEAST_TORQUE = 1e-5  # in the link's own unit EI / l, under a hundredth of a ty
 
 
 @dataclass(frozen=True)
-class CoulombFriction(JointEffect):
-    """Dry friction at the active joint: constant against the motion, and sticking.
+class _DryFriction(JointEffect):
+    """Dry friction at the active joint, against the motion, and sticking.
 
     A bristle bends elastically by up to z_s and slips beyond (Prandtl's stop): over any way of the joint its angle z
-    changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s. It is as stiff as the
-    steps in time resolve, since a softer one yields where dry friction holds, which biases what is estimated.
+    changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s, times a share that
+    depends on the joint's rate. It is as stiff as the steps in time resolve, since a softer one yields where dry
+    friction holds, which biases what is estimated.
     """
 
-    torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
-
-    description = "dry friction at the active joint"
-    clause = "dry friction of {torque} at the joint of {link}"
-    reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
-    distinguishing_experiment = "slow sweeps in both directions, and motion that comes to a stop"
     abscissa = "joint_rate"
-    common = True
     dissipative = True
-    in_urdf = True
     nonsmooth = True
+
+    @property
+    def largest(self) -> float:
+        """Torque at rest [N m]."""
+        raise NotImplementedError
+
+    def share(self, rate: Array) -> Array | float:
+        """Share of the torque at rest that there is at rates (...) [rad/s]."""
+        return 1.0
 
     def initial_states(self, chain: Chain, q: Array) -> Array:
         """Return the bristle's angle, none."""
@@ -52,12 +54,14 @@ class CoulombFriction(JointEffect):
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the torque of the bristle, or one whose sign changes gradually."""
-        joint, torque = self.active_joint(chain), self.torque
+        joint, torque, share = self.active_joint(chain), self.largest, self.share
         if self.smooth:
             gradual = self.units(chain)[2] / _GRADUAL_REVERSAL
-            return self.force_on(joint, lambda time, q, v, z: -torque * np.tanh(gradual * v[..., joint]))
+            return self.force_on(
+                joint, lambda time, q, v, z: -torque * share(v[..., joint]) * np.tanh(gradual * v[..., joint])
+            )
         limit = self.presliding(chain)
-        return self.force_on(joint, lambda time, q, v, z: -torque / limit * z[..., 0])
+        return self.force_on(joint, lambda time, q, v, z: -torque / limit * share(v[..., joint]) * z[..., 0])
 
     def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
         """Return how the bristle follows the joint, as far as it does not slip."""
@@ -71,17 +75,72 @@ class CoulombFriction(JointEffect):
         mobility = np.linalg.inv(mechanism_of(chain).mass_matrix(np.zeros((1, chain.size)))[0])
         joint = self.active_joint(chain)
         length, mass, time = self.units(chain)
-        torque = max(self.torque, _LEAST_TORQUE * mass * length**2 / time**2)
+        torque = max(self.largest, _LEAST_TORQUE * mass * length**2 / time**2)
         return float(torque * mobility[joint, joint] * self.max_step(chain) ** 2)
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that resolves sticking."""
         return self.units(chain)[2] * _FRICTION_STEP
 
+
+@dataclass(frozen=True)
+class CoulombFriction(_DryFriction):
+    """Dry friction at the active joint: constant against the motion, and sticking."""
+
+    torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
+
+    description = "dry friction at the active joint"
+    clause = "dry friction of {torque} at the joint of {link}"
+    reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
+    distinguishing_experiment = "slow sweeps in both directions, and motion that comes to a stop"
+    common = True
+    in_urdf = True
+
+    @property
+    def largest(self) -> float:
+        """Torque at rest [N m]."""
+        return self.torque
+
     @property
     def joint_friction(self) -> float:
         """Dry friction torque at the active joint [N m]."""
         return self.torque
+
+
+@dataclass(frozen=True)
+class Stribeck(_DryFriction):
+    """Dry friction that falls with the joint's rate v, torque exp(-(v / speed)^2), and sticks.
+
+    It is what friction at low rates exceeds that at high ones by, which is `coulomb_friction`. A speed above all rates
+    of the joint would make the two the same.
+    """
+
+    torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
+    # At most a tenth of the rate 3.5 rad / T at which a link in its first mode swings by one radian: a joint that is
+    # driven as fast leaves the friction that falls with its speed behind.
+    speed: float = shape_parameter("rad/s", 0.05, lower=5e-3, upper=0.35, grid=(0.02, 0.05, 0.125), in_rig_units=True)
+
+    description = "dry friction at the active joint that falls with its speed"
+    clause = "dry friction of {torque} at the joint of {link} that falls with its speed, within {speed}"
+    reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
+    distinguishing_experiment = "sweeps at several constant speeds, slow and fast ones"
+
+    @property
+    def largest(self) -> float:
+        """Torque at rest [N m]."""
+        return self.torque
+
+    def share(self, rate: Array) -> Array:
+        """Share of the torque at rest that there is at rates (...) [rad/s]."""
+        return np.asarray(np.exp(-((rate / self.speed) ** 2)))
+
+    def max_step(self, chain: Chain) -> float:
+        """Return the time step [s] that resolves sticking.
+
+        It acts about reversals only, so that a bristle's delay there is a larger part of what it does: with half the
+        step, torque and speed come out as if they were 1 % smaller and larger instead of 3 %.
+        """
+        return super().max_step(chain) / 2
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ i e_b at distance x from the rod's proximal end is Re(conj(e_b) sum_{a<b} l_a w_
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, LinkEffect, Motion, magnitude, shape_parameter
+from vjm.effects.effect import Effect, LinkEffect, Motion, WaveEffect, magnitude, shape_parameter
 from vjm.records import Array, Complex, Recording, Rig
 
 
@@ -67,53 +67,21 @@ class InPlaneGravity(Effect):
 
 
 @dataclass(frozen=True)
-class ExternalTone(_TipEffect):
+class ExternalTone(WaveEffect, _TipEffect):
     """A lateral force on the tip, amplitude sin(2 pi frequency t + phase), normal to the last virtual link.
 
-    A search varies amplitude cos(phase) and amplitude sin(phase), in which the motion is about linear. Time is that
-    since the start of each recording.
-
-    Attributes:
-        lowest: frequency to which searches may go [Hz]; a force that takes longer than the recordings is none.
+    Time is that since the start of each recording. A force whose period is longer than the recordings is none.
     """
 
     amplitude: float = magnitude("N", 0.005, lower=0.0, in_rig_units=True)
-    frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum=True, in_rig_units=True)
+    frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum="time", in_rig_units=True)
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
-    lowest: float = field(default=0.0, kw_only=True, compare=False)
 
     description = "a sinusoidal force on the tip from outside"
     clause = "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside"
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
     abscissa = "frequency"
-
-    @property
-    def coordinates(self) -> Array:
-        """(3,) amplitudes of cosine and sine over a typical one, logarithm of the frequency over a typical one."""
-        amplitude, frequency, _ = self.parameters
-        radius, tone = amplitude.coordinate(self.amplitude), frequency.coordinate(self.frequency)
-        return np.array([radius * np.cos(self.phase), radius * np.sin(self.phase), tone])
-
-    def at(self, coordinates: Array) -> Self:
-        """Return the same effect at other coordinates (3,); without amplitude, at phase zero."""
-        amplitude, frequency, _ = self.parameters
-        cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
-        size, phase = amplitude.value(float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
-        return replace(self, amplitude=size, frequency=frequency.value(tone), phase=phase)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (3,), (3,) of the coordinates, of which only the frequency has any."""
-        frequency = self.parameters[1]
-        low, high = frequency.bounds
-        low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
-        return np.array([-np.inf, -np.inf, low]), np.array([np.inf, np.inf, high])
-
-    @property
-    def magnitude_count(self) -> int:
-        """Number of magnitudes: of cosine and sine."""
-        return 2
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return it with frequencies down to one period in the longest recording."""
