@@ -14,7 +14,7 @@ from tests.experiment.experiment_files import DRIVEN, TOML, csv_text, rows, writ
 from tests.simulation.integrators import simulate
 from tests.simulation.setups import jerky_torque, recording_of, rig_of, two_link_arm
 from vjm.chain.virtual_links import Chain
-from vjm.effects import CoulombFriction, JointSpring, TorqueGain, ViscousFriction
+from vjm.effects import BUILTIN, CoulombFriction, JointSpring, TorqueGain, ViscousFriction
 from vjm.errors import ExperimentError, RecordingError
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
@@ -115,3 +115,15 @@ def test_what_cannot_be_motion_is_refused() -> None:
     few = np.where(np.arange(recording.time.size)[:, None] < 5, recording.theta, np.nan)
     with pytest.raises(RecordingError, match="5 angles; expected at least 10"):
         vjm.Experiment(RIG, [replace(recording, theta=few, input="motion")])
+
+
+def test_what_acts_on_the_drive_is_not_testable() -> None:
+    recordings = [replace(one, input="motion") for one in recorded(Arm(chain_of()), 1)]
+    reasons = {effect.id: effect.untestable(RIG, recordings) for effect in BUILTIN}
+    hidden = {"coulomb_friction", "viscous_friction", "joint_spring", "torque_gain", "torque_offset", "cogging"}
+    assert all(reasons[name] for name in hidden)
+    # What is between the drive's encoder and the link, or in the link, shows.
+    seen = {"gear_elasticity", "backlash", "clamp_compliance", "tip_payload", "cubic_stiffness", "encoder_offset"}
+    assert not any(reasons[name] for name in seen)
+    mixed = [recordings[0], replace(recordings[1], input="torque", tau=recordings[1].theta)]
+    assert not any(effect.untestable(RIG, mixed) for effect in BUILTIN if effect.id in hidden)

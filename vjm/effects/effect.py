@@ -431,13 +431,19 @@ class WaveEffect(LinkEffect):
 class JointEffect(LinkEffect):
     """An effect at a link's active joint."""
 
+    # It acts on the joint's drive, and does nothing where the drive's motion is given.
+    on_drive: ClassVar[bool] = True
+
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         """Return the links with an active joint."""
         return rig.active_links
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
-        """Return the reason if every link is clamped."""
-        return "" if rig.active_links else "the arm has no active joint"
+        """Return the reason if every link is clamped, or the motion that it would change is given."""
+        if not rig.active_links:
+            return "the arm has no active joint"
+        given = self.on_drive and all(recording.input == "motion" for recording in recordings)
+        return "the motion of the joint is given, whatever acts on its drive" if given else ""
 
     def active_joint(self, chain: Chain) -> int:
         """Return the coordinate of its joint."""

@@ -245,6 +245,7 @@ class GearElasticity(JointEffect):
     stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
 
+    on_drive = False
     description = "an elastic gear or shaft between the motor's encoder and the hub"
     clause = "an elastic gear or shaft of {stiffness} between motor and hub of {link}"
     reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
@@ -268,6 +269,7 @@ class Backlash(JointEffect):
     gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
 
+    on_drive = False
     nonsmooth = True
     description = "play between the motor and the hub"
     clause = "play of {gap} between motor and hub of {link}"

@@ -145,6 +145,7 @@ class EncoderOffset(ColumnEffect):
 
     offset: float = magnitude("rad", 0.005, lower=-np.pi, upper=np.pi)
 
+    on_drive = False
     description = "the encoder's zero is off"
     clause = "an encoder at {link} whose zero is off by {offset}"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
