@@ -42,7 +42,7 @@ def energy(motion: Motion) -> Array:
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     basis, beam = motion.beam.basis, motion.beam.beam
     velocity = np.vstack([basis.cumulative, basis.weights]) @ (rate[..., None] * normal)
-    masses = np.append(beam.mass / beam.length * basis.weights, motion.beam.tip_masses[0])
+    masses = np.append(motion.beam.line * basis.weights, motion.beam.tip_masses[0])
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ masses
     shares = [0.5 if motion.beam.motor else 1.0] * (int(motion.beam.revolute) + int(motion.beam.motor))
     hubs = 0.5 * beam.hub_inertia * motion.rates[:, : len(shares)] ** 2 @ np.array(shares)

@@ -53,6 +53,10 @@ class Extended:
         self.bending = slice(turning + int(self.motor), None)
         self.size: int = self.heading.shape[1]
         self.arc: Array = physics.rest_curvature_curvature * basis.nodes
+        # Mass per length, kg/m, and bending stiffness, N m^2, at the nodes.
+        thickness = 1.0 + physics.taper_taper * (0.5 - basis.nodes / beam.length)
+        self.line: Array = beam.mass / beam.length * thickness
+        self.section: Array = beam.bending_stiffness * thickness**3
         self.tip_heading: Array = self._tip_heading()
         self.parts = self._parts(size, nodes)
         self.dimension: int = self.parts.slip.stop
@@ -78,11 +82,12 @@ class Extended:
 
     def _set_masses(self) -> None:
         """Kernels (N, N) and masses beyond each node (N,) of the distinct payloads; one for each member."""
-        basis, line = self.basis, self.beam.mass / self.beam.length
-        bare = line * (basis.cumulative.T * basis.weights) @ basis.cumulative
+        basis = self.basis
+        carried = self.line * basis.weights
+        bare = (basis.cumulative.T * carried) @ basis.cumulative
         tips = self.tip_masses[:, None]
         kernels = bare + tips[..., None] * np.outer(basis.weights, basis.weights)
-        beyond = line * basis.weights @ basis.cumulative + tips * basis.weights
+        beyond = carried @ basis.cumulative + tips * basis.weights
         self._hub: Array = np.zeros((self.size, self.size))
         if self.revolute:
             share = 0.5 if self.motor else 1.0
@@ -95,8 +100,7 @@ class Extended:
 
     def _stiffness(self) -> tuple[Array, Array]:
         """Linear stiffness, all of it and that of bending alone, (n, n) each."""
-        weighted = self.curvature.T * self.basis.weights
-        bending = self.beam.bending_stiffness * weighted @ self.curvature
+        bending = (self.curvature.T * (self.section * self.basis.weights)) @ self.curvature
         whole = bending.copy()
         if self.root:
             root = self.bending.start - 1
@@ -203,16 +207,17 @@ class Extended:
         """Bending moment beyond the linear one at each node, N m, (B, N); None where there is none."""
         physics, share = self.physics, self.physics.hysteresis_ratio
         cubic, drift = physics.cubic_stiffness_coefficient, physics.stiffness_drift_rate * time
-        if not (share or cubic or physics.stiffness_drift_rate):
+        lopsided = physics.stiffness_asymmetry_ratio
+        if not (share or cubic or lopsided or physics.stiffness_drift_rate):
             return None
         bend = state[:, self.parts.coordinates] @ self.curvature.T
-        extra = cubic * bend**3
+        extra = cubic * bend**3 + lopsided * np.abs(bend)
         if share:
             extra += share * (state[:, self.parts.slip] - bend)
         if drift:
             speed = state[:, self.parts.rates] @ self.curvature.T
             extra += drift * (bend + extra + self.beam.kelvin_voigt_time * speed)
-        return np.asarray(self.beam.bending_stiffness * extra)
+        return np.asarray(self.section * extra)
 
     def _add_joint(self, force: Array, coordinates: Array, rates: Array, torque: Array) -> None:
         """Torque, spring and viscous friction at the joint, and the play behind it."""

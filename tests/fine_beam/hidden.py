@@ -43,6 +43,8 @@ class Physics:
         cubic_stiffness_coefficient: of the bending moment EI kappa (1 + coefficient kappa^2), m^2.
         stiffness_drift_rate: of the bending stiffness EI (1 + rate t), 1/s.
         rest_curvature_curvature: of the unloaded link, 1/m.
+        taper_taper: thickness 1 + taper (1/2 - s/l) of the mean; stiffness goes with its cube, mass with itself.
+        stiffness_asymmetry_ratio: of the bending moment EI kappa (1 + ratio sign(kappa)).
         external_tone_amplitude, external_tone_frequency, external_tone_phase: tip force normal to the link; N, Hz, rad.
     """
 
@@ -67,6 +69,8 @@ class Physics:
     cubic_stiffness_coefficient: float = 0.0
     stiffness_drift_rate: float = 0.0
     rest_curvature_curvature: float = 0.0
+    taper_taper: float = 0.0
+    stiffness_asymmetry_ratio: float = 0.0
     external_tone_amplitude: float = 0.0
     external_tone_frequency: float = 1.0
     external_tone_phase: float = 0.0
@@ -86,7 +90,7 @@ class Physics:
     @property
     def nodes(self) -> int:
         """Points along the link that resolve what happens at each of them."""
-        return 32 if self.hysteresis_ratio != 0.0 else 16
+        return 32 if self.hysteresis_ratio != 0.0 or self.stiffness_asymmetry_ratio != 0.0 else 16
 
 
 def fields_of(effect: str, parameters: Mapping[str, float]) -> dict[str, float]:

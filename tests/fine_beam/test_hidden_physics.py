@@ -175,9 +175,10 @@ def test_what_only_takes_energy_never_gives_any(physics: Physics) -> None:
         (Physics(backlash_gap=0.004), 3e-6),
         (Physics(gear_elasticity_stiffness=60.0, external_tone_amplitude=0.05, external_tone_frequency=7.0), 1e-7),
         (Physics(hysteresis_ratio=0.1, viscoelastic_creep_ratio=0.05, cubic_stiffness_coefficient=-0.1), 1e-7),
+        (Physics(stiffness_asymmetry_ratio=0.1, taper_taper=0.2), 1e-7),
         (Physics(quadratic_drag_coefficient=0.1, clamp_compliance_compliance=5e-3, stiffness_drift_rate=0.01), 1e-7),
     ],
-    ids=["coulomb", "backlash", "gear", "hysteresis", "drag"],
+    ids=["coulomb", "backlash", "gear", "hysteresis", "asymmetry", "drag"],
 )
 def test_half_the_step_changes_next_to_nothing(physics: Physics, error: float) -> None:
     run = Run(drive(TIME))

@@ -65,6 +65,8 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "lens_distortion": {"k1": Size(0.01, True)},
     "rolling_shutter": {"readout": Size(0.005, True)},
     "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
+    "taper": {"taper": Size(0.04, True)},
+    "stiffness_asymmetry": {"ratio": Size(0.02, True)},
 }
 # A tilt: its two components come from one angle and one direction.
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2

@@ -4,8 +4,10 @@ from vjm.effects import bending, joint, loads, sensors
 from vjm.effects.bending import CubicStiffness as CubicStiffness
 from vjm.effects.bending import Hysteresis as Hysteresis
 from vjm.effects.bending import RestCurvature as RestCurvature
+from vjm.effects.bending import StiffnessAsymmetry as StiffnessAsymmetry
 from vjm.effects.bending import StiffnessDrift as StiffnessDrift
 from vjm.effects.bending import StructuralDamping as StructuralDamping
+from vjm.effects.bending import Taper as Taper
 from vjm.effects.bending import UnmodelledMode as UnmodelledMode
 from vjm.effects.bending import ViscoelasticCreep as ViscoelasticCreep
 from vjm.effects.effect import Effect as Effect
