@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from math import inf, isfinite
+from math import inf, isfinite, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class Physics:
         gear_elasticity_stiffness: between motor and hub, each half of the hub's inertia, N m/rad.
         backlash_gap: whole dead zone between motor and hub, rad.
         clamp_compliance_compliance: turn of the link's root over its bending moment, rad/(N m).
+        base_compliance_stiffness, base_compliance_mass, base_compliance_direction, base_compliance_damping_ratio: of a
+            table that slides under the base, from where its load holds it; N/m, kg, rad, and of the table by itself.
         linear_drag_coefficient: force per length over normal velocity, N s/m^2.
         quadratic_drag_coefficient: the same over its square, N s^2/m^3.
         structural_damping_loss_factor: twice the damping ratio added to every mode.
@@ -59,6 +61,10 @@ class Physics:
     gear_elasticity_stiffness: float = inf
     backlash_gap: float = 0.0
     clamp_compliance_compliance: float = 0.0
+    base_compliance_stiffness: float = inf
+    base_compliance_mass: float = 5.0
+    base_compliance_direction: float = 0.5 * pi
+    base_compliance_damping_ratio: float = 0.03
     linear_drag_coefficient: float = 0.0
     quadratic_drag_coefficient: float = 0.0
     structural_damping_loss_factor: float = 0.0
@@ -79,6 +85,11 @@ class Physics:
     def has_motor(self) -> bool:
         """Whether motor and hub turn apart."""
         return isfinite(self.gear_elasticity_stiffness) or self.backlash_gap > 0.0
+
+    @property
+    def has_table(self) -> bool:
+        """Whether the base moves."""
+        return isfinite(self.base_compliance_stiffness)
 
     @property
     def step(self) -> float:

@@ -17,6 +17,7 @@ from vjm.effects.effect import RateIndependentUpdate as RateIndependentUpdate
 from vjm.effects.effect import magnitude as magnitude
 from vjm.effects.effect import shape_parameter as shape_parameter
 from vjm.effects.joint import Backlash as Backlash
+from vjm.effects.joint import BaseCompliance as BaseCompliance
 from vjm.effects.joint import ClampCompliance as ClampCompliance
 from vjm.effects.joint import CoulombFriction as CoulombFriction
 from vjm.effects.joint import GearElasticity as GearElasticity

@@ -1,14 +1,17 @@
-"""Friction, springs and torques at an active joint; what is soft or loose between it, or a clamp, and the link."""
+"""Friction, springs and torques at an active joint; what is soft or loose between ground, joint, clamp and link."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
-from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.chain.virtual_links import Chain, LinkChain, MovingBase
 from vjm.effects.effect import (
     ColumnEffect,
+    Effect,
     JointEffect,
     LinkEffect,
     Motion,
@@ -197,6 +200,93 @@ class GearElasticity(JointEffect):
             return chain
         link = self.link_of(chain)
         return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link, self.motor_share))
+
+
+# Logarithms of a table's frequency over the typical one, 2.3 / T, to which searches may go: an eighth of it is slower
+# than the arm by itself, sixteen times it faster than the arm's fourth mode.
+_TABLE_OCTAVES = (-np.log(8.0), np.log(16.0))
+
+
+@dataclass(frozen=True)
+class BaseCompliance(Effect):
+    """A table under the base that moves: a mass on a spring, which slides in one direction of the plane.
+
+    It does not turn; the camera stands on the ground. The displacement is from where the table stands under the weight
+    of all that it carries. The damping ratio is that of the table by itself.
+
+    A search varies the compliance and the table's frequency (stiffness / mass)^(1/2), at which its motion is about
+    linear in the compliance, however near the arm moves to that frequency; at the null the mass is that of a table of
+    typical stiffness.
+    """
+
+    stiffness: float = magnitude("N/m", 1500.0, null=np.inf, lower=50.0, reciprocal=True, in_rig_units=True)
+    # At the typical stiffness frequencies of 1, 2.3 and 5.5 / T, between the modes of an arm.
+    mass: float = shape_parameter("kg", 7.2, lower=0.01, upper=1e4, grid=(38.0, 7.2, 1.26), in_rig_units=True)
+    # What a stiff table does is linear in cos(2 direction) and sin(2 direction): three directions span it.
+    direction: float = shape_parameter("rad", np.pi / 2, lower=-np.inf, grid=(np.pi / 6, np.pi / 2, 5 * np.pi / 6))
+    damping_ratio: float = shape_parameter("", 0.03, lower=1e-4, upper=1.0)
+
+    description = "a table that moves under the base"
+    clause = (
+        "a table that moves under the base: {mass} on a spring of {stiffness} in the direction {direction}, with a "
+        "damping ratio of {damping_ratio}"
+    )
+    reference = "E. I. Rivin, Stiffness and Damping in Mechanical Design, Marcel Dekker, 1999, chapter 5"
+    distinguishing_experiment = "a fiducial on the base in the camera's view, or an accelerometer on the table"
+    abscissa = "frequency"
+    in_urdf = True
+
+    @property
+    def coordinates(self) -> Array:
+        """(4,) compliance over a typical one, log of the frequency over one, direction [rad], log of the damping."""
+        stiffness, mass, _, damping = self.parameters
+        known = self.stiffness if np.isfinite(self.stiffness) else stiffness.typical_magnitude
+        frequency = np.log(known / self.mass * mass.typical_magnitude / stiffness.typical_magnitude) / 2
+        compliance, loss = stiffness.coordinate(self.stiffness), damping.coordinate(self.damping_ratio)
+        return np.array([compliance, frequency, self.direction, loss])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (4,)."""
+        stiffness, mass, _, damping = self.parameters
+        compliance, frequency, direction, loss = np.asarray(coordinates, dtype=float).tolist()
+        softness = compliance if compliance > 0 else 1.0
+        return replace(
+            self,
+            stiffness=stiffness.value(compliance),
+            mass=float(mass.typical_magnitude * np.exp(-2 * frequency) / softness),
+            direction=direction,
+            damping_ratio=damping.value(loss),
+        )
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (4,), (4,) of the coordinates."""
+        stiffness, _, _, damping = self.parameters
+        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, (-np.inf, np.inf), damping.bounds])
+        return pairs[:, 0], pairs[:, 1]
+
+    def superposes(self, other: Effect) -> bool:
+        """Return True for a table of the same frequency and damping: compliances in several directions add up."""
+        return isinstance(other, BaseCompliance) and replace(other, direction=self.direction) == self
+
+    def superposition(self, variants: Sequence[Effect], sizes: Array) -> tuple[Self, Array]:
+        """Return the table along the direction in which the sum of compliances is largest, and how large it is."""
+        directions = np.array([each.values["direction"] for each in variants])
+        axes = np.stack([np.cos(directions), np.sin(directions)])
+        compliances, principal = np.linalg.eigh((axes * sizes) @ axes.T)
+        direction = float(np.arctan2(principal[1, -1], principal[0, -1]) % np.pi)
+        return replace(self, direction=direction), compliances[-1:]
+
+    def with_softer_joint(self, factor: float) -> Self:
+        """Return it with the table's mass times a factor: its frequency is what a search may miss."""
+        return replace(self, mass=factor * self.mass)
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain on a base that slides."""
+        if self.is_null:
+            return chain
+        damping = 2 * self.damping_ratio * float(np.sqrt(self.stiffness * self.mass))
+        return replace(chain, base=MovingBase(self.mass, self.stiffness, damping, self.direction))
 
 
 @dataclass(frozen=True)
