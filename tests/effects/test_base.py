@@ -203,14 +203,18 @@ def test_it_goes_with_other_effects_in_any_order() -> None:
 def test_a_search_keeps_the_frequency_and_takes_any_direction() -> None:
     """At a given frequency the motion is linear in the compliance; at the null the mass says the frequency."""
     absent = BaseCompliance().placed(Rig("hub", (LINK,)), None)
-    present = absent.at(np.array([0.02, 0.3, -1.2, 0.5]))
-    softer = absent.at(np.array([0.04, 0.3, -1.2, 0.5]))
-    frequencies = [each.stiffness / each.mass for each in (present, softer)]
-    assert frequencies[1] == pytest.approx(frequencies[0])
+    present, softer = (absent.at(np.array([size, 0.3, 0.5, 0.0])) for size in (0.02, 0.04))
+    assert softer.stiffness / softer.mass == pytest.approx(present.stiffness / present.mass)
     assert softer.stiffness == pytest.approx(present.stiffness / 2)
-    assert absent.at(np.array([0.0, 0.3, -1.2, 0.5])).coordinates == pytest.approx([0.0, 0.3, -1.2, 0.5])
+    assert absent.at(np.array([0.0, 0.3, 0.5, 0.0])).coordinates == pytest.approx([0.0, 0.3, 0.5, 0.0])
+    turned = absent.at(np.array([0.03, 0.3, 0.5, 0.03]))
+    assert turned.direction - absent.direction == pytest.approx(np.pi / 8)
+    assert turned.stiffness == pytest.approx(present.stiffness * 0.02 / np.hypot(0.03, 0.03))
+    assert turned.at(turned.coordinates).values == pytest.approx(turned.values)
+    there = absent.at(np.array([0.0, 0.3, 0.5, -0.03]))  # across: 45 degrees back, as a line
+    assert there.direction == pytest.approx((absent.direction - np.pi / 4) % np.pi)
     again = present.with_softer_joint(4.0)
-    assert (again.stiffness, again.mass, again.direction) == (present.stiffness, 4 * present.mass, -1.2)
+    assert (again.stiffness, again.mass) == (present.stiffness, 4 * present.mass)
 
 
 def test_compliances_along_several_directions_add_up() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -214,9 +214,12 @@ class BaseCompliance(Effect):
     It does not turn; the camera stands on the ground. The displacement is from where the table stands under the weight
     of all that it carries. The damping ratio is that of the table by itself.
 
-    A search varies the compliance and the table's frequency (stiffness / mass)^(1/2), at which its motion is about
-    linear in the compliance, however near the arm moves to that frequency; at the null the mass is that of a table of
-    typical stiffness.
+    A search varies, at a frequency (stiffness / mass)^(1/2), two compliances that together are the table's, c cos(2 d)
+    and c sin(2 d) of a compliance c at an angle d from the direction where it started. In these the motion is about
+    linear, however near the arm moves to that frequency. At the null the mass is that of a table of typical stiffness.
+
+    Attributes:
+        start: direction from which the search started [rad]; None: the table's own.
     """
 
     stiffness: float = magnitude("N/m", 1500.0, null=np.inf, lower=50.0, reciprocal=True, in_rig_units=True)
@@ -225,6 +228,8 @@ class BaseCompliance(Effect):
     # What a stiff table does is linear in cos(2 direction) and sin(2 direction): three directions span it.
     direction: float = shape_parameter("rad", np.pi / 2, lower=-np.inf, grid=(np.pi / 6, np.pi / 2, 5 * np.pi / 6))
     damping_ratio: float = shape_parameter("", 0.03, lower=1e-4, upper=1.0)
+
+    start: float | None = field(default=None, kw_only=True, compare=False, repr=False)
 
     description = "a table that moves under the base"
     clause = (
@@ -238,31 +243,34 @@ class BaseCompliance(Effect):
 
     @property
     def coordinates(self) -> Array:
-        """(4,) compliance over a typical one, log of the frequency over one, direction [rad], log of the damping."""
+        """(4,) compliance along the start over a typical one, logs of frequency and damping, compliance across it."""
         stiffness, mass, _, damping = self.parameters
         known = self.stiffness if np.isfinite(self.stiffness) else stiffness.typical_magnitude
         frequency = np.log(known / self.mass * mass.typical_magnitude / stiffness.typical_magnitude) / 2
         compliance, loss = stiffness.coordinate(self.stiffness), damping.coordinate(self.damping_ratio)
-        return np.array([compliance, frequency, self.direction, loss])
+        angle = 0.0 if self.start is None else 2 * (self.direction - self.start)
+        return np.array([compliance * np.cos(angle), frequency, loss, compliance * np.sin(angle)])
 
     def at(self, coordinates: Array) -> Self:
         """Return the same effect at other coordinates (4,)."""
         stiffness, mass, _, damping = self.parameters
-        compliance, frequency, direction, loss = np.asarray(coordinates, dtype=float).tolist()
-        softness = compliance if compliance > 0 else 1.0
+        along, frequency, loss, across = np.asarray(coordinates, dtype=float).tolist()
+        compliance, start = float(np.hypot(along, across)), self.direction if self.start is None else self.start
         return replace(
             self,
             stiffness=stiffness.value(compliance),
-            mass=float(mass.typical_magnitude * np.exp(-2 * frequency) / softness),
-            direction=direction,
+            mass=float(mass.typical_magnitude * np.exp(-2 * frequency) / (compliance or 1.0)),
+            direction=(start + float(np.arctan2(across, along)) / 2) % np.pi,  # a line's: either way is the same
             damping_ratio=damping.value(loss),
+            start=start,
         )
 
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (4,), (4,) of the coordinates."""
         stiffness, _, _, damping = self.parameters
-        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, (-np.inf, np.inf), damping.bounds])
+        most = stiffness.bounds[1]
+        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, damping.bounds, (-most, most)])
         return pairs[:, 0], pairs[:, 1]
 
     def superposes(self, other: Effect) -> bool:
@@ -275,7 +283,7 @@ class BaseCompliance(Effect):
         axes = np.stack([np.cos(directions), np.sin(directions)])
         compliances, principal = np.linalg.eigh((axes * sizes) @ axes.T)
         direction = float(np.arctan2(principal[1, -1], principal[0, -1]) % np.pi)
-        return replace(self, direction=direction), compliances[-1:]
+        return replace(self, direction=direction, start=None), compliances[-1:]
 
     def with_softer_joint(self, factor: float) -> Self:
         """Return it with the table's mass times a factor: its frequency is what a search may miss."""
