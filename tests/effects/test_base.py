@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
+from tests.diagnosis import rigs
 from tests.effects.setups import FORE, LINK, POST, chain_of
 from tests.effects.test_forces import driven
 from tests.effects.test_rods import drawn
@@ -25,6 +26,7 @@ from vjm.records import Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs
+from vjm.simulation.sensitivity import PerturbedArm
 
 TABLE = BaseCompliance(stiffness=2000.0, mass=3.0, direction=0.7, damping_ratio=0.02)
 STEP = 1e-6
@@ -232,3 +234,20 @@ def test_compliances_along_several_directions_add_up() -> None:
     assert found.direction == pytest.approx(2.9)
     assert size == pytest.approx([0.4])
     assert found.is_null
+
+
+@pytest.mark.parametrize(
+    "changed", [{"stiffness": 2001.0}, {"mass": 3.01}, {"direction": 0.701}, {"damping_ratio": 0.021}]
+)
+def test_derivatives_by_what_a_table_is_are_those_of_whole_simulations(changed: dict[str, float]) -> None:
+    chain = rigs.chain_of(2)
+    arm, other = (Arm.of(chain, (table,)) for table in (TABLE, replace(TABLE, **changed)))
+    point = rigs.point_of(chain, (TABLE,), rigs.recorded(arm, 1, duration=1.0))
+    moved = rigs.point_of(chain, other.effects, [run.observed.recording for run in point.runs])
+    ((name, value),) = changed.items()
+    step = value - TABLE.values[name]
+    for run, again in zip(point.runs, moved.runs, strict=True):
+        parts = list(run.slopes(run.linearization([PerturbedArm(other, step)])))
+        measured, slopes = np.concatenate([rows for rows, _ in parts]), np.vstack([part for _, part in parts])
+        expected = (run.residual - again.residual)[measured] / step
+        assert np.linalg.norm(slopes[:, -1] - expected) < 0.02 * np.linalg.norm(expected)
