@@ -93,8 +93,9 @@ def covered(record: Record) -> list[bool]:
 
 
 def _miss(name: str, difference: float) -> float:
-    """An error; of an angle on a circle, the short way round."""
-    return (difference + pi) % (2.0 * pi) - pi if name == "phase" else difference
+    """An error; of an angle on a circle, or of a line's direction, the short way round."""
+    turn = {"phase": 2.0 * pi, "direction": pi}.get(name)
+    return difference if turn is None else (difference + turn / 2.0) % turn - turn / 2.0
 
 
 def gained(record: Record) -> float | None:

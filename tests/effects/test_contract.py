@@ -51,6 +51,7 @@ POWERS = {  # of length, mass and time
     "Hz": (0, 0, -1),
     "s/m": (-1, 0, 1),
     "N": (1, 1, -2),
+    "N/m": (0, 1, -2),
     "N m": (2, 1, -2),
     "N m/rad": (2, 1, -2),
     "N m s/rad": (2, 1, -1),
@@ -107,8 +108,9 @@ def test_what_effects_do_scales_with_the_rig(length: float, mass: float, time: f
         q, v, to = rng.normal(size=(3, before.size)) * [[1.0], [1e-4], [1.0]]  # rates so low that signs are rounded off
         z = one.initial_states(before, q)
         assert other.initial_states(after, q) == pytest.approx(z)
-        assert after.stiffness == pytest.approx(torque * before.stiffness), effect.id
-        assert after.damping == pytest.approx(torque * time * before.damping), effect.id
+        angle = np.where(np.arange(before.size) < before.base_size, length, 1.0)  # units of coordinates
+        assert after.stiffness == pytest.approx(torque / angle**2 * before.stiffness), effect.id
+        assert after.damping == pytest.approx(torque * time / angle**2 * before.damping), effect.id
         assert other.max_step(after) == pytest.approx(time * one.max_step(before)), effect.id
         for hook, unit in (("force", torque), ("state_rates", 1 / time)):
             functions = [
@@ -157,7 +159,7 @@ def test_it_says_what_it_is(effect: Effect) -> None:
 
 
 def test_those_that_a_urdf_can_carry_are_known() -> None:
-    carried = {"tip_payload", "viscous_friction", "coulomb_friction", "clamp_compliance"}
+    carried = {"base_compliance", "taper", "tip_payload", "viscous_friction", "coulomb_friction", "clamp_compliance"}
     assert {effect.id for effect in BUILTIN if effect.in_urdf} == carried
 
 

@@ -36,6 +36,8 @@ LINKS = {
     "cubic_stiffness",
     "stiffness_drift",
     "rest_curvature",
+    "taper",
+    "stiffness_asymmetry",
     "marker_offset",
 }
 TIP = {"tip_payload", "external_tone"}

@@ -42,9 +42,13 @@ def energy(motion: Motion) -> Array:
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     basis, beam = motion.beam.basis, motion.beam.beam
     velocity = np.vstack([basis.cumulative, basis.weights]) @ (rate[..., None] * normal)
-    masses = np.append(beam.mass / beam.length * basis.weights, motion.beam.tip_masses[0])
+    moved = 0.0
+    if motion.beam.physics.has_table:
+        velocity += motion.rates[:, -1:, None] * motion.beam.slide
+        moved = 0.5 * motion.beam.physics.base_compliance_mass * motion.rates[:, -1] ** 2
+    masses = np.append(motion.beam.line * basis.weights, motion.beam.tip_masses[0])
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ masses
     shares = [0.5 if motion.beam.motor else 1.0] * (int(motion.beam.revolute) + int(motion.beam.motor))
     hubs = 0.5 * beam.hub_inertia * motion.rates[:, : len(shares)] ** 2 @ np.array(shares)
     elastic = 0.5 * np.sum(motion.coordinates @ motion.beam.stiffness * motion.coordinates, axis=-1)
-    return np.asarray(kinetic + hubs + elastic)
+    return np.asarray(kinetic + hubs + moved + elastic)

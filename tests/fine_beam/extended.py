@@ -2,7 +2,8 @@
 
 The same heading psi(s, t) = sum_m q_m(t) H_m(s) as in `mechanics`, written with the kernel
 G(s, s') = integral of the mass beyond both s and s', which makes a whole batch a few array operations:
-M = H^T (G cos(psi - psi')) H. Coordinates: motor, hub, root of the link (each only where it moves), bending functions.
+M = H^T (G cos(psi - psi')) H. Coordinates: motor, hub, root of the link (each only where it moves), bending functions,
+and last, where it moves, the table's displacement u: a point's velocity is u' d more than that relative to the base.
 """
 
 from __future__ import annotations
@@ -48,12 +49,18 @@ class Extended:
         self.motor = self.revolute and physics.has_motor
         self.root = physics.clamp_compliance_compliance > 0.0
         turning = int(self.revolute) + int(self.root)
-        still = np.zeros((nodes, int(self.motor)))
-        self.heading: Array = np.hstack([still, np.ones((nodes, turning)), basis.heading])
-        self.curvature: Array = np.hstack([still, np.zeros((nodes, turning)), basis.curvature])
-        self.bending = slice(turning + int(self.motor), None)
+        still, table = np.zeros((nodes, int(self.motor))), np.zeros((nodes, int(physics.has_table)))
+        self.heading: Array = np.hstack([still, np.ones((nodes, turning)), basis.heading, table])
+        self.curvature: Array = np.hstack([still, np.zeros((nodes, turning)), basis.curvature, table])
+        self.bending = slice(turning + int(self.motor), turning + int(self.motor) + size)
+        direction = physics.base_compliance_direction
+        self.slide: Array = np.array([np.cos(direction), np.sin(direction)])
         self.size: int = self.heading.shape[1]
         self.arc: Array = physics.rest_curvature_curvature * basis.nodes
+        # Mass per length, kg/m, and bending stiffness, N m^2, at the nodes.
+        thickness = 1.0 + physics.taper_taper * (0.5 - basis.nodes / beam.length)
+        self.line: Array = beam.mass / beam.length * thickness
+        self.section: Array = beam.bending_stiffness * thickness**3
         self.tip_heading: Array = self._tip_heading()
         self.parts = self._parts(size, nodes)
         self.dimension: int = self.parts.torque.stop
@@ -68,6 +75,7 @@ class Extended:
         """Heading of each coordinate at the tip, (n,)."""
         values = np.ones(self.size)
         values[: int(self.motor)] = 0.0
+        values[self.bending.stop :] = 0.0
         values[self.bending] = self.basis.weights @ self.basis.curvature
         return values
 
@@ -80,36 +88,46 @@ class Extended:
 
     def _set_masses(self) -> None:
         """Kernels (N, N) and masses beyond each node (N,) of the distinct payloads; one for each member."""
-        basis, line = self.basis, self.beam.mass / self.beam.length
-        bare = line * (basis.cumulative.T * basis.weights) @ basis.cumulative
+        basis = self.basis
+        carried = self.line * basis.weights
+        bare = (basis.cumulative.T * carried) @ basis.cumulative
         tips = self.tip_masses[:, None]
         kernels = bare + tips[..., None] * np.outer(basis.weights, basis.weights)
-        beyond = line * basis.weights @ basis.cumulative + tips * basis.weights
+        beyond = carried @ basis.cumulative + tips * basis.weights
         self._hub: Array = np.zeros((self.size, self.size))
         if self.revolute:
             share = 0.5 if self.motor else 1.0
             for k in range(1 + int(self.motor)):
                 self._hub[k, k] = share * self.beam.hub_inertia
         self.mass: Array = self.heading.T @ kernels @ self.heading + self._hub
+        if self.physics.has_table:
+            self._moved: Array = self.physics.base_compliance_mass + self.beam.mass + self.tip_masses
+            self.mass[:, -1, -1] = self._moved
+            straight = self.slide[1] * beyond @ self.heading[:, :-1]
+            self.mass[:, -1, :-1], self.mass[:, :-1, -1] = straight, straight
         single = len(self.tip_masses) == 1
         self._kernel: Array = kernels if single else kernels[self.group]
         self._beyond: Array = beyond if single else beyond[self.group]
 
     def _stiffness(self) -> tuple[Array, Array]:
         """Linear stiffness, all of it and that of bending alone, (n, n) each."""
-        weighted = self.curvature.T * self.basis.weights
-        bending = self.beam.bending_stiffness * weighted @ self.curvature
+        bending = (self.curvature.T * (self.section * self.basis.weights)) @ self.curvature
         whole = bending.copy()
         if self.root:
             root = self.bending.start - 1
             whole[root, root] += 1.0 / self.physics.clamp_compliance_compliance
         if self.motor and self.physics.backlash_gap == 0.0:
             whole[:2, :2] += self.physics.gear_elasticity_stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        if self.physics.has_table:
+            whole[-1, -1] = self.physics.base_compliance_stiffness
         return whole, bending
 
     def _damping(self, k: int) -> Array:
         """Kelvin-Voigt damping and the modes' structural damping with distinct payload k, (n, n)."""
         viscous = self.beam.kelvin_voigt_time * self.bending_stiffness
+        if self.physics.has_table:
+            critical = 2.0 * np.sqrt(self.physics.base_compliance_stiffness * self.physics.base_compliance_mass)
+            viscous[-1, -1] = self.physics.base_compliance_damping_ratio * critical
         loss = self.physics.structural_damping_loss_factor
         if loss == 0.0:
             return np.asarray(viscous)
@@ -120,8 +138,19 @@ class Extended:
     def modes(self, k: int = 0) -> tuple[Array, Array]:
         """Pulsations, rad/s, (m,) and mass-normalised shapes (n, m) of the vibrations with distinct payload k."""
         squared, shapes = eigh(self.stiffness, self.mass[k])
-        free = int(self.revolute) + int(self.motor and self.physics.backlash_gap > 0.0)
-        return np.sqrt(squared[free:]), shapes[:, free:]
+        return np.sqrt(squared[self._free :]), shapes[:, self._free :]
+
+    @property
+    def _free(self) -> int:
+        """Number of motions that nothing holds."""
+        return int(self.revolute) + int(self.motor and self.physics.backlash_gap > 0.0)
+
+    def modes_on_ground(self, k: int = 0) -> Array:
+        """Shapes (n, m) of the vibrations on a table that is held, with distinct payload k."""
+        arm = slice(0, self.bending.stop)
+        _, shapes = eigh(self.stiffness[arm, arm], self.mass[k][arm, arm])
+        still = np.zeros((self.size - self.bending.stop, shapes.shape[1]))
+        return np.vstack([shapes, still])[:, self._free :]
 
     def linear(self, k: int) -> Array:
         """The linear first-order system's matrix, (d, d), with distinct payload k."""
@@ -154,6 +183,10 @@ class Extended:
             along.cosine[:, :, None] * along.cosine[:, None, :] + along.sine[:, :, None] * along.sine[:, None, :]
         )
         mass = self.heading.T @ (kernel @ self.heading) + self._hub
+        if self.physics.has_table:
+            across = self.slide[1] * along.cosine - self.slide[0] * along.sine
+            pulled = (self._beyond * across) @ self.heading[:, :-1]
+            mass[:, -1, :-1], mass[:, :-1, -1], mass[:, -1, -1] = pulled, pulled, self._moved[self.group]
         force = self.forces(state, time, torque, along)
         return np.asarray(np.linalg.solve(mass, force[..., None])[..., 0])
 
@@ -166,6 +199,9 @@ class Extended:
         if self.parts.maxwell.stop > self.parts.maxwell.start:
             arms = self.physics.viscoelastic_creep_ratio * self.bending_stiffness[self.bending]
             force -= state[:, self.parts.maxwell] @ arms
+        if self.physics.has_table:
+            ahead = self.slide[0] * along.cosine + self.slide[1] * along.sine
+            force[:, -1] += np.sum(self._beyond * ahead * along.rate**2, axis=1)
         moment = self._moment(state, time)
         if moment is not None:
             force -= (self.basis.weights * moment) @ self.curvature
@@ -208,16 +244,17 @@ class Extended:
         """Bending moment beyond the linear one at each node, N m, (B, N); None where there is none."""
         physics, share = self.physics, self.physics.hysteresis_ratio
         cubic, drift = physics.cubic_stiffness_coefficient, physics.stiffness_drift_rate * time
-        if not (share or cubic or physics.stiffness_drift_rate):
+        lopsided = physics.stiffness_asymmetry_ratio
+        if not (share or cubic or lopsided or physics.stiffness_drift_rate):
             return None
         bend = state[:, self.parts.coordinates] @ self.curvature.T
-        extra = cubic * bend**3
+        extra = cubic * bend**3 + lopsided * np.abs(bend)
         if share:
             extra += share * (state[:, self.parts.slip] - bend)
         if drift:
             speed = state[:, self.parts.rates] @ self.curvature.T
             extra += drift * (bend + extra + self.beam.kelvin_voigt_time * speed)
-        return np.asarray(self.beam.bending_stiffness * extra)
+        return np.asarray(self.section * extra)
 
     def _add_joint(self, force: Array, coordinates: Array, rates: Array, torque: Array) -> None:
         """Torque, spring, viscous friction and cogging at the joint, and the play behind it."""

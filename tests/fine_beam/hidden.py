@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from math import inf, isfinite
+from math import inf, isfinite, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ class Physics:
         gear_elasticity_stiffness: between motor and hub, each half of the hub's inertia, N m/rad.
         backlash_gap: whole dead zone between motor and hub, rad.
         clamp_compliance_compliance: turn of the link's root over its bending moment, rad/(N m).
+        base_compliance_stiffness, base_compliance_mass, base_compliance_direction, base_compliance_damping_ratio: of a
+            table that slides under the base, from where its load holds it; N/m, kg, rad, and of the table by itself.
         linear_drag_coefficient: force per length over normal velocity, N s/m^2.
         quadratic_drag_coefficient: the same over its square, N s^2/m^3.
         structural_damping_loss_factor: twice the damping ratio added to every mode.
@@ -43,6 +45,8 @@ class Physics:
         cubic_stiffness_coefficient: of the bending moment EI kappa (1 + coefficient kappa^2), m^2.
         stiffness_drift_rate: of the bending stiffness EI (1 + rate t), 1/s.
         rest_curvature_curvature: of the unloaded link, 1/m.
+        taper_taper: thickness 1 + taper (1/2 - s/l) of the mean; stiffness goes with its cube, mass with itself.
+        stiffness_asymmetry_ratio: of the bending moment EI kappa (1 + ratio sign(kappa)).
         external_tone_amplitude, external_tone_frequency, external_tone_phase: tip force normal to the link; N, Hz, rad.
         actuator_lag_time_constant: of the true torque behind the one that is asked for, s.
         torque_saturation_limit: to which the torque that is asked for is clipped, N m.
@@ -62,6 +66,10 @@ class Physics:
     gear_elasticity_stiffness: float = inf
     backlash_gap: float = 0.0
     clamp_compliance_compliance: float = 0.0
+    base_compliance_stiffness: float = inf
+    base_compliance_mass: float = 5.0
+    base_compliance_direction: float = 0.5 * pi
+    base_compliance_damping_ratio: float = 0.03
     linear_drag_coefficient: float = 0.0
     quadratic_drag_coefficient: float = 0.0
     structural_damping_loss_factor: float = 0.0
@@ -72,6 +80,8 @@ class Physics:
     cubic_stiffness_coefficient: float = 0.0
     stiffness_drift_rate: float = 0.0
     rest_curvature_curvature: float = 0.0
+    taper_taper: float = 0.0
+    stiffness_asymmetry_ratio: float = 0.0
     external_tone_amplitude: float = 0.0
     external_tone_frequency: float = 1.0
     external_tone_phase: float = 0.0
@@ -87,6 +97,11 @@ class Physics:
     def has_motor(self) -> bool:
         """Whether motor and hub turn apart."""
         return isfinite(self.gear_elasticity_stiffness) or self.backlash_gap > 0.0
+
+    @property
+    def has_table(self) -> bool:
+        """Whether the base moves."""
+        return isfinite(self.base_compliance_stiffness)
 
     @property
     def step(self) -> float:
@@ -109,7 +124,7 @@ class Physics:
     @property
     def nodes(self) -> int:
         """Points along the link that resolve what happens at each of them."""
-        return 32 if self.hysteresis_ratio != 0.0 else 16
+        return 32 if self.hysteresis_ratio != 0.0 or self.stiffness_asymmetry_ratio != 0.0 else 16
 
 
 def fields_of(effect: str, parameters: Mapping[str, float]) -> dict[str, float]:

@@ -92,6 +92,8 @@ class Motion:
             here = turning[:, None] + bent + self.beam.physics.rest_curvature_curvature * inside
             tangent, normal = _directions(here)
             points = points + (arcs - inside)[:, None] * tangent + sides[:, None] * normal
+        if self.beam.physics.has_table:
+            points = points + self.coordinates[:, -1:, None] * self.beam.slide
         return np.asarray(points)
 
 
@@ -151,8 +153,8 @@ def _drive(time: Array, runs: Sequence[Run], holds: Array) -> Drive:
 
 
 def _modal(beam: Extended, k: int, run: Run) -> Array:
-    """Coordinates (n,) of a run's vibration modes."""
-    _, shapes = beam.modes(k)
+    """Coordinates (n,) of a run's vibration modes, of the arm on a base that stands still."""
+    shapes = beam.modes_on_ground(k)
     chosen = shapes[:, : len(run.tip_amplitudes)]
     to_tip = beam.basis.weights @ beam.heading
     return np.asarray(chosen @ (np.array(run.tip_amplitudes) / (to_tip @ chosen)))

@@ -15,6 +15,7 @@ from tests.fine_beam.arms import CLAMPED, HUB, INERTIA, MARKERS, RIGID, TIME, al
 from tests.fine_beam.extended import Extended
 from tests.fine_beam.hidden import Physics, slip_rate
 from tests.fine_beam.motion import Run, simulate_runs
+from tests.fine_beam.wedge import wedge_pulsations
 
 Array = NDArray[np.float64]
 NONE = np.zeros(1)
@@ -43,6 +44,44 @@ def test_clamp_compliance_turns_the_root_by_its_moment() -> None:
     physics = Physics(clamp_compliance_compliance=5e-3, in_plane_gravity_gy=-0.2)
     motion = alone(HUB, physics, Run(held=True))
     assert motion.coordinates[0, 1] == pytest.approx(5e-3 * -0.2 * 0.22, rel=1e-3)
+
+
+@pytest.mark.parametrize("taper", [0.04, 0.6])
+def test_taper_has_the_frequencies_of_a_truncated_wedge(taper: float) -> None:
+    pulsations = Extended(CLAMPED, Physics(taper_taper=taper), NONE).modes()[0][:3]
+    np.testing.assert_allclose(pulsations, wedge_pulsations(1.0, 0.44, 1.97, taper, 3), rtol=2e-6)
+    turned = Extended(CLAMPED, Physics(taper_taper=-taper), NONE).modes()[0][0]
+    assert turned < pulsations[0]  # thick at the tip
+
+
+def test_taper_bends_where_the_link_is_thin() -> None:
+    physics = Physics(taper_taper=0.3, in_plane_gravity_gy=-0.2)
+    motion = alone(CLAMPED, physics, Run(held=True), TIME[:2])
+    arcs = motion.beam.basis.nodes
+    # Of the mass beyond s, per length 0.44 (1.15 - 0.3 s), in a sag so small that it hangs straight out.
+    moment = -0.2 * 0.44 * (1.15 * (1 - arcs) ** 2 / 2 - 0.3 * (1 / 3 - arcs / 2 + arcs**3 / 6))
+    expected = moment / (1.97 * (1.15 - 0.3 * arcs) ** 3)
+    np.testing.assert_allclose(motion.beam.curvature @ motion.coordinates[0], expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_asymmetry_is_a_stiffness_for_each_side(side: float) -> None:
+    """Gravity bends the whole link one way."""
+    physics = Physics(stiffness_asymmetry_ratio=0.2, in_plane_gravity_gy=side)
+    plain = replace(CLAMPED, bending_stiffness=1.97 * (1.0 + 0.2 * side))
+    sag = alone(CLAMPED, physics, Run(held=True), TIME[:2]).positions(MARKERS)
+    expected = alone(plain, Physics(in_plane_gravity_gy=side), Run(held=True), TIME[:2]).positions(MARKERS)
+    np.testing.assert_allclose(sag, expected, atol=1e-8)
+
+
+def test_asymmetry_keeps_its_energy_and_swings_farther_to_the_soft_side() -> None:
+    undamped = replace(CLAMPED, kelvin_voigt_time=0.0)
+    motion = alone(undamped, Physics(stiffness_asymmetry_ratio=0.2), Run(tip_amplitudes=(0.05,)))
+    bend = motion.coordinates @ motion.beam.curvature.T
+    stored = energy(motion) + 0.5 * 0.2 * 1.97 * (bend * np.abs(bend)) @ motion.beam.basis.weights
+    np.testing.assert_allclose(stored, stored[0], rtol=1e-5)
+    tip = motion.positions([1.0])[:, 0, 1]
+    assert tip.min() / tip.max() == pytest.approx(-np.sqrt(1.2 / 0.8), rel=0.02)
 
 
 def modal_decay(matrix: Array, state: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from tests.fine_beam import linear_modes, simulate, static_state
 from tests.fine_beam.arms import HUB, INERTIA, MARKERS, RIGID, TIME, alone, drive, energy, rms
@@ -131,6 +132,69 @@ def test_play_passes_nothing_until_it_closes() -> None:
     assert resting.coordinates[0, 1] == pytest.approx(-0.005 - 0.066 / FLANK_STIFFNESS, abs=1e-6)
 
 
+# The table
+
+
+def table(**values: float) -> Physics:
+    return Physics(**{f"base_compliance_{name}": value for name, value in values.items()})
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.8, np.pi / 2])
+def test_a_rigid_arm_on_a_table_is_a_pendulum_on_a_cart(direction: float) -> None:
+    """Lagrange's equations of both, without bending; the arm turns by more than two radians."""
+    stiffness, mass, ratio, moment = 300.0, 2.0, 0.05, 0.44 * 0.5
+    damping = 2.0 * ratio * np.sqrt(stiffness * mass)
+    torque = 1.2 * np.sin(4.0 * TIME)
+
+    def slope(t: float, y: Array) -> list[float]:
+        theta, u, turning, speed = y
+        across, ahead = np.sin(direction - theta), np.cos(direction - theta)
+        matrix = np.array([[INERTIA, moment * across], [moment * across, 2.44]])
+        pulled = moment * ahead * turning**2 - stiffness * u - damping * speed
+        return [turning, speed, *np.linalg.solve(matrix, [1.2 * np.sin(4.0 * t), pulled])]
+
+    exact = solve_ivp(slope, (0.0, 1.0), np.zeros(4), t_eval=TIME, rtol=1e-10, atol=1e-13).y
+    physics = table(stiffness=stiffness, mass=mass, direction=direction, damping_ratio=ratio)
+    motion = alone(RIGID, physics, Run(torque))
+    np.testing.assert_allclose(motion.theta, exact[0], atol=3e-4)  # it bends a little
+    np.testing.assert_allclose(motion.coordinates[:, -1], exact[1], atol=3e-5)
+    assert np.ptp(exact[0]) > 1.5
+    assert np.abs(exact[1]).max() > 2e-3
+    shift = motion.positions([0.0]) - exact[1][:, None, None] * [np.cos(direction), np.sin(direction)]
+    np.testing.assert_allclose(shift, 0.0, atol=3e-5)
+
+
+def sliding(pulsation: float, stiffness: float, mass: float) -> float:
+    """Zero at the natural frequencies of a beam whose root slides across it with a mass on a spring, N/m."""
+    z = np.sqrt(pulsation) * (0.44 / 1.97) ** 0.25
+    cos, sin, cosh, sinh = np.cos(z), np.sin(z), np.cosh(z), np.sinh(z)
+    held, shear = stiffness - mass * pulsation**2, 1.97 * z**3
+    rows = [[0, 1, 0, 1], [held / shear, -1, held / shear, 1], [-cos, -sin, cosh, sinh], [sin, -cos, sinh, cosh]]
+    return float(np.linalg.det(np.array(rows) / [[1], [1], [cosh], [cosh]]))
+
+
+def test_a_link_on_a_table_has_the_frequencies_of_a_beam_whose_root_slides() -> None:
+    clamped = replace(HUB, joint="clamped", hub_inertia=0.0)
+    pulsations = Extended(clamped, table(stiffness=2000.0, mass=3.0), NONE).modes()[0][:4]
+    for found in pulsations:
+        assert found == pytest.approx(brentq(sliding, 0.98 * found, 1.02 * found, args=(2000.0, 3.0)), rel=2e-6)
+    assert np.abs(pulsations - np.sqrt(2000.0 / 3.4)).min() < 1.0
+
+
+def test_weight_does_not_move_the_table() -> None:
+    physics = replace(table(stiffness=500.0, direction=1.0), in_plane_gravity_gy=-0.3)
+    motion = alone(HUB, physics, Run(held=True))
+    grounded = alone(HUB, Physics(in_plane_gravity_gy=-0.3), Run(held=True))
+    np.testing.assert_allclose(motion.positions(MARKERS), grounded.positions(MARKERS), atol=1e-9)
+
+
+def test_decays_begin_in_the_modes_of_an_arm_on_the_ground() -> None:
+    physics = replace(table(stiffness=500.0), clamp_compliance_compliance=5e-3)
+    run, grounded = Run(tip_amplitudes=(0.05, -0.01)), Physics(clamp_compliance_compliance=5e-3)
+    first = [alone(HUB, hidden, run, TIME[:2]).positions(MARKERS)[0] for hidden in (physics, grounded)]
+    np.testing.assert_allclose(*first, atol=1e-9)
+
+
 # Energy and steps
 
 
@@ -143,8 +207,9 @@ UNDAMPED = replace(HUB, kelvin_voigt_time=0.0)
         Physics(gear_elasticity_stiffness=60.0),
         Physics(clamp_compliance_compliance=5e-3),
         Physics(tip_payload_mass=0.05),
+        table(stiffness=500.0, mass=2.0, direction=0.9, damping_ratio=0.0),
     ],
-    ids=["gear", "clamp", "payload"],
+    ids=["gear", "clamp", "payload", "table"],
 )
 def test_energy_is_kept_where_nothing_takes_it(physics: Physics) -> None:
     motion = alone(UNDAMPED, physics, Run(tip_amplitudes=(0.05, 0.005)), step=1e-3)
@@ -175,9 +240,11 @@ def test_what_only_takes_energy_never_gives_any(physics: Physics) -> None:
         (Physics(backlash_gap=0.004), 3e-6),
         (Physics(gear_elasticity_stiffness=60.0, external_tone_amplitude=0.05, external_tone_frequency=7.0), 1e-7),
         (Physics(hysteresis_ratio=0.1, viscoelastic_creep_ratio=0.05, cubic_stiffness_coefficient=-0.1), 1e-7),
+        (Physics(stiffness_asymmetry_ratio=0.1, taper_taper=0.2), 1e-7),
+        (table(stiffness=500.0, mass=2.0, direction=0.9), 1e-7),
         (Physics(quadratic_drag_coefficient=0.1, clamp_compliance_compliance=5e-3, stiffness_drift_rate=0.01), 1e-7),
     ],
-    ids=["coulomb", "backlash", "gear", "hysteresis", "drag"],
+    ids=["coulomb", "backlash", "gear", "hysteresis", "asymmetry", "table", "drag"],
 )
 def test_half_the_step_changes_next_to_nothing(physics: Physics, error: float) -> None:
     run = Run(drive(TIME))

@@ -69,6 +69,9 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "torque_saturation": {"limit": Size(0.2, reciprocal=True)},
     "cogging": {"amplitude": Size(0.006)},
     "stribeck": {"torque": Size(0.006)},
+    "taper": {"taper": Size(0.04, True)},
+    "stiffness_asymmetry": {"ratio": Size(0.02, True)},
+    "base_compliance": {"stiffness": Size(2000.0, reciprocal=True)},
 }
 # A tilt: its two components come from one angle and one direction.
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
@@ -119,7 +122,10 @@ def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Pla
         size = factor * TILT
         return Planted(effect, {"gx": float(size * np.cos(angle)), "gy": float(size * np.sin(angle))})
     values = {name: _value(size, factor, random) for name, size in SIZES[effect].items()}
-    return Planted(effect, values | _inner(effect, random))
+    inner = _inner(effect, random)
+    if effect == "base_compliance" and rig == "clamped":  # which hardly pushes a table along the link
+        inner["direction"] = 0.25 * np.pi + 0.5 * inner["direction"]
+    return Planted(effect, values | inner)
 
 
 def of_size(effect: str, seed: int, smallest: Mapping[str, float], multiple: float) -> Planted:
@@ -185,6 +191,9 @@ def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
             return {"count": float(count), "phase": random.uniform(0.0, 2.0 * np.pi)}
         case "marker_offset":
             return {"marker": float(random.integers(1, 6))}
+        case "base_compliance":
+            damping = 0.03 * float(2.0 ** random.uniform(-0.7, 0.7))
+            return {"mass": 4.0 * spread, "direction": random.uniform(0.0, np.pi), "damping_ratio": damping}
     return {}
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.model.chains import HOSTILE, Plane, chains, extended_chain, plain_chain, plain_link
 from tests.model.urdf_contents import NAMESPACE, extension_from, robot_from, springs_from
-from vjm.chain.virtual_links import Array, Chain
+from vjm.chain.virtual_links import Array, Chain, MovingBase
 from vjm.errors import ShapeError
 from vjm.model.dynamics import Mechanism
 from vjm.model.urdf import chain_to_urdf
@@ -214,6 +214,39 @@ def test_mujoco_takes_it_and_finds_the_same_mass_matrix() -> None:
     assert tuple(model.joint(i).name for i in range(model.njnt)) == chain.joint_names
     assert model.dof_damping == pytest.approx(chain.damping)
     assert model.dof_frictionloss == pytest.approx([0.008, *[0.0] * (model.nv - 1)])
+
+
+def on_a_table(chain: Chain) -> Chain:
+    return replace(chain, base=MovingBase(3.0, 2000.0, 4.0, 0.7))
+
+
+@settings(max_examples=25, deadline=None)
+@given(chains(), SEEDS)
+def test_a_moving_base_is_a_sliding_joint(chain: Chain, seed: int) -> None:
+    moving = on_a_table(chain)
+    q = posture(moving, seed)
+    model, data, configuration = pinocchio_at(moving, q)
+    assert tuple(model.names)[1:] == moving.joint_names
+    assert model.damping == pytest.approx(moving.damping, rel=1e-15)
+    expected = Mechanism(moving).mass_matrix(q[None])[0]
+    upper = np.triu(pin.crba(model, data, configuration))
+    np.testing.assert_allclose(upper, np.triu(expected), rtol=1e-9, atol=1e-12 * expected.max())
+    (slide,) = extension_from(chain_to_urdf(moving)).iter(f"{NAMESPACE}base_slide")
+    assert float(slide.attrib["stiffness"]) == 2000.0
+
+
+def test_mujoco_takes_a_moving_base_too() -> None:
+    chain = on_a_table(extended_chain())
+    model = mujoco.MjModel.from_xml_string(chain_to_urdf(chain))
+    assert tuple(model.joint(i).name for i in range(model.njnt)) == chain.joint_names
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_SLIDE
+    assert model.jnt_axis[0] == pytest.approx([np.cos(0.7), np.sin(0.7), 0.0])
+
+
+@pytest.mark.parametrize("field", ["mass", "stiffness", "damping"])
+def test_a_base_has_no_negative_values(field: str) -> None:
+    with pytest.raises(ShapeError, match=f"base.{field}"):
+        replace(MovingBase(3.0, 2000.0, 4.0, 0.7), **{field: -1.0})
 
 
 def test_friction_and_damping_are_where_other_programs_look_for_them() -> None:

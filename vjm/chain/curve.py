@@ -106,11 +106,14 @@ def marker_poses(
         chain: the arm.
         q: (..., nv) joint angles [rad].
         arcs: for each link, (k_i,) the arc lengths of its markers [m].
-        in_link_frame: for each link, whether its markers are wanted in its own frame instead of the base frame.
+        in_link_frame: for each link, whether its markers are wanted in its own frame instead of the base frame, which
+            stays where it is if the base moves; so does the frame of a first link that is clamped.
     """
     angles = np.asarray(q, dtype=float)
     # Of the link's frame Sigma_i in the base frame (eq. 9), active angle included.
     origin, heading = np.zeros((*angles.shape[:-1], 2)), np.zeros(angles.shape[:-1])
+    if chain.base is not None:
+        origin = angles[..., :1] * chain.base.axis
     positions, headings = [], []
     for i, (link, part) in enumerate(zip(chain.links, chain.passive_slices, strict=True)):
         if link.joint == "revolute":
@@ -121,7 +124,7 @@ def marker_poses(
         curve, tip = curve_map(link, arcs[i]), curve_map(link, [link.length])
         position = curve.positions(phi, root_angle, link.rest_curvature)
         tangent = root_angle[..., None] + phi @ curve.heading.T + link.rest_curvature * curve.arcs
-        if not in_link_frame[i]:
+        if not in_link_frame[i] or (i == 0 and link.joint == "clamped"):
             position = origin[..., None, :] + rotate(position, heading[..., None])
             tangent = tangent + heading[..., None]
         positions.append(position)
@@ -134,11 +137,13 @@ def marker_poses(
 def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:
     """Return an initial state (2 nv,) with the same curvatures in the joints of another chain of the same arm.
 
-    A root joint that the given chain lacks is turned by the moment that the link's curvature there exerts on it.
+    A root joint that the given chain lacks is turned by the moment that the link's curvature there exerts on it; a base
+    that did not move stands still.
     """
     links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
     turn = np.zeros((wanted.size, given.size))
     turn[wanted.active, given.active] = 1.0
+    turn[: wanted.base_size, : given.base_size] = 1.0
     for one, two, here, there in links:
         curvature = _curvature_spline(one)
         turn[there, here] = two.cells[:, None] * curvature(two.joint_arcs)

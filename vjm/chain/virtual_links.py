@@ -113,6 +113,33 @@ class LinkChain(Record):
         return np.cumsum(self.lengths)[:-1]
 
 
+@dataclass(frozen=True)
+class MovingBase:
+    """A base that slides in one direction of the plane, without turning, on a spring and a damper.
+
+    Its displacement is from where it stands under the weight of all that it carries.
+
+    Raises:
+        ShapeError: values out of range.
+    """
+
+    mass: _NotNegative  # of the base itself [kg]
+    stiffness: _NotNegative  # [N/m]
+    damping: _NotNegative  # [N s/m]
+    direction: float  # from the x axis of the base frame [rad]
+
+    def __post_init__(self) -> None:
+        for field in ("mass", "stiffness", "damping"):
+            value = getattr(self, field)
+            if not 0 <= value < np.inf:
+                raise ShapeError(f"base.{field}", value, "zero or a positive number")
+
+    @property
+    def axis(self) -> Array:
+        """(2,) unit vector of the direction."""
+        return np.array([np.cos(self.direction), np.sin(self.direction)])
+
+
 _NOT_NEGATIVE = ("joint_stiffness", "joint_damping", "root_stiffness", "root_damping", "root_inertia")
 _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffness": 0, "damping": 0, "cells": 0}
 
@@ -121,8 +148,8 @@ _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffnes
 class Chain(Record):
     """An arm of flexible links as virtual-joint chains.
 
-    Coordinates q run from the base outwards: for each link its active angle theta (revolute links only), the angle of
-    its root joint (where there is one), then its virtual joints' angles phi.
+    Coordinates q run from the base outwards: the base's displacement [m] where it moves, then for each link its active
+    angle theta (revolute links only), the angle of its root joint (where there is one), its virtual joints' angles phi.
     """
 
     name: str  # of the arm
@@ -130,22 +157,33 @@ class Chain(Record):
     gravity: tuple[float, float] = (0.0, 0.0)  # in the plane, (x, y) of the base frame [m/s^2]
     # Apparent inertia of each active joint's drive, against the turn of that joint itself [kg m^2].
     armature: float = 0.0
+    base: MovingBase | None = None  # on which the arm stands; None: the ground
 
     @property
     def size(self) -> int:
         """Number of coordinates nv."""
-        return sum(link.coordinates for link in self.links)
+        return self.base_size + sum(link.coordinates for link in self.links)
+
+    @property
+    def base_size(self) -> int:
+        """Number of coordinates of the base: one, the first, where it moves."""
+        return int(self.base is not None)
 
     @property
     def passive_slices(self) -> tuple[slice, ...]:
         """For each link, the coordinates that are its virtual joints' angles."""
-        stops = np.cumsum([link.coordinates for link in self.links]).tolist()
+        stops = (self.base_size + np.cumsum([link.coordinates for link in self.links])).tolist()
         return tuple(slice(stop - link.virtual_joints, stop) for stop, link in zip(stops, self.links, strict=True))
 
     @property
     def active(self) -> Indices:
         """Coordinates that are active joint angles."""
         return self._of_kind("joint")
+
+    @property
+    def elbows(self) -> Indices:
+        """Coordinates of active joints beyond a flexible link, whose angles change the arm's shape altogether."""
+        return self.active[self.active > self.base_size]
 
     @property
     def roots(self) -> Indices:
@@ -155,16 +193,16 @@ class Chain(Record):
     @property
     def passive(self) -> Indices:
         """Coordinates that no motor drives."""
-        return self._of_kind("root", "virtual")
+        return self._of_kind("base", "root", "virtual")
 
     def _of_kind(self, *kinds: str) -> Indices:
-        own = [kind for link in self.links for kind in link.joint_kinds]
+        own = ["base"] * self.base_size + [kind for link in self.links for kind in link.joint_kinds]
         return np.array([k for k, kind in enumerate(own) if kind in kinds], dtype=np.intp)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Name of each coordinate's joint: `LINK_joint` if active, `LINK_root`, `LINK_virtual_J` (J from 1)."""
-        names: list[str] = []
+        """Name of each coordinate's joint: `base_slide`, `LINK_joint` if active, `LINK_root`, `LINK_virtual_J`."""
+        names = ["base_slide"] * self.base_size
         for link in self.links:
             names += [f"{link.name}_{kind}" for kind in link.joint_kinds if kind != "virtual"]
             names += [f"{link.name}_virtual_{j}" for j in range(1, link.virtual_joints + 1)]
@@ -172,17 +210,17 @@ class Chain(Record):
 
     @property
     def stiffness(self) -> Array:
-        """(nv,) joint stiffness [N m/rad]."""
+        """(nv,) joint stiffness [N m/rad], the base's [N/m]."""
         return self._of_joints("stiffness")
 
     @property
     def damping(self) -> Array:
-        """(nv,) joint damping [N m s/rad]."""
+        """(nv,) joint damping [N m s/rad], the base's [N s/m]."""
         return self._of_joints("damping")
 
     def _of_joints(self, field: str) -> Array:
         """(nv,) stiffness or damping of active, root and virtual joints in the order of the coordinates."""
-        values: list[Array] = []
+        values: list[Array] = [] if self.base is None else [getattr(self.base, field)]
         for link in self.links:
             values += [getattr(link, f"{kind}_{field}") for kind in link.joint_kinds if kind != "virtual"]
             values.append(getattr(link, field))

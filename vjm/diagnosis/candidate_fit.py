@@ -38,7 +38,7 @@ LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing t
 _FOLLOWED = 0.3
 _FEW = 4  # simulations by which initial states come near enough for a fit of all parameters
 _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
-_RESTARTS = (0.5, 2.0, 4.0)  # multiples of a joint's compliance: of its frequency, two thirds to half an octave
+_RESTARTS = (0.5, 2.0, 4.0)  # multiples of a joint's compliance or mass: of its frequency, half an octave or more
 _RESTART_STEPS = 5  # after which a start that leads elsewhere shows
 _MISSED = 1e-3  # significance level at which a recording is missed
 _STUCK, _LITTLE = 5, 0.002  # accepted steps, and the share of chi^2 that they must gain for a fit to go on
@@ -142,7 +142,7 @@ def _with_share(effect: Effect, share: float) -> Effect:
 
 
 def restarted(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
-    """Fit a model again from other compliances of its effects that are joints of their own; return the best fit.
+    """Fit a model again from other frequencies of its effects that are joints of their own; return the best fit.
 
     Such a joint vibrates, and where its frequency is wrong by a cycle over a segment there is another minimum. After
     the deadline, as of `StoppingRule`, what has been found is returned.
@@ -153,8 +153,7 @@ def restarted(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
             continue
         for factor in _RESTARTS:
             x = fit.point.x.copy()
-            x[part.start] *= factor
-            x[part.start + effect.magnitude_count : part.stop] = 0.0  # shape parameters' typical values
+            x[part] = np.clip(effect.with_softer_joint(factor).coordinates, *effect.bounds)
             try:
                 trial = fit_trajectory(
                     fit.point.problem, x, None, fit.point.states, stop=StoppingRule(best.chi2, _RESTART_STEPS, deadline)

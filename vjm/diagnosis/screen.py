@@ -146,6 +146,12 @@ class Screen:
         columns = self._columns(chosen)
         return np.asarray(np.linalg.lstsq(self.R[:, columns], self.R[:, -1], rcond=1e-10)[0])
 
+    def start(self, k: int, sizes: Array) -> tuple[Effect, Array]:
+        """Return the absent effect from which a fit of variant k with its sizes (s,) starts, and the sizes there."""
+        effect = self.effects[k]
+        group = [j for j, other in enumerate(self.effects) if effect.superposes(other) and not self.absorbed[j]]
+        return effect.superposition([self.effects[j] for j in group], self.guess(group)) if group else (effect, sizes)
+
     def std(self, k: int) -> Array:
         """Return standard errors (s,) of effect k's sizes, each with the others known, in typical magnitudes."""
         return np.asarray(1 / np.sqrt(np.maximum(np.diag(self.products)[self.parts[k]], 1e-300)))

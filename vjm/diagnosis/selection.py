@@ -395,7 +395,8 @@ class Search:
         added = [family.screen.effects[k] for k in chosen]
         guess = family.screen.guess(chosen)
         parts = np.split(guess, np.cumsum([one.magnitude_count for one in added])[:-1])
-        sized = [start_size(one, own, fit.point.chain) for one, own in zip(added, parts, strict=True)]
+        starts = [family.screen.start(k, own) for k, own in zip(chosen, parts, strict=True)]
+        sized = [start_size(*start, fit.point.chain) for start in starts]
         return (*fit.effects, *sized)
 
     def _explains_all(self, fit: TrajectoryFit | None, fewer: TrajectoryFit) -> bool:

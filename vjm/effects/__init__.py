@@ -7,8 +7,10 @@ from vjm.effects.actuator import TorqueSaturation as TorqueSaturation
 from vjm.effects.bending import CubicStiffness as CubicStiffness
 from vjm.effects.bending import Hysteresis as Hysteresis
 from vjm.effects.bending import RestCurvature as RestCurvature
+from vjm.effects.bending import StiffnessAsymmetry as StiffnessAsymmetry
 from vjm.effects.bending import StiffnessDrift as StiffnessDrift
 from vjm.effects.bending import StructuralDamping as StructuralDamping
+from vjm.effects.bending import Taper as Taper
 from vjm.effects.bending import UnmodelledMode as UnmodelledMode
 from vjm.effects.bending import ViscoelasticCreep as ViscoelasticCreep
 from vjm.effects.effect import Effect as Effect
@@ -18,6 +20,7 @@ from vjm.effects.effect import RateIndependentUpdate as RateIndependentUpdate
 from vjm.effects.effect import magnitude as magnitude
 from vjm.effects.effect import shape_parameter as shape_parameter
 from vjm.effects.joint import Backlash as Backlash
+from vjm.effects.joint import BaseCompliance as BaseCompliance
 from vjm.effects.joint import ClampCompliance as ClampCompliance
 from vjm.effects.joint import CoulombFriction as CoulombFriction
 from vjm.effects.joint import GearElasticity as GearElasticity

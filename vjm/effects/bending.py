@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vjm.chain.virtual_links import Chain
+from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.effects.effect import Effect, LinkEffect, Motion, magnitude, shape_parameter
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording, Rig
@@ -106,6 +106,74 @@ class RestCurvature(LinkEffect):
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with an arc for the link."""
         return self.with_link(chain, rest_curvature=self.link_of(chain).rest_curvature + self.curvature)
+
+
+@dataclass(frozen=True)
+class Taper(LinkEffect):
+    """A link whose thickness is 1 + taper (1/2 - s/l) times the mean at the arc length s.
+
+    Mass per length is in proportion to the thickness, bending stiffness to its cube; both are given for a link of mean
+    thickness, so that the mass stays. A virtual joint has the stiffness of the section where it is, since its angle
+    stands for the curvature there, as the curve to the markers takes it to: that is fourth-order accurate in the number
+    of joints, a compliance integrated over the joint's cell of second order only.
+    """
+
+    taper: float = magnitude("", 0.05, lower=-1.0, upper=1.0)
+
+    description = "a taper: the link is thicker at one end than at the other"
+    clause = "a taper of {link}: its thickness falls by {taper} of the mean from its root to its tip"
+    reference = (
+        "H. H. Mabie and C. B. Rogers, Transverse vibrations of tapered cantilever beams with end loads, "
+        "J. Acoustical Society of America 36(3), 1964"
+    )
+    distinguishing_experiment = "three or more modes, or a caliper: measure the thickness at both ends"
+    abscissa = "frequency"
+    in_urdf = True
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain with other masses, inertias, springs and dampers of the link."""
+        if self.is_null:
+            return chain
+        link = self.link_of(chain)
+        rods = np.cumsum(link.lengths) - link.lengths + link.mass_centers
+        cubes, slope = self._thickness(link, link.joint_arcs) ** 3, -self.taper / link.length
+        # Integrals of a rod's mass, which is symmetric about its centre, times a linear function.
+        masses, thickness = link.masses * self._thickness(link, rods), self._thickness(link, rods)
+        shifts = slope * link.inertias / np.maximum(masses, 1e-300)
+        return self.with_link(
+            chain,
+            masses=masses,
+            mass_centers=link.mass_centers + shifts,
+            inertias=link.inertias * thickness - masses * shifts**2,
+            stiffness=link.stiffness * cubes,
+            damping=link.damping * cubes,
+        )
+
+    def _thickness(self, link: LinkChain, arcs: Array) -> Array:
+        """Thickness at arc lengths [m] over the mean."""
+        return 1 + self.taper * (0.5 - arcs / link.length)
+
+
+@dataclass(frozen=True)
+class StiffnessAsymmetry(LinkEffect):
+    """A bending moment EI kappa (1 + ratio sign(kappa)), as of a section with a crack that closes when bent one way.
+
+    A link with a positive ratio is stiffer when it is bent to the left, its tip towards +y of its own frame; bends are
+    from the unloaded shape, at which the moment is continuous.
+    """
+
+    ratio: float = magnitude("", 0.03, lower=-0.9, upper=0.9)
+
+    description = "a link that is stiffer when bent one way than the other"
+    clause = "a link {link} that is stiffer by {ratio} when bent to the left, and softer by as much to the right"
+    reference = "T. G. Chondros et al., Vibration of a beam with a breathing crack, J. Sound Vibration 239(1), 2001"
+    distinguishing_experiment = "static bends to both sides, or decays that begin on either side"
+    abscissa = "position"
+
+    def force(self, chain: Chain, payload: float) -> Motion | None:
+        """Return moments proportional to the angles' sizes."""
+        part, factor = self.virtual_joints(chain), -self.ratio * self.link_of(chain).stiffness
+        return self.force_on(part, lambda time, q, v, z: factor * np.abs(q[..., part]))
 
 
 @dataclass(frozen=True)

@@ -247,6 +247,28 @@ class Effect:
         present = self.at(np.where(np.arange(coordinates.size) < self.magnitude_count, 1.0, 0.0))
         return present.chain(chain).size != chain.size
 
+    def with_softer_joint(self, factor: float) -> Self:
+        """Return it with the compliance of a joint of its own times a factor, and typical shape parameters.
+
+        The joint's frequency falls by the factor's root; a search that found one such frequency tries others.
+        """
+        coordinates = np.where(np.arange(self.coordinates.size) < self.magnitude_count, self.coordinates, 0.0)
+        coordinates[0] *= factor
+        return self.at(coordinates)
+
+    def superposes(self, other: Effect) -> bool:
+        """Return True if small sizes of it and of another variant do together what one instance does."""
+        return False
+
+    def superposition(self, variants: Sequence[Effect], sizes: Array) -> tuple[Self, Array]:
+        """Return the absent instance that does what variants of it (V,) do together, and its sizes (s,).
+
+        Args:
+            variants: absent ones that superpose.
+            sizes: (V,) of each, in typical magnitudes.
+        """
+        raise NotImplementedError
+
     # Hooks. Where the effect is absent they must change nothing, to the last bit.
 
     def chain(self, chain: Chain) -> Chain:

@@ -1,14 +1,17 @@
-"""Friction, springs and torques at an active joint; what is soft or loose between it, or a clamp, and the link."""
+"""Friction, springs and torques at an active joint; what is soft or loose between ground, joint, clamp and link."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
-from vjm.chain.virtual_links import Chain, LinkChain
+from vjm.chain.virtual_links import Chain, LinkChain, MovingBase
 from vjm.effects.effect import (
     ColumnEffect,
+    Effect,
     JointEffect,
     LinkEffect,
     Motion,
@@ -257,6 +260,101 @@ class GearElasticity(JointEffect):
             return chain
         link = self.link_of(chain)
         return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link, self.motor_share))
+
+
+# Logarithms of a table's frequency over the typical one, 2.3 / T, to which searches may go: an eighth of it is slower
+# than the arm by itself, sixteen times it faster than the arm's fourth mode.
+_TABLE_OCTAVES = (-np.log(8.0), np.log(16.0))
+
+
+@dataclass(frozen=True)
+class BaseCompliance(Effect):
+    """A table under the base that moves: a mass on a spring, which slides in one direction of the plane.
+
+    It does not turn; the camera stands on the ground. The displacement is from where the table stands under the weight
+    of all that it carries. The damping ratio is that of the table by itself.
+
+    A search varies, at a frequency (stiffness / mass)^(1/2), two compliances that together are the table's, c cos(2 d)
+    and c sin(2 d) of a compliance c at an angle d from the direction where it started. In these the motion is about
+    linear, however near the arm moves to that frequency. At the null the mass is that of a table of typical stiffness.
+
+    Attributes:
+        start: direction from which the search started [rad]; None: the table's own.
+    """
+
+    stiffness: float = magnitude("N/m", 1500.0, null=np.inf, lower=50.0, reciprocal=True, in_rig_units=True)
+    # At the typical stiffness frequencies of 1, 2.3 and 5.5 / T, between the modes of an arm.
+    mass: float = shape_parameter("kg", 7.2, lower=0.01, upper=1e4, grid=(38.0, 7.2, 1.26), in_rig_units=True)
+    # What a stiff table does is linear in cos(2 direction) and sin(2 direction): three directions span it.
+    direction: float = shape_parameter("rad", np.pi / 2, lower=-np.inf, grid=(np.pi / 6, np.pi / 2, 5 * np.pi / 6))
+    damping_ratio: float = shape_parameter("", 0.03, lower=1e-4, upper=1.0)
+
+    start: float | None = field(default=None, kw_only=True, compare=False, repr=False)
+
+    description = "a table that moves under the base"
+    clause = (
+        "a table that moves under the base: {mass} on a spring of {stiffness} in the direction {direction}, with a "
+        "damping ratio of {damping_ratio}"
+    )
+    reference = "E. I. Rivin, Stiffness and Damping in Mechanical Design, Marcel Dekker, 1999, chapter 5"
+    distinguishing_experiment = "a fiducial on the base in the camera's view, or an accelerometer on the table"
+    abscissa = "frequency"
+    in_urdf = True
+
+    @property
+    def coordinates(self) -> Array:
+        """(4,) compliance along the start over a typical one, logs of frequency and damping, compliance across it."""
+        stiffness, mass, _, damping = self.parameters
+        known = self.stiffness if np.isfinite(self.stiffness) else stiffness.typical_magnitude
+        frequency = np.log(known / self.mass * mass.typical_magnitude / stiffness.typical_magnitude) / 2
+        compliance, loss = stiffness.coordinate(self.stiffness), damping.coordinate(self.damping_ratio)
+        angle = 0.0 if self.start is None else 2 * (self.direction - self.start)
+        return np.array([compliance * np.cos(angle), frequency, loss, compliance * np.sin(angle)])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (4,)."""
+        stiffness, mass, _, damping = self.parameters
+        along, frequency, loss, across = np.asarray(coordinates, dtype=float).tolist()
+        compliance, start = float(np.hypot(along, across)), self.direction if self.start is None else self.start
+        return replace(
+            self,
+            stiffness=stiffness.value(compliance),
+            mass=float(mass.typical_magnitude * np.exp(-2 * frequency) / (compliance or 1.0)),
+            direction=(start + float(np.arctan2(across, along)) / 2) % np.pi,  # a line's: either way is the same
+            damping_ratio=damping.value(loss),
+            start=start,
+        )
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (4,), (4,) of the coordinates."""
+        stiffness, _, _, damping = self.parameters
+        most = stiffness.bounds[1]
+        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, damping.bounds, (-most, most)])
+        return pairs[:, 0], pairs[:, 1]
+
+    def superposes(self, other: Effect) -> bool:
+        """Return True for a table of the same frequency and damping: compliances in several directions add up."""
+        return isinstance(other, BaseCompliance) and replace(other, direction=self.direction) == self
+
+    def superposition(self, variants: Sequence[Effect], sizes: Array) -> tuple[Self, Array]:
+        """Return the table along the direction in which the sum of compliances is largest, and how large it is."""
+        directions = np.array([each.values["direction"] for each in variants])
+        axes = np.stack([np.cos(directions), np.sin(directions)])
+        compliances, principal = np.linalg.eigh((axes * sizes) @ axes.T)
+        direction = float(np.arctan2(principal[1, -1], principal[0, -1]) % np.pi)
+        return replace(self, direction=direction, start=None), compliances[-1:]
+
+    def with_softer_joint(self, factor: float) -> Self:
+        """Return it with the table's mass times a factor: its frequency is what a search may miss."""
+        return replace(self, mass=factor * self.mass)
+
+    def chain(self, chain: Chain) -> Chain:
+        """Return the chain on a base that slides."""
+        if self.is_null:
+            return chain
+        damping = 2 * self.damping_ratio * float(np.sqrt(self.stiffness * self.mass))
+        return replace(chain, base=MovingBase(self.mass, self.stiffness, damping, self.direction))
 
 
 @dataclass(frozen=True)

@@ -123,6 +123,8 @@ class Rods:
                 self._turns[coordinate, rod + j :] = 1.0
                 bends[rod + j] = link.rest_curvature * float(link.cells[j - 1])
             rod += link.lengths.size
+        self._slides = chain.base_size  # coordinates, none or one, that move all rods in this direction
+        self._slide = complex(*chain.base.axis) if chain.base is not None else 0j
         self._rest = np.exp(1j * np.cumsum(bends))
         # [a, b]: what rod a adds to the place of rod b's proximal end.
         self._reach = np.triu(np.repeat(self.lengths[:, None], self.lengths.size, axis=1), 1)
@@ -136,10 +138,12 @@ class Rods:
         direction = self._rest * np.exp(1j * (q @ self._turns))
         rate = v @ self._turns
         normal = (((direction * rate) @ self._reach) * direction.conj()).real
+        if self._slides:
+            normal = normal + v[..., :1] * (self._slide * direction.conj()).imag
         return direction, rate, normal
 
     def torques(self, direction: Complex, force: Array, moment: Array) -> Array:
-        """Return the generalised forces (..., nv) [N m] of forces on the rods.
+        """Return the generalised forces (..., nv) [N m], on a moving base [N], of forces on the rods.
 
         Args:
             direction: (..., B) exp(i psi).
@@ -148,6 +152,8 @@ class Rods:
         """
         lever = (direction * force) @ self._reach.T
         result: Array = (moment + (lever * direction.conj()).real) @ self._turns.T
+        if self._slides:
+            result[..., 0] = (force * (self._slide * direction.conj()).imag).sum(axis=-1)
         return result
 
 

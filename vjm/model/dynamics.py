@@ -43,6 +43,10 @@ class Mechanism:
             armature = np.zeros(self.model.nv)
             armature[chain.active] = chain.armature
             self.model.armature = armature
+        # Weight along a moving base's direction [N], which its spring carries where its displacement is zero.
+        self._weight = 0.0
+        if chain.base is not None:
+            self._weight = float(pin.computeTotalMass(self.model) * self.model.gravity.linear[:2] @ chain.base.axis)
 
     @cached_property
     def _data(self) -> pin.Data:
@@ -69,6 +73,8 @@ class Mechanism:
             threads = _THREADS if count >= _PARALLEL_FROM else 1
             # Time-first C arrays are the joint-first Fortran arrays Pinocchio wants: transposing copies nothing.
             pin.rneaInParallel(threads, self._pool, *(batch.T for batch in batches), torque.T)
+        if self._weight:
+            torque[:, 0] += self._weight
         return torque
 
     def _batch(self, name: str, values: ArrayLike) -> Array:
@@ -91,6 +97,8 @@ class Mechanism:
     def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
         """Return accelerations (T, nv) [rad/s^2] of a whole batch (ABA), from contiguous q, v and torque (T, nv)."""
         acceleration = np.empty(q.shape)
+        if self._weight:
+            torque = np.ascontiguousarray(torque - self._weight * (np.arange(q.shape[1]) == 0))
         pin.abaInParallel(1, self._pool, q.T, v.T, torque.T, acceleration.T)
         return acceleration
 
@@ -109,18 +117,21 @@ def mechanism_of(chain: Chain, payload: float = 0.0, gravity: tuple[float, float
 
 
 def _add_chain(model: pin.Model, chain: Chain, payload: float) -> None:
-    """Add a chain's joints and bodies; what stands still at the base has no body."""
+    """Add a chain's joints and bodies; what stands still has no body."""
     joint, offset, angle = 0, 0.0, 0.0  # the joint that carries the next body, its distance and heading from there
     names = iter(chain.joint_names)
 
-    def add_joint() -> int:
-        return int(model.addJoint(joint, pin.JointModelRZ(), _placement(offset, angle), next(names)))
+    def add_joint(kind: pin.JointModel | None = None) -> int:
+        return int(model.addJoint(joint, kind or pin.JointModelRZ(), _placement(offset, angle), next(names)))
 
     def add_body(mass: float, center: float, inertia: float) -> None:
         if joint:
             body = pin.Inertia(mass, np.array([center, 0.0, 0.0]), np.diag([0.0, 0.0, inertia]))
             model.appendBodyToJoint(joint, body, _placement(offset))
 
+    if chain.base is not None:
+        joint = add_joint(pin.JointModelPrismaticUnaligned(np.r_[chain.base.axis, 0.0]))
+        add_body(chain.base.mass, 0.0, 0.0)
     for i, link in enumerate(chain.links):
         if link.joint == "revolute":
             joint, offset, angle = add_joint(), 0.0, 0.0

@@ -47,7 +47,10 @@ class _Body(NamedTuple):
 
 
 class _Joint(NamedTuple):
-    """URDF joint about z at x on its parent's x axis [m], and the body that it carries, turned by yaw [rad]."""
+    """URDF joint at x on its parent's x axis [m], and the body that it carries, turned by yaw [rad].
+
+    It turns about z, or slides along `axis` by no more than `reach` [m].
+    """
 
     name: str
     type: str
@@ -57,6 +60,8 @@ class _Joint(NamedTuple):
     damping: float | None = None
     yaw: float = 0.0
     friction: float = 0.0
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    reach: float = 0.0
 
 
 def chain_to_urdf(chain: Chain, friction: Mapping[str, float] | None = None) -> str:
@@ -103,6 +108,13 @@ def _environment() -> Environment:
 
 def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[_Joint]:
     """All joints with the bodies that they carry, from the base, their parent, outwards."""
+    if chain.base is not None:
+        radius, mass, axis = 0.1 * chain.links[0].length, chain.base.mass, chain.base.axis
+        across = mass * radius**2 / 4  # a disc's; nothing turns it
+        table = _Body("base_table", _Inertial(mass, 0.0, across, across, 2 * across))
+        slide = (float(axis[0]), float(axis[1]), 0.0)
+        yield _Joint("base_slide", "prismatic", parent, 0.0, table, chain.base.damping, 0.0, 0.0, slide, radius)
+        parent = table.name
     for link in chain.links:
         name, dry = link.name, friction.get(link.name, 0.0)
         body = _virtual_link(link, 0)

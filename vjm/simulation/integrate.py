@@ -116,7 +116,7 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
     slowest, _ = locked_joint_frequencies(chain, payload)
     joints = max(link.virtual_joints for link in chain.links)
     steps_a_period = min(60.0 + 16.0 * joints, 220.0)
-    if (chain.active > 0).any():
+    if chain.elbows.size:
         steps_a_period = min(880.0 * joints, 5200.0)
     return float(sum(link.length for link in chain.links) ** -0.25 / (steps_a_period * slowest))
 
@@ -133,7 +133,7 @@ def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float,
 def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> int:
     """Return the number of steps [s] in half an interval over which derivatives are advanced at once."""
     slowest, _ = locked_joint_frequencies(chain, recording.payload)
-    periods = _HALF_INTERVAL_ELBOW if (chain.active > 0).any() else _HALF_INTERVAL
+    periods = _HALF_INTERVAL_ELBOW if chain.elbows.size else _HALF_INTERVAL
     return max(1, int(periods / (slowest * step) + 1e-9))
 
 
@@ -238,7 +238,7 @@ class _LinearPropagator:
     def __init__(self, system: System, step: float) -> None:
         self.system = system
         self.step = step
-        self.elbows = system.active[system.active > 0]  # joints further out that bend the arm
+        self.elbows = system.active[system.active > 0]  # joints further out that bend the arm, or beyond a moving base
         self.known: dict[tuple[int, ...], _Weights] = {}
         self.current: tuple[bytes, _Weights] | None = None
         parts = (self._inertia(np.zeros((len(system.arms), self.elbows.size))), system.stiffness, system.damping)

@@ -213,7 +213,9 @@ def _parameter_derivatives(
 
 
 def _equal(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
-    """True if the links of two chains are equal in some fields."""
+    """True if two chains have the same base, and links that are equal in some fields."""
+    if chain.base != other.base:
+        return False
     links = list(zip(chain.links, other.links, strict=True))
     return all(np.array_equal(getattr(one, field), getattr(two, field)) for one, two in links for field in fields)
 
