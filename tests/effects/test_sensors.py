@@ -10,6 +10,7 @@ from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
 from vjm.effects import (
     CameraRotation,
     CameraScale,
+    CameraTranslation,
     ClockScale,
     EncoderOffset,
     LensDistortion,
@@ -50,6 +51,13 @@ def test_a_camera_scales_turns_and_distorts_about_the_base() -> None:
     assert np.exp(0.3j) * (POSITIONS @ [1, 1j]) == pytest.approx(turned @ [1, 1j])
     bent = LensDistortion(k1=-0.02).marker_positions(POSITIONS, HEADINGS)
     assert np.linalg.norm(bent, axis=-1) == pytest.approx(radius * (1 - 0.02 * radius**2))
+
+
+def test_a_shifted_camera_shifts_all_markers_alike_whichever_way_they_point() -> None:
+    shown = CameraTranslation(dx=0.003, dy=-0.02).marker_positions(POSITIONS, HEADINGS)
+    assert shown - POSITIONS == pytest.approx(np.broadcast_to([0.003, -0.02], POSITIONS.shape))
+    alone = CameraTranslation().at(np.array([1.0, 0.0]))
+    assert (alone.dx, alone.dy) == (0.005, 0.0)
 
 
 def test_one_marker_is_displaced_along_tangent_and_normal() -> None:

@@ -27,6 +27,7 @@ class Faults:
         clock_scale_scale: stamp over true time.
         camera_scale_scale: measured over true position.
         camera_rotation_angle: by which measured positions are turned about the base origin, rad.
+        camera_translation_dx, camera_translation_dy: added to measured positions, after all else, m.
         encoder_offset_offset: encoder less true angle, rad.
         lens_distortion_k1: measured = true (1 + k1 r^2) about the base origin, 1/m^2.
         rolling_shutter_readout: a marker is seen so much earlier per metre of its own y as it is seen, s/m.
@@ -38,6 +39,8 @@ class Faults:
     clock_scale_scale: float = 1.0
     camera_scale_scale: float = 1.0
     camera_rotation_angle: float = 0.0
+    camera_translation_dx: float = 0.0
+    camera_translation_dy: float = 0.0
     encoder_offset_offset: float = 0.0
     lens_distortion_k1: float = 0.0
     rolling_shutter_readout: float = 0.0
@@ -81,11 +84,12 @@ def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: A
 
 
 def _distort(points: Array, faults: Faults) -> Array:
-    """Lens first, then scale, then rotation."""
+    """Lens first, then scale, then rotation, then translation."""
     radius = np.sum(points**2, axis=-1, keepdims=True)
     points = faults.camera_scale_scale * (1.0 + faults.lens_distortion_k1 * radius) * points
     cosine, sine = np.cos(faults.camera_rotation_angle), np.sin(faults.camera_rotation_angle)
-    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]))
+    shift = np.array([faults.camera_translation_dx, faults.camera_translation_dy])
+    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
 
 
 def shown_angle(motion: Motion, time: Array, faults: Faults) -> Array:

@@ -54,6 +54,9 @@ def test_distortions_of_the_image(seen: Motion) -> None:
     for faults, expected in (
         (Faults(camera_scale_scale=1.01), 1.01 * flat),
         (Faults(camera_rotation_angle=0.01), np.exp(0.01j) * flat),
+        (Faults(camera_translation_dx=0.004, camera_translation_dy=-0.01), flat + 0.004 - 0.01j),
+        # The camera stands aside of the base and is turned: the shift is seen along its own axes.
+        (Faults(camera_rotation_angle=0.5, camera_translation_dx=0.01), np.exp(0.5j) * flat + 0.01),
         (Faults(lens_distortion_k1=0.02), (1.0 + 0.02 * np.abs(flat) ** 2) * flat),
     ):
         shown = shown_markers(seen, STAMPS, MARKERS, faults)

@@ -66,8 +66,12 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "rolling_shutter": {"readout": Size(0.005, True)},
     "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
 }
-# A tilt: its two components come from one angle and one direction.
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
+# Everyday size of vectors, whose two components come from one length and one direction.
+VECTORS: Mapping[str, tuple[tuple[str, str], float]] = {
+    "in_plane_gravity": (("gx", "gy"), TILT),
+    "camera_translation": (("dx", "dy"), 0.003),
+}
 
 # What a clamped arm, slow and slightly bent, hardly shows at the size that is plain on a turning one.
 CLAMPED_FACTORS: Mapping[str, float] = {
@@ -77,7 +81,7 @@ CLAMPED_FACTORS: Mapping[str, float] = {
     "stiffness_drift": 2.0,
 }
 
-EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES)
+EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation")
 _JOINT = ("coulomb_friction", "viscous_friction", "joint_spring", "torque_gain", "torque_offset")
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one.
 ONLY_WITH_HUB = (*_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_scale", "encoder_offset")
@@ -109,10 +113,11 @@ def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Pla
     random = np.random.default_rng([seed, 2, EFFECTS.index(effect)])
     typical_magnitude = CLAMPED_FACTORS.get(effect, 1.0) if rig == "clamped" else 1.0
     factor = multiple * typical_magnitude * 0.7 * 2.0 ** random.uniform()
-    if effect == "in_plane_gravity":
-        angle = random.uniform(0.0, 2.0 * np.pi)
-        size = factor * TILT
-        return Planted(effect, {"gx": float(size * np.cos(angle)), "gy": float(size * np.sin(angle))})
+    if effect in VECTORS:
+        names, length = VECTORS[effect]
+        angle, size = random.uniform(0.0, 2.0 * np.pi), factor * length
+        components = float(size * np.cos(angle)), float(size * np.sin(angle))
+        return Planted(effect, dict(zip(names, components, strict=True)))
     values = {name: _value(size, factor, random) for name, size in SIZES[effect].items()}
     return Planted(effect, values | _inner(effect, random))
 
@@ -127,7 +132,7 @@ def of_size(effect: str, seed: int, smallest: Mapping[str, float], multiple: flo
         multiple: of them.
     """
     drawn = dict(draw(effect, seed).parameters)
-    sizes = SIZES.get(effect, {name: Size(TILT, True) for name in ("gx", "gy")})
+    sizes = SIZES.get(effect) or {name: Size(VECTORS[effect][1], True) for name in VECTORS[effect][0]}
     known = {name: float(smallest[name]) for name in sizes if name in smallest}
     if not known:
         raise ValueError(f"{effect}: no smallest detectable size among {sorted(smallest)}")

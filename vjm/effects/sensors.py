@@ -72,6 +72,27 @@ class CameraRotation(_CameraEffect):
 
 
 @dataclass(frozen=True)
+class CameraTranslation(_CameraEffect):
+    """A camera whose origin is not the base's: it shows all positions shifted by the same vector."""
+
+    dx: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+    dy: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+
+    description = "a camera that is shifted against the base"
+    clause = "a camera that shows everything {dx} along x and {dy} along y beside where it is"
+    reference = (
+        "R. Y. Tsai and R. K. Lenz, A new technique for fully autonomous and efficient 3D robotics hand/eye "
+        "calibration, IEEE Trans. Robotics and Automation 5(3), 1989"
+    )
+    distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; several hub angles"
+    abscissa = "marker"
+
+    def marker_positions(self, positions: Array, headings: Array) -> Array:
+        """Return shifted positions."""
+        return positions if self.is_null else positions + np.array([self.dx, self.dy])
+
+
+@dataclass(frozen=True)
 class LensDistortion(_CameraEffect):
     """A radial distortion about the base's origin: measured = true (1 + k1 r^2)."""
 
