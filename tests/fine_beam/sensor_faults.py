@@ -28,6 +28,10 @@ class Faults:
         camera_scale_scale: measured over true position.
         camera_rotation_angle: by which measured positions are turned about the base origin, rad.
         camera_translation_dx, camera_translation_dy: added to measured positions, after all else, m.
+        camera_vibration_amplitude, camera_vibration_frequency, camera_vibration_phase: of the long axis of an ellipse
+            on which measured positions go round, after all else, since the recording's start; m, Hz, rad.
+        camera_vibration_direction, camera_vibration_ellipticity: of the long axis from x, rad; short over long axis,
+            positive if they go round against the clock.
         encoder_offset_offset: encoder less true angle, rad.
         lens_distortion_k1: measured = true (1 + k1 r^2) about the base origin, 1/m^2.
         rolling_shutter_readout: a marker is seen so much earlier per metre of its own y as it is seen, s/m.
@@ -41,6 +45,11 @@ class Faults:
     camera_rotation_angle: float = 0.0
     camera_translation_dx: float = 0.0
     camera_translation_dy: float = 0.0
+    camera_vibration_amplitude: float = 0.0
+    camera_vibration_frequency: float = 1.0
+    camera_vibration_direction: float = 0.0
+    camera_vibration_phase: float = 0.0
+    camera_vibration_ellipticity: float = 0.0
     encoder_offset_offset: float = 0.0
     lens_distortion_k1: float = 0.0
     rolling_shutter_readout: float = 0.0
@@ -69,7 +78,8 @@ def shown_markers(motion: Motion, stamps: Array, arc_lengths: Sequence[float], f
     points = motion.at(time).positions(arcs, across)
     if faults.rolling_shutter_readout:
         points = _read_out(motion, time, arcs, across, points, faults.rolling_shutter_readout)
-    return _distort(points, faults)
+    seen = time[:, None] - faults.rolling_shutter_readout * points[..., 1]
+    return _distort(points, faults) + _shake(seen, faults)
 
 
 def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: Array, readout: float) -> Array:
@@ -90,6 +100,15 @@ def _distort(points: Array, faults: Faults) -> Array:
     cosine, sine = np.cos(faults.camera_rotation_angle), np.sin(faults.camera_rotation_angle)
     shift = np.array([faults.camera_translation_dx, faults.camera_translation_dy])
     return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
+
+
+def _shake(time: Array, faults: Faults) -> Array:
+    """By how much a camera that shakes shows markers beside where they are, at instants (f, k) in s: m, (f, k, 2)."""
+    angle = 2.0 * np.pi * faults.camera_vibration_frequency * time + faults.camera_vibration_phase
+    axis = np.array([np.cos(faults.camera_vibration_direction), np.sin(faults.camera_vibration_direction)])
+    side = np.array([-axis[1], axis[0]]) * faults.camera_vibration_ellipticity
+    ellipse = np.sin(angle)[..., None] * axis - np.cos(angle)[..., None] * side
+    return np.asarray(faults.camera_vibration_amplitude * ellipse)
 
 
 def shown_angle(motion: Motion, time: Array, faults: Faults) -> Array:

@@ -63,6 +63,28 @@ def test_distortions_of_the_image(seen: Motion) -> None:
         np.testing.assert_allclose(shown[..., 0] + 1j * shown[..., 1], expected, atol=1e-14)
 
 
+def test_a_shaking_camera_moves_all_markers_round_one_ellipse(seen: Motion) -> None:
+    faults = Faults(
+        camera_vibration_amplitude=0.002,
+        camera_vibration_frequency=5.0,
+        camera_vibration_direction=0.4,
+        camera_vibration_phase=-1.0,
+        camera_vibration_ellipticity=0.25,
+    )
+    shift = shown_markers(seen, STAMPS, MARKERS, faults) - shown_markers(seen, STAMPS, MARKERS, Faults())
+    np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-15)
+    own = np.exp(-0.4j) * (shift[:, 0] @ np.array([1.0, 1.0j]))  # along the ellipse's axes
+    np.testing.assert_allclose(own.real, 0.002 * np.sin(10 * np.pi * STAMPS - 1.0), atol=1e-14)
+    np.testing.assert_allclose((own.real / 0.002) ** 2 + (own.imag / 0.0005) ** 2, 1.0, atol=1e-9)
+    assert np.all(np.diff(np.unwrap(np.angle(own))) > 0.0)  # against the clock
+    # Rows that are read later shake later.
+    rolling = replace(faults, rolling_shutter_readout=0.05)
+    still = shown_markers(seen, STAMPS, MARKERS, Faults(rolling_shutter_readout=0.05))
+    later = np.exp(-0.4j) * ((shown_markers(seen, STAMPS, MARKERS, rolling) - still) @ np.array([1.0, 1.0j]))
+    instants = STAMPS[:, None] - 0.05 * still[..., 1]
+    np.testing.assert_allclose(later.real, 0.002 * np.sin(10 * np.pi * instants - 1.0), atol=1e-14)
+
+
 @pytest.mark.parametrize("marker", [2, 5])
 def test_one_misplaced_marker(seen: Motion, marker: int) -> None:
     faults = Faults(marker_offset_marker=marker, marker_offset_along=-0.01, marker_offset_across=0.002)

@@ -65,6 +65,7 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "lens_distortion": {"k1": Size(0.01, True)},
     "rolling_shutter": {"readout": Size(0.005, True)},
     "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
+    "camera_vibration": {"amplitude": Size(0.0004)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
 # Everyday size of vectors, whose two components come from one length and one direction.
@@ -178,6 +179,13 @@ def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
             return {"yield_angle": 0.05 * spread}
         case "external_tone":
             return {"frequency": random.uniform(1.5, 12.0), "phase": random.uniform(0.0, 2.0 * np.pi)}
+        case "camera_vibration":
+            return {
+                "frequency": random.uniform(2.0, 25.0),
+                "direction": random.uniform(-0.5 * np.pi, 0.5 * np.pi),
+                "phase": random.uniform(0.0, 2.0 * np.pi),
+                "ellipticity": random.uniform(-0.6, 0.6),
+            }
         case "marker_offset":
             return {"marker": float(random.integers(1, 6))}
     return {}

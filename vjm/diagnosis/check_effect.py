@@ -212,7 +212,8 @@ def _calls(bench: _Bench, seed: int) -> dict[str, tuple[Any, ...]]:
     shapes = (5, *empty.markers.shape[1:]), (5, empty.markers.shape[1]), empty.theta.shape, empty.markers.shape
     positions, headings, angles, markers = (_fixed(0.3 * random.normal(size=shape)) for shape in shapes)
     driven = replace(empty, time=_fixed(empty.time.copy()), tau=angles, theta=angles, markers=markers)
-    sensed = (_fixed(np.linspace(0.3, 0.4, 5)), positions), (positions, headings), (angles,)
+    time = _fixed(np.linspace(0.3, 0.4, 5))
+    sensed = (time, positions), (positions, headings, time), (angles,)
     return {"chain": (bench.chain,), "true_inputs": (driven,), **dict(zip(SENSING_HOOKS, sensed, strict=True))}
 
 

@@ -30,6 +30,7 @@ from vjm.effects.loads import TipPayload as TipPayload
 from vjm.effects.sensors import CameraRotation as CameraRotation
 from vjm.effects.sensors import CameraScale as CameraScale
 from vjm.effects.sensors import CameraTranslation as CameraTranslation
+from vjm.effects.sensors import CameraVibration as CameraVibration
 from vjm.effects.sensors import ClockScale as ClockScale
 from vjm.effects.sensors import EncoderOffset as EncoderOffset
 from vjm.effects.sensors import LensDistortion as LensDistortion

@@ -306,12 +306,13 @@ class Effect:
         """
         return time
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return the positions (F, k, 2) [m] that the camera reports.
 
         Args:
             positions: (F, k, 2) true positions of the markers [m].
             headings: (F, k) direction of the link's tangent at each marker [rad].
+            time: (F,) when the camera saw them, since the recording's start [s].
         """
         return positions
 
@@ -328,6 +329,32 @@ def is_nonsmooth(effects: Sequence[Effect]) -> bool:
 def is_recorded(recordings: Sequence[Recording], name: Literal["tau", "theta"]) -> bool:
     """Return True if torques or active joint angles were recorded."""
     return any(bool(np.isfinite(getattr(recording, name)).any()) for recording in recordings)
+
+
+@dataclass(frozen=True)
+class PeriodicEffect(Effect):
+    """An effect with a parameter `frequency`; its magnitudes are amplitudes of waves, in which it is about linear.
+
+    Attributes:
+        lowest: frequency to which searches may go [Hz]; what takes longer than the recordings is no vibration.
+    """
+
+    lowest: float = field(default=0.0, kw_only=True, compare=False)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), (p,) of the coordinates, of which only the frequency, the last, has any."""
+        frequency = next(each for each in self.parameters if each.name == "frequency")
+        low, high = frequency.bounds
+        low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
+        unbounded = np.full(self.magnitude_count, np.inf)
+        return np.r_[-unbounded, low], np.r_[unbounded, high]
+
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """Return it with frequencies down to one period in the longest recording."""
+        longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
+        lowest = 1 / longest if longest > 0 else 0.0
+        return tuple(replace(variant, lowest=lowest) for variant in super().variants(rig, recordings))
 
 
 @dataclass(frozen=True)

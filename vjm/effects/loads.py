@@ -6,14 +6,13 @@ i e_b at distance x from the rod's proximal end is Re(conj(e_b) sum_{a<b} l_a w_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, LinkEffect, Motion, magnitude, shape_parameter
+from vjm.effects.effect import Effect, LinkEffect, Motion, PeriodicEffect, magnitude, shape_parameter
 from vjm.records import Array, Complex, Recording, Rig
 
 
@@ -67,20 +66,16 @@ class InPlaneGravity(Effect):
 
 
 @dataclass(frozen=True)
-class ExternalTone(_TipEffect):
+class ExternalTone(PeriodicEffect, _TipEffect):
     """A lateral force on the tip, amplitude sin(2 pi frequency t + phase), normal to the last virtual link.
 
     A search varies amplitude cos(phase) and amplitude sin(phase), in which the motion is about linear. Time is that
     since the start of each recording.
-
-    Attributes:
-        lowest: frequency to which searches may go [Hz]; a force that takes longer than the recordings is none.
     """
 
     amplitude: float = magnitude("N", 0.005, lower=0.0, in_rig_units=True)
     frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum=True, in_rig_units=True)
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
-    lowest: float = field(default=0.0, kw_only=True, compare=False)
 
     description = "a sinusoidal force on the tip from outside"
     clause = "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside"
@@ -103,23 +98,9 @@ class ExternalTone(_TipEffect):
         return replace(self, amplitude=size, frequency=frequency.value(tone), phase=phase)
 
     @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (3,), (3,) of the coordinates, of which only the frequency has any."""
-        frequency = self.parameters[1]
-        low, high = frequency.bounds
-        low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
-        return np.array([-np.inf, -np.inf, low]), np.array([np.inf, np.inf, high])
-
-    @property
     def magnitude_count(self) -> int:
         """Number of magnitudes: of cosine and sine."""
         return 2
-
-    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """Return it with frequencies down to one period in the longest recording."""
-        longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
-        lowest = 1 / longest if longest > 0 else 0.0
-        return tuple(replace(variant, lowest=lowest) for variant in super().variants(rig, recordings))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the force on the end of the last virtual link."""

@@ -9,7 +9,15 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.curve import rotate
-from vjm.effects.effect import ColumnEffect, Effect, LinkEffect, is_recorded, magnitude, shape_parameter
+from vjm.effects.effect import (
+    ColumnEffect,
+    Effect,
+    LinkEffect,
+    PeriodicEffect,
+    is_recorded,
+    magnitude,
+    shape_parameter,
+)
 from vjm.errors import ShapeError
 from vjm.records import Array, Recording, Rig
 
@@ -40,7 +48,7 @@ class CameraScale(Effect):
     abscissa = "position"
     common = True
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return larger positions."""
         return self.scale * positions
 
@@ -66,7 +74,7 @@ class CameraRotation(_CameraEffect):
             return "without an encoder and without gravity, a turned camera and a turned arm look the same"
         return ""
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return turned positions."""
         return rotate(positions, np.asarray(self.angle))
 
@@ -87,9 +95,77 @@ class CameraTranslation(_CameraEffect):
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; several hub angles"
     abscissa = "marker"
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return shifted positions."""
         return positions if self.is_null else positions + np.array([self.dx, self.dy])
+
+
+@dataclass(frozen=True)
+class CameraVibration(PeriodicEffect, _CameraEffect):
+    """A camera that shakes at one frequency, so that all markers move together along an ellipse.
+
+    They move by amplitude sin(2 pi frequency t + phase) along the ellipse's long axis, which is turned by the direction
+    from x, and by -ellipticity amplitude cos(2 pi frequency t + phase) across it. Time is that since the start of each
+    recording. A search varies the cosine's and the sine's amplitudes along x and y, in which the motion is linear.
+    """
+
+    amplitude: float = magnitude("m", 5e-4, lower=0.0, in_rig_units=True)
+    frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum=True, in_rig_units=True)
+    direction: float = shape_parameter("rad", 0.0, lower=-np.pi / 2, upper=np.pi / 2)
+    phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
+    ellipticity: float = shape_parameter("", 0.0, lower=-1.0, upper=1.0)  # short over long axis, against the clock
+
+    description = "a camera that shakes, and shows all markers shaking together"
+    clause = "a camera that shakes by {amplitude} at {frequency}, along {direction} from x"
+    reference = (
+        "S. Yoneyama and H. Ueda, Bridge deflection measurement using digital image correlation with camera movement "
+        "correction, Materials Transactions 53(2), 2012"
+    )
+    distinguishing_experiment = "a fixed fiducial in the camera's view; a quiet recording, in which nothing moves"
+    abscissa = "frequency"
+
+    @property
+    def coordinates(self) -> Array:
+        """(5,) cosine's amplitudes along x and y and the sine's, over a typical one; logarithm of the frequency."""
+        amplitude, frequency = self.parameters[:2]
+        size, axis, start = amplitude.coordinate(self.amplitude), np.exp(1j * self.direction), np.exp(1j * self.phase)
+        cosine = axis * size * (start.imag - 1j * self.ellipticity * start.real)
+        sine = axis * size * (start.real + 1j * self.ellipticity * start.imag)
+        logarithm = frequency.coordinate(self.frequency)
+        return np.array([cosine.real, cosine.imag, sine.real, sine.imag, logarithm])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (5,); without amplitude, with direction and phase zero."""
+        amplitude, frequency = self.parameters[:2]
+        numbers = np.asarray(coordinates, dtype=float)
+        cosine, sine = numbers[[0, 2]] + 1j * numbers[[1, 3]]
+        # The ellipse is the sum of two circles, run through in opposite senses.
+        forward, backward = 1j * (cosine - 1j * sine) / 2, -1j * (cosine + 1j * sine) / 2
+        sizes, angles = np.abs([forward, backward]), np.angle([forward, backward])
+        direction, phase = float(angles.sum() / 2), float((angles[0] - angles[1]) / 2)
+        if abs(direction) > np.pi / 2:  # half a turn of the axis is half a cycle
+            direction, phase = (each - np.copysign(np.pi, each) for each in (direction, phase))
+        long, short = float(sizes.sum()), float(sizes[0] - sizes[1])
+        return replace(
+            self,
+            amplitude=amplitude.value(long),
+            frequency=frequency.value(float(numbers[4])),
+            direction=direction,
+            phase=phase,
+            ellipticity=short / long if long else 0.0,
+        )
+
+    @property
+    def magnitude_count(self) -> int:
+        """Number of magnitudes: of cosine and sine, along x and y."""
+        return 4
+
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return positions that shake."""
+        angle = 2 * np.pi * self.frequency * time + self.phase
+        along, across = self.amplitude * np.sin(angle), -self.ellipticity * self.amplitude * np.cos(angle)
+        shake = rotate(np.stack([along, across], axis=-1), np.asarray(self.direction))
+        return positions if self.is_null else positions + shake[:, None]
 
 
 @dataclass(frozen=True)
@@ -104,7 +180,7 @@ class LensDistortion(_CameraEffect):
     distinguishing_experiment = "three or more fiducials at measured distances in the camera's view"
     abscissa = "radial"
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return distorted positions."""
         squares: Array = (positions * positions).sum(axis=-1, keepdims=True)
         return positions * (1 + self.k1 * squares)
@@ -153,7 +229,7 @@ class MarkerOffset(LinkEffect):
             for k in range(1, part.stop - part.start + 1)
         )
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return the positions with that marker displaced."""
         displaced, heading = positions.copy(), headings[..., self.column]
         displaced[..., self.column, :] += rotate(np.array([self.along, self.across]), heading)
