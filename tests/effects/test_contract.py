@@ -159,7 +159,7 @@ def test_those_that_a_urdf_can_carry_are_known() -> None:
 
 
 def test_each_has_an_id_of_its_own() -> None:
-    assert len({effect.id for effect in BUILTIN}) == len({type(effect) for effect in BUILTIN}) == len(BUILTIN) == 30
+    assert len({effect.id for effect in BUILTIN}) == len({type(effect) for effect in BUILTIN}) == len(BUILTIN) == 31
 
 
 def published() -> list[tuple[str, str, str]]:

@@ -20,6 +20,7 @@ from vjm.effects import (
     MarkerOffset,
     RollingShutter,
     TimeOffset,
+    TimestampJitter,
     TorqueGain,
     TorqueOffset,
 )
@@ -94,6 +95,17 @@ def test_a_vibration_comes_back_from_the_amplitudes_in_which_it_is_searched(
     opposite = shaking.at(np.r_[-shaking.coordinates[:4], tone])
     assert (opposite.amplitude, opposite.ellipticity) == pytest.approx((5e-4 * size, ellipticity))
     assert abs(opposite.phase - phase) == pytest.approx(np.pi)
+
+
+def test_jitter_is_searched_by_its_variance_and_changes_no_prediction() -> None:
+    jitter = TimestampJitter(jitter=0.012)
+    assert jitter.coordinates == pytest.approx([9.0])
+    assert jitter.at(np.array([0.25])).timing_noise == pytest.approx(0.002)
+    assert jitter.at(np.zeros(1)).is_null
+    assert jitter.sensor
+    assert jitter.bounds[0] == [0.0]
+    assert_array_equal(jitter.marker_positions(POSITIONS, HEADINGS, TIME), POSITIONS)
+    assert_array_equal(jitter.camera_instants(TIME, POSITIONS), TIME)
 
 
 def test_one_marker_is_displaced_along_tangent_and_normal() -> None:

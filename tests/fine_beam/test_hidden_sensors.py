@@ -85,6 +85,23 @@ def test_a_shaking_camera_moves_all_markers_round_one_ellipse(seen: Motion) -> N
     np.testing.assert_allclose(later.real, 0.002 * np.sin(10 * np.pi * instants - 1.0), atol=1e-14)
 
 
+def test_frames_are_taken_a_little_earlier_or_later_all_markers_together(seen: Motion) -> None:
+    faults = Faults(timestamp_jitter_jitter=0.004, timestamp_jitter_seed=3)
+    one, other = (shown_markers(seen, STAMPS, MARKERS, faults, recording) for recording in (1, 2))
+    np.testing.assert_array_equal(one, shown_markers(seen, STAMPS, MARKERS, faults, 1))
+    assert np.abs(one - other).max() > 1e-3
+    # The instants that explain the markers, by how far they are along their velocities.
+    ahead, behind = (seen.at(STAMPS + side).positions(MARKERS) for side in (1e-4, -1e-4))
+    speed, difference = (ahead - behind) / 2e-4, one - seen.at(STAMPS).positions(MARKERS)
+    moving = np.linalg.norm(speed, axis=(1, 2)) > 0.1
+    errors = (np.sum(speed * difference, axis=(1, 2)) / np.sum(speed**2, axis=(1, 2)))[moving]
+    assert errors.size > 40
+    assert np.std(errors) == pytest.approx(0.004, rel=0.3)
+    assert abs(np.mean(errors)) < 4 * 0.004 / np.sqrt(errors.size)
+    assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < 4 / np.sqrt(errors.size)
+    assert faults.margin(5.0, 1.0) == pytest.approx(0.016)
+
+
 @pytest.mark.parametrize("marker", [2, 5])
 def test_one_misplaced_marker(seen: Motion, marker: int) -> None:
     faults = Faults(marker_offset_marker=marker, marker_offset_along=-0.01, marker_offset_across=0.002)

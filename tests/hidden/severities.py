@@ -66,6 +66,7 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "rolling_shutter": {"readout": Size(0.005, True)},
     "marker_offset": {"along": Size(0.005, True), "across": Size(0.001, True)},
     "camera_vibration": {"amplitude": Size(0.0004)},
+    "timestamp_jitter": {"jitter": Size(0.002)},
 }
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
 # Everyday size of vectors, whose two components come from one length and one direction.
@@ -186,6 +187,8 @@ def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
                 "phase": random.uniform(0.0, 2.0 * np.pi),
                 "ellipticity": random.uniform(-0.6, 0.6),
             }
+        case "timestamp_jitter":
+            return {"seed": float(random.integers(2**31))}
         case "marker_offset":
             return {"marker": float(random.integers(1, 6))}
     return {}

@@ -116,7 +116,7 @@ def test_repeats_are_one_motion_and_quiet_recordings_are_quiet(rig: Rig) -> None
 
 
 def test_every_effect_has_an_everyday_size() -> None:
-    assert len(EFFECTS) == len(set(EFFECTS)) == 29
+    assert len(EFFECTS) == len(set(EFFECTS)) == 30
     for effect in EFFECTS:
         drawn = [draw(effect, seed) for seed in range(20)]
         assert len({tuple(each.parameters.values()) for each in drawn}) == 20

@@ -307,6 +307,9 @@ def _projected(
     initial = 2 * run.basis.slow_count
     columns = initial + len(linearization.perturbed)
     information = SquareRootInformation.of(rows(), columns).with_rows(*run.prior_rows(columns))
+    timing = run.timing_rows(linearization, far=True)
+    squares += np.sum(timing[0][:, columns - count :] ** 2, axis=0)
+    information = information.with_rows(*timing)
     return information.eliminated(initial).R, squares
 
 
@@ -532,8 +535,8 @@ class FamilyTest:
             guess = effect.at(np.r_[screen.guess([k]), effect.coordinates[effect.magnitude_count :]]).values
             sizes = [parameter for parameter in effect.parameters if not parameter.shape_parameter]
             smallest = {}
-            for parameter, coordinate in zip(sizes, (detectable[k] * screen.std(k)).tolist(), strict=False):
-                value = parameter.value(coordinate)
+            for n, (parameter, coordinate) in enumerate(zip(sizes, detectable[k] * screen.std(k), strict=False)):
+                value = _with_size(effect, n, float(coordinate)).values[parameter.name]
                 smallest[parameter.name] = value if parameter.reciprocal else abs(value - parameter.null)
             guessed = {parameter.name: float(guess[parameter.name]) for parameter in sizes}
             rows.append(Candidate(effect, float(np.sqrt(screen.statistics[k])), float(p[k]), guessed, smallest))

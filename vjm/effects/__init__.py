@@ -37,6 +37,7 @@ from vjm.effects.sensors import LensDistortion as LensDistortion
 from vjm.effects.sensors import MarkerOffset as MarkerOffset
 from vjm.effects.sensors import RollingShutter as RollingShutter
 from vjm.effects.sensors import TimeOffset as TimeOffset
+from vjm.effects.sensors import TimestampJitter as TimestampJitter
 
 # One absent instance of each public effect in these modules.
 BUILTIN: tuple[Effect, ...] = tuple(

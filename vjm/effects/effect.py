@@ -170,7 +170,8 @@ class Effect:
     @property
     def sensor(self) -> bool:
         """True if it is in the sensors: it has a hook that says what these show."""
-        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in SENSING_HOOKS)
+        hooks = (*SENSING_HOOKS, "timing_noise")
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in hooks)
 
     @property
     def key(self) -> Key:
@@ -305,6 +306,11 @@ class Effect:
             positions: (F, k, 2) true positions of the markers at these time stamps [m].
         """
         return time
+
+    @property
+    def timing_noise(self) -> float:
+        """Standard deviation of the instants at which the camera takes its frames, about those it should [s]."""
+        return 0.0
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return the positions (F, k, 2) [m] that the camera reports.

@@ -297,6 +297,43 @@ class ClockScale(_ClockEffect):
 
 
 @dataclass(frozen=True)
+class TimestampJitter(Effect):
+    """A camera whose frames are taken earlier or later than stamped, at random, with a standard deviation: the jitter.
+
+    It changes no prediction: the noise of a frame's markers grows with their speed, and is common to all of them. A
+    search varies its variance, in which the likelihood is smooth.
+    """
+
+    jitter: float = magnitude("s", 4e-3, lower=0.0, upper=0.2, in_rig_units=True)
+
+    description = "a camera whose frames are taken earlier or later than stamped, at random"
+    clause = "a camera whose frames are taken {jitter} earlier or later than stamped, at random"
+    reference = "A. V. Balakrishnan, On the problem of time jitter in sampling, IRE Trans. Inf. Theory 8(3), 1962"
+    distinguishing_experiment = "a camera with a hardware trigger; repeats of one fast drive"
+    abscissa = "velocity"
+
+    @property
+    def coordinates(self) -> Array:
+        """(1,) variance over that of a typical magnitude."""
+        return np.array([self.parameters[0].coordinate(self.jitter) ** 2])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at another variance (1,)."""
+        (variance,) = np.asarray(coordinates, dtype=float).tolist()
+        return replace(self, jitter=self.parameters[0].value(float(np.sqrt(max(variance, 0.0)))))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (1,), (1,) of the coordinate."""
+        return np.zeros(1), np.array([self.parameters[0].bounds[1] ** 2])
+
+    @property
+    def timing_noise(self) -> float:
+        """The jitter."""
+        return self.jitter
+
+
+@dataclass(frozen=True)
 class RollingShutter(_CameraEffect):
     """Rows that are read one after another: a marker is shown as it was earlier, by the readout times its y."""
 

@@ -83,6 +83,16 @@ class MarkerArcs:
         exposures = self.exposure_times(arm, trajectory, time)
         return self.measured_positions(arm, trajectory.angles(exposures), trajectory.elapsed(exposures))
 
+    def velocities(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
+        """Return the (F, k, 2) velocities [m/s] of what frames stamped (F,) [s] of a trajectory show."""
+        exposures, step = self.exposure_times(arm, trajectory, time), 0.1 * trajectory.step
+        later, earlier = (
+            self.measured_positions(arm, trajectory.angles(instants), trajectory.elapsed(instants))
+            for instants in (exposures + step, exposures - step)
+        )
+        result: Array = (later - earlier) / (2 * step)
+        return result
+
 
 def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory: Trajectory) -> Simulation:
     """Return a trajectory at a recording's instants, with the readings of its sensors."""
