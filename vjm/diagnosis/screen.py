@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from multiprocessing import get_context
 from typing import Any, Self, TypeVar
@@ -401,6 +401,7 @@ class CandidateSet:
         variants: list[Effect] = []
         multiplicity: list[float] = []
         untestable: list[Candidate] = []
+        residual_peaks = cache(partial(_residual_peaks, recordings, runs))  # once for all effects that need them
         for effect in effects:
             reason = effect.untestable(rig, recordings) or ("" if effect.places(rig) else "the rig has no place for it")
             if reason:
@@ -409,7 +410,7 @@ class CandidateSet:
             own, tests = effect.variants(rig, recordings), 1.0
             for parameter in effect.parameters:
                 if parameter.from_spectrum:
-                    peaks, frequencies = _residual_peaks(recordings, runs)
+                    peaks, frequencies = residual_peaks()
                     places = {variant.link: variant for variant in own}.values()
                     changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
                     own = tuple(replace(variant, **change) for variant in places for change in changes)

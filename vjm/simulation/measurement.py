@@ -71,10 +71,11 @@ class MarkerArcs:
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
         seen = time
-        if arm.sensors:
+        shifting = [one for one in arm.sensors if type(one).camera_instants is not Effect.camera_instants]
+        if shifting:
             stamps = trajectory.elapsed(time)
             positions = self.positions(arm.chain, trajectory.angles(time))
-            for effect in arm.sensors:
+            for effect in shifting:
                 seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
         return seen
 
