@@ -77,21 +77,16 @@ class TimingNoise:
         Args:
             residual: (N,) that was made white.
         """
-        squares, along = self._errors(residual)
-        if not squares.size:
-            return 0.0, 0.0
-        slope = float(np.linalg.norm(squares) / np.sqrt(2))
-        return slope, float(squares @ (along - 1)) / (2 * slope)
+        return _score(*self._errors(residual))
 
     def likelihood_ratio(self, residual: Array) -> tuple[float, float]:
         """Return a row as of `score`, whose best variance and decrease of chi^2 are those of the likelihood itself.
 
         Rao's statistic, the square of the squares' excess, promises much more than large errors of time explain. The
-        unit is what the residuals are across the velocities, if that is more than the noise: noise that is larger than
-        it was given is no error of time.
+        unit is what the residuals are across the velocities: noise larger than it was given is no error of time.
         """
         squares, along = self._errors(residual)
-        along = along / max(1.0, self._mean_square_across(residual))
+        along = along / self._mean_square_across(residual)
         best, change = 0.0, np.inf
         for _ in range(_MOST_STEPS):
             spread = 1 + best * squares
@@ -102,19 +97,18 @@ class TimingNoise:
             if abs(change) <= _TOLERANCE * best:
                 break
         if not best > 0:
-            slope = float(np.linalg.norm(squares) / np.sqrt(2)) if squares.size else 0.0
-            return slope, 0.0
+            return _score(squares, along)
         shares = best * squares / (1 + best * squares)
         decrease = float(np.sqrt(max(along @ shares - np.sum(np.log1p(best * squares)), 0.0)))
         return decrease / best, decrease
 
     def _mean_square_across(self, residual: Array) -> float:
-        """Mean square of white residuals (N,) of moving frames across their velocities; zero if there are none."""
+        """Mean square of white residuals (N,) of moving frames across their velocities; one if there are none."""
         moving, v = self._squares > 0, self.velocities
         ones = sparse.csr_array((np.ones(v.nnz), v.indices, v.indptr), shape=v.shape)
         freedom = float((np.diff(v.indptr) - 1)[moving].sum())
         squares = float(np.sum(np.asarray(ones @ residual**2)[moving]) - np.sum(self._errors(residual)[1]))
-        return squares / freedom if freedom > 0 else 0.0
+        return squares / freedom if freedom > 0 and squares > 0 else 1.0
 
     def _errors(self, residual: Array) -> tuple[Array, Array]:
         """Squared lengths of the moving frames' directions in white residuals (N,), and of these along them."""
@@ -122,3 +116,11 @@ class TimingNoise:
         squares = self._squares[moving]
         along = (self.velocities @ residual)[moving] ** 2 / squares
         return squares / (1 + self.variance * squares), along
+
+
+def _score(squares: Array, along: Array) -> tuple[float, float]:
+    """Slope and residual of the variance's row, from what `TimingNoise._errors` returns."""
+    if not squares.size:
+        return 0.0, 0.0
+    slope = float(np.linalg.norm(squares) / np.sqrt(2))
+    return slope, float(squares @ (along - 1)) / (2 * slope)
