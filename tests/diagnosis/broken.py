@@ -91,7 +91,7 @@ class Camera(Effect):
     description = "a camera that is shifted along the arm"
     reference = "A. Author, A Book, 2001"
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         return positions if self.is_null else positions + np.array([self.shift, 0.0])
 
 
@@ -115,7 +115,7 @@ class PushesWhenAbsent(CubicFriction):
 
 @dataclass(frozen=True)
 class RoundsWhenAbsent(Camera):
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         return (positions + 1.0) - 1.0 + np.array([self.shift, 0.0])
 
 
@@ -200,7 +200,7 @@ class SmoothWithStates(CubicFriction):
 
 @dataclass(frozen=True)
 class WritesIntoArrays(Camera):
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         if not self.is_null:
             positions[..., 0] += self.shift
         return positions

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
 from vjm.diagnosis.noise import Noise, _autoregression
-from vjm.effects import InPlaneGravity
+from vjm.effects import CameraVibration, InPlaneGravity
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations
@@ -98,3 +98,11 @@ def test_noise_is_known_where_a_simulation_has_coiled_the_arm_up() -> None:
     coils = [replace(run.trajectory, q=run.trajectory.q + coil[: run.chain.size]) for run in wrong]
     runs = [replace(run, trajectory=trajectory) for run, trajectory in zip(wrong, coils, strict=True)]
     assert Noise.of(runs).std == pytest.approx(NOISE[0], rel=0.1)
+
+
+@pytest.mark.parametrize("direction", [0.0, 1.5])
+def test_a_shaking_camera_is_not_taken_for_noise(direction: float) -> None:
+    shaking = CameraVibration(amplitude=3 * NOISE[0], frequency=7.0, direction=direction)
+    noise = Noise.of(point_of(chain_of(), (), recorded(Arm(chain_of(), (shaking,)), 1)).runs)
+    assert noise.std == pytest.approx(NOISE[0], rel=0.05)
+    assert noise.autoregression.size == 0

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from tests.effects.setups import FORE, LINK, POST, RIG, recording_of
 from vjm.effects import (
     CameraRotation,
     CameraScale,
+    CameraTranslation,
+    CameraVibration,
     ClockScale,
     EncoderOffset,
     LensDistortion,
     MarkerOffset,
     RollingShutter,
     TimeOffset,
+    TimestampJitter,
     TorqueGain,
     TorqueOffset,
 )
@@ -43,13 +48,64 @@ def test_rows_are_read_one_after_another() -> None:
 
 def test_a_camera_scales_turns_and_distorts_about_the_base() -> None:
     radius = np.linalg.norm(POSITIONS, axis=-1)
-    scaled = CameraScale(scale=1.02).marker_positions(POSITIONS, HEADINGS)
+    scaled = CameraScale(scale=1.02).marker_positions(POSITIONS, HEADINGS, TIME)
     assert scaled == pytest.approx(1.02 * POSITIONS)
-    turned = CameraRotation(angle=0.3).marker_positions(POSITIONS, HEADINGS)
+    turned = CameraRotation(angle=0.3).marker_positions(POSITIONS, HEADINGS, TIME)
     assert np.linalg.norm(turned, axis=-1) == pytest.approx(radius)
     assert np.exp(0.3j) * (POSITIONS @ [1, 1j]) == pytest.approx(turned @ [1, 1j])
-    bent = LensDistortion(k1=-0.02).marker_positions(POSITIONS, HEADINGS)
+    bent = LensDistortion(k1=-0.02).marker_positions(POSITIONS, HEADINGS, TIME)
     assert np.linalg.norm(bent, axis=-1) == pytest.approx(radius * (1 - 0.02 * radius**2))
+
+
+def test_a_shifted_camera_shifts_all_markers_alike_whichever_way_they_point() -> None:
+    shown = CameraTranslation(dx=0.003, dy=-0.02).marker_positions(POSITIONS, HEADINGS, TIME)
+    assert shown - POSITIONS == pytest.approx(np.broadcast_to([0.003, -0.02], POSITIONS.shape))
+    alone = CameraTranslation().at(np.array([1.0, 0.0]))
+    assert (alone.dx, alone.dy) == (0.005, 0.0)
+
+
+def test_a_shaking_camera_carries_all_markers_round_an_ellipse() -> None:
+    """The ellipse as the product of its axes' matrices, against the sum of two circles in which it is searched."""
+    shaking = CameraVibration(amplitude=0.002, frequency=3.0, direction=0.4, phase=-2.5, ellipticity=-0.3)
+    time = np.linspace(0.0, 0.4, 25)
+    still = np.zeros((25, 4, 2))
+    shift = shaking.marker_positions(still, still[..., 0], time)
+    assert shift == pytest.approx(np.broadcast_to(shift[:, :1], shift.shape))
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    angle = 6 * np.pi * time - 2.5
+    own = np.stack([0.002 * np.sin(angle), 0.3 * 0.002 * np.cos(angle)])
+    assert shift[:, 0] == pytest.approx((turn @ own).T, abs=1e-15)
+    xc, yc, xs, ys, tone = shaking.coordinates
+    assert tone == pytest.approx(np.log(3 / 2.5))
+    waves = np.stack([np.cos(6 * np.pi * time), np.sin(6 * np.pi * time)])
+    assert shift[:, 0] == pytest.approx(5e-4 * (np.array([[xc, xs], [yc, ys]]) @ waves).T, abs=1e-15)
+
+
+@given(
+    st.floats(0.1, 5.0), st.floats(-1.57, 1.57), st.floats(-3.14, 3.14), st.floats(-0.99, 0.99), st.floats(-1.0, 1.0)
+)
+def test_a_vibration_comes_back_from_the_amplitudes_in_which_it_is_searched(
+    size: float, direction: float, phase: float, ellipticity: float, tone: float
+) -> None:
+    shaking = CameraVibration(5e-4 * size, float(2.5 * np.exp(tone)), direction, phase, ellipticity)
+    again = shaking.at(shaking.coordinates)
+    assert again.values == pytest.approx(shaking.values, rel=1e-6, abs=1e-6)
+    assert shaking.at(0 * shaking.coordinates).is_null
+    assert shaking.magnitude_count == 4
+    opposite = shaking.at(np.r_[-shaking.coordinates[:4], tone])
+    assert (opposite.amplitude, opposite.ellipticity) == pytest.approx((5e-4 * size, ellipticity))
+    assert abs(opposite.phase - phase) == pytest.approx(np.pi)
+
+
+def test_jitter_is_searched_by_its_variance_and_changes_no_prediction() -> None:
+    jitter = TimestampJitter(jitter=0.012)
+    assert jitter.coordinates == pytest.approx([9.0])
+    assert jitter.at(np.array([0.25])).timing_noise == pytest.approx(0.002)
+    assert jitter.at(np.zeros(1)).is_null
+    assert jitter.sensor
+    assert jitter.bounds[0] == [0.0]
+    assert_array_equal(jitter.marker_positions(POSITIONS, HEADINGS, TIME), POSITIONS)
+    assert_array_equal(jitter.camera_instants(TIME, POSITIONS), TIME)
 
 
 def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
@@ -64,7 +120,7 @@ def test_one_marker_is_displaced_along_tangent_and_normal() -> None:
         (2, 2, 5),
     ]
     for each in variants:
-        displaced = each.at(np.array([2.0, -1.0])).marker_positions(POSITIONS, HEADINGS) - POSITIONS
+        displaced = each.at(np.array([2.0, -1.0])).marker_positions(POSITIONS, HEADINGS, TIME) - POSITIONS
         own = each.column
         assert not np.delete(displaced, own, axis=1).any()
         expected = (2 - 1j) * 0.005 * RIG.links[each.link].length * np.exp(1j * HEADINGS[:, own])

@@ -15,6 +15,7 @@ from tests.fine_beam.motion import Motion
 
 Array = NDArray[np.float64]
 
+_LATEST = 4.0  # standard deviations; no frame is taken earlier or later than that
 _REACH = 1.5  # lengths of the arm; a rolling shutter sees no marker farther off
 
 
@@ -27,9 +28,16 @@ class Faults:
         clock_scale_scale: stamp over true time.
         camera_scale_scale: measured over true position.
         camera_rotation_angle: by which measured positions are turned about the base origin, rad.
+        camera_translation_dx, camera_translation_dy: added to measured positions, after all else, m.
+        camera_vibration_amplitude, camera_vibration_frequency, camera_vibration_phase: of the long axis of an ellipse
+            on which measured positions go round, after all else, since the recording's start; m, Hz, rad.
+        camera_vibration_direction, camera_vibration_ellipticity: of the long axis from x, rad; short over long axis,
+            positive if they go round against the clock.
         encoder_offset_offset: encoder less true angle, rad.
         lens_distortion_k1: measured = true (1 + k1 r^2) about the base origin, 1/m^2.
         rolling_shutter_readout: a marker is seen so much earlier per metre of its own y as it is seen, s/m.
+        timestamp_jitter_jitter, timestamp_jitter_seed: standard deviation, s, of the instants at which frames are taken
+            about those of their stamps, which is normal up to four times as much; of the random numbers.
         marker_offset_marker: index of the misplaced marker, from 1; 0: none.
         marker_offset_along, marker_offset_across: where it is, less where it should be, m.
     """
@@ -38,9 +46,18 @@ class Faults:
     clock_scale_scale: float = 1.0
     camera_scale_scale: float = 1.0
     camera_rotation_angle: float = 0.0
+    camera_translation_dx: float = 0.0
+    camera_translation_dy: float = 0.0
+    camera_vibration_amplitude: float = 0.0
+    camera_vibration_frequency: float = 1.0
+    camera_vibration_direction: float = 0.0
+    camera_vibration_phase: float = 0.0
+    camera_vibration_ellipticity: float = 0.0
     encoder_offset_offset: float = 0.0
     lens_distortion_k1: float = 0.0
     rolling_shutter_readout: float = 0.0
+    timestamp_jitter_jitter: float = 0.0
+    timestamp_jitter_seed: int = 0
     marker_offset_marker: int = 0
     marker_offset_along: float = 0.0
     marker_offset_across: float = 0.0
@@ -48,6 +65,7 @@ class Faults:
     def margin(self, duration: float, length: float) -> float:
         """How far before its start and after its end, s, a recording of `duration` s sees an arm of `length` m."""
         late = abs(self.time_offset_delay) + abs(self.rolling_shutter_readout) * _REACH * length
+        late += _LATEST * self.timestamp_jitter_jitter
         return late + duration * abs(1.0 / self.clock_scale_scale - 1.0)
 
 
@@ -56,17 +74,26 @@ def is_sensor_fault(effect: str) -> bool:
     return any(each.name.startswith(f"{effect}_") for each in fields(Faults))
 
 
-def shown_markers(motion: Motion, stamps: Array, arc_lengths: Sequence[float], faults: Faults) -> Array:
-    """What a camera without noise shows in frames stamped (f,) in s: markers, m, (f, k, 2)."""
+def shown_markers(
+    motion: Motion, stamps: Array, arc_lengths: Sequence[float], faults: Faults, recording: int = 0
+) -> Array:
+    """What a camera without noise shows in frames stamped (f,) in s: markers, m, (f, k, 2).
+
+    The recording's number makes the instants' random errors its own.
+    """
     arcs, across = np.array(arc_lengths, dtype=float), np.zeros(len(arc_lengths))
     if faults.marker_offset_marker:
         arcs[faults.marker_offset_marker - 1] += faults.marker_offset_along
         across[faults.marker_offset_marker - 1] = faults.marker_offset_across
     time = stamps / faults.clock_scale_scale - faults.time_offset_delay
+    if faults.timestamp_jitter_jitter:
+        errors = np.random.default_rng([faults.timestamp_jitter_seed, recording]).standard_normal(len(stamps))
+        time = time - faults.timestamp_jitter_jitter * np.clip(errors, -_LATEST, _LATEST)
     points = motion.at(time).positions(arcs, across)
     if faults.rolling_shutter_readout:
         points = _read_out(motion, time, arcs, across, points, faults.rolling_shutter_readout)
-    return _distort(points, faults)
+    seen = time[:, None] - faults.rolling_shutter_readout * points[..., 1]
+    return _distort(points, faults) + _shake(seen, faults)
 
 
 def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: Array, readout: float) -> Array:
@@ -81,11 +108,21 @@ def _read_out(motion: Motion, time: Array, arcs: Array, across: Array, points: A
 
 
 def _distort(points: Array, faults: Faults) -> Array:
-    """Lens first, then scale, then rotation."""
+    """Lens first, then scale, then rotation, then translation."""
     radius = np.sum(points**2, axis=-1, keepdims=True)
     points = faults.camera_scale_scale * (1.0 + faults.lens_distortion_k1 * radius) * points
     cosine, sine = np.cos(faults.camera_rotation_angle), np.sin(faults.camera_rotation_angle)
-    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]))
+    shift = np.array([faults.camera_translation_dx, faults.camera_translation_dy])
+    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]) + shift)
+
+
+def _shake(time: Array, faults: Faults) -> Array:
+    """By how much a camera that shakes shows markers beside where they are, at instants (f, k) in s: m, (f, k, 2)."""
+    angle = 2.0 * np.pi * faults.camera_vibration_frequency * time + faults.camera_vibration_phase
+    axis = np.array([np.cos(faults.camera_vibration_direction), np.sin(faults.camera_vibration_direction)])
+    side = np.array([-axis[1], axis[0]]) * faults.camera_vibration_ellipticity
+    ellipse = np.sin(angle)[..., None] * axis - np.cos(angle)[..., None] * side
+    return np.asarray(faults.camera_vibration_amplitude * ellipse)
 
 
 def shown_angle(motion: Motion, time: Array, faults: Faults) -> Array:

@@ -54,10 +54,52 @@ def test_distortions_of_the_image(seen: Motion) -> None:
     for faults, expected in (
         (Faults(camera_scale_scale=1.01), 1.01 * flat),
         (Faults(camera_rotation_angle=0.01), np.exp(0.01j) * flat),
+        (Faults(camera_translation_dx=0.004, camera_translation_dy=-0.01), flat + 0.004 - 0.01j),
+        # The camera stands aside of the base and is turned: the shift is seen along its own axes.
+        (Faults(camera_rotation_angle=0.5, camera_translation_dx=0.01), np.exp(0.5j) * flat + 0.01),
         (Faults(lens_distortion_k1=0.02), (1.0 + 0.02 * np.abs(flat) ** 2) * flat),
     ):
         shown = shown_markers(seen, STAMPS, MARKERS, faults)
         np.testing.assert_allclose(shown[..., 0] + 1j * shown[..., 1], expected, atol=1e-14)
+
+
+def test_a_shaking_camera_moves_all_markers_round_one_ellipse(seen: Motion) -> None:
+    faults = Faults(
+        camera_vibration_amplitude=0.002,
+        camera_vibration_frequency=5.0,
+        camera_vibration_direction=0.4,
+        camera_vibration_phase=-1.0,
+        camera_vibration_ellipticity=0.25,
+    )
+    shift = shown_markers(seen, STAMPS, MARKERS, faults) - shown_markers(seen, STAMPS, MARKERS, Faults())
+    np.testing.assert_allclose(shift, np.broadcast_to(shift[:, :1], shift.shape), atol=1e-15)
+    own = np.exp(-0.4j) * (shift[:, 0] @ np.array([1.0, 1.0j]))  # along the ellipse's axes
+    np.testing.assert_allclose(own.real, 0.002 * np.sin(10 * np.pi * STAMPS - 1.0), atol=1e-14)
+    np.testing.assert_allclose((own.real / 0.002) ** 2 + (own.imag / 0.0005) ** 2, 1.0, atol=1e-9)
+    assert np.all(np.diff(np.unwrap(np.angle(own))) > 0.0)  # against the clock
+    # Rows that are read later shake later.
+    rolling = replace(faults, rolling_shutter_readout=0.05)
+    still = shown_markers(seen, STAMPS, MARKERS, Faults(rolling_shutter_readout=0.05))
+    later = np.exp(-0.4j) * ((shown_markers(seen, STAMPS, MARKERS, rolling) - still) @ np.array([1.0, 1.0j]))
+    instants = STAMPS[:, None] - 0.05 * still[..., 1]
+    np.testing.assert_allclose(later.real, 0.002 * np.sin(10 * np.pi * instants - 1.0), atol=1e-14)
+
+
+def test_frames_are_taken_a_little_earlier_or_later_all_markers_together(seen: Motion) -> None:
+    faults = Faults(timestamp_jitter_jitter=0.004, timestamp_jitter_seed=3)
+    one, other = (shown_markers(seen, STAMPS, MARKERS, faults, recording) for recording in (1, 2))
+    np.testing.assert_array_equal(one, shown_markers(seen, STAMPS, MARKERS, faults, 1))
+    assert np.abs(one - other).max() > 1e-3
+    # The instants that explain the markers, by how far they are along their velocities.
+    ahead, behind = (seen.at(STAMPS + side).positions(MARKERS) for side in (1e-4, -1e-4))
+    speed, difference = (ahead - behind) / 2e-4, one - seen.at(STAMPS).positions(MARKERS)
+    moving = np.linalg.norm(speed, axis=(1, 2)) > 0.1
+    errors = (np.sum(speed * difference, axis=(1, 2)) / np.sum(speed**2, axis=(1, 2)))[moving]
+    assert errors.size > 40
+    assert np.std(errors) == pytest.approx(0.004, rel=0.3)
+    assert abs(np.mean(errors)) < 4 * 0.004 / np.sqrt(errors.size)
+    assert abs(np.corrcoef(errors[1:], errors[:-1])[0, 1]) < 4 / np.sqrt(errors.size)
+    assert faults.margin(5.0, 1.0) == pytest.approx(0.016)
 
 
 @pytest.mark.parametrize("marker", [2, 5])

@@ -115,8 +115,8 @@ def physics_of(effects: Sequence[Planted]) -> tuple[Physics, Faults]:
     sensory: dict[str, Any] = {}
     for each in effects:
         (mechanical if is_mechanical(each.effect) else sensory).update(fields_of(each.effect, each.parameters))
-    if "marker_offset_marker" in sensory:
-        sensory["marker_offset_marker"] = int(sensory["marker_offset_marker"])
+    whole = ("marker_offset_marker", "timestamp_jitter_seed")
+    sensory |= {name: int(sensory[name]) for name in whole if name in sensory}
     return Physics(**mechanical), Faults(**sensory)
 
 
@@ -144,7 +144,9 @@ def perform_plans(
     distinct = {plan.entry.repeat or plan.entry.file: plan for plan in plans}
     motions = simulate_runs(beam, physics, time, [_run(plan, physics, time, push) for plan in distinct.values()])
     found = dict(zip(distinct, motions, strict=True))
-    return [_show(plan, found[plan.entry.repeat or plan.entry.file], physics, faults) for plan in plans]
+    return [
+        _show(plan, found[plan.entry.repeat or plan.entry.file], physics, faults, k) for k, plan in enumerate(plans)
+    ]
 
 
 def _run(plan: Plan, physics: Physics, time: Array, push: Array | None) -> Run:
@@ -155,7 +157,7 @@ def _run(plan: Plan, physics: Physics, time: Array, push: Array | None) -> Run:
     return Run(torque, plan.tip_amplitudes, plan.entry.payload or 0.0, held=held, push=push)
 
 
-def _show(plan: Plan, motion: Motion, physics: Physics, faults: Faults) -> Shown:
+def _show(plan: Plan, motion: Motion, physics: Physics, faults: Faults, number: int) -> Shown:
     stamps = np.arange(round(DURATION * CAMERA.rate) + 1) / CAMERA.rate
     samples = np.arange(round(DURATION * SAMPLES) + 1) / SAMPLES
     if plan.torque is None:
@@ -163,7 +165,7 @@ def _show(plan: Plan, motion: Motion, physics: Physics, faults: Faults) -> Shown
         torque = torque if plan.entry.kind == "quiet" else np.zeros(len(samples))
     else:
         torque = plan.torque(samples)
-    markers = shown_markers(motion, stamps, MARKERS, faults)
+    markers = shown_markers(motion, stamps, MARKERS, faults, number)
     return Shown(plan, stamps, markers, samples, shown_angle(motion, samples, faults), torque)
 
 

@@ -72,9 +72,15 @@ SIZES: Mapping[str, Mapping[str, Size]] = {
     "taper": {"taper": Size(0.04, True)},
     "stiffness_asymmetry": {"ratio": Size(0.02, True)},
     "base_compliance": {"stiffness": Size(2000.0, reciprocal=True)},
+    "camera_vibration": {"amplitude": Size(0.0004)},
+    "timestamp_jitter": {"jitter": Size(0.002)},
 }
-# A tilt: its two components come from one angle and one direction.
 TILT = 9.81 * np.sin(np.deg2rad(1.5))  # m/s^2
+# Everyday size of vectors, whose two components come from one length and one direction.
+VECTORS: Mapping[str, tuple[tuple[str, str], float]] = {
+    "in_plane_gravity": (("gx", "gy"), TILT),
+    "camera_translation": (("dx", "dy"), 0.003),
+}
 
 # What a clamped arm, slow and slightly bent, hardly shows at the size that is plain on a turning one.
 CLAMPED_FACTORS: Mapping[str, float] = {
@@ -84,7 +90,7 @@ CLAMPED_FACTORS: Mapping[str, float] = {
     "stiffness_drift": 2.0,
 }
 
-EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES)
+EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation")
 _ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
 _JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
 # Free decays of a clamped link say nothing of a joint, nor of a clock without a second one.
@@ -117,10 +123,11 @@ def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Pla
     random = np.random.default_rng([seed, 2, EFFECTS.index(effect)])
     typical_magnitude = CLAMPED_FACTORS.get(effect, 1.0) if rig == "clamped" else 1.0
     factor = multiple * typical_magnitude * 0.7 * 2.0 ** random.uniform()
-    if effect == "in_plane_gravity":
-        angle = random.uniform(0.0, 2.0 * np.pi)
-        size = factor * TILT
-        return Planted(effect, {"gx": float(size * np.cos(angle)), "gy": float(size * np.sin(angle))})
+    if effect in VECTORS:
+        names, length = VECTORS[effect]
+        angle, size = random.uniform(0.0, 2.0 * np.pi), factor * length
+        components = float(size * np.cos(angle)), float(size * np.sin(angle))
+        return Planted(effect, dict(zip(names, components, strict=True)))
     values = {name: _value(size, factor, random) for name, size in SIZES[effect].items()}
     inner = _inner(effect, random)
     if effect == "base_compliance" and rig == "clamped":  # which hardly pushes a table along the link
@@ -138,7 +145,7 @@ def of_size(effect: str, seed: int, smallest: Mapping[str, float], multiple: flo
         multiple: of them.
     """
     drawn = dict(draw(effect, seed).parameters)
-    sizes = SIZES.get(effect, {name: Size(TILT, True) for name in ("gx", "gy")})
+    sizes = SIZES.get(effect) or {name: Size(VECTORS[effect][1], True) for name in VECTORS[effect][0]}
     known = {name: float(smallest[name]) for name in sizes if name in smallest}
     if not known:
         raise ValueError(f"{effect}: no smallest detectable size among {sorted(smallest)}")
@@ -189,6 +196,15 @@ def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
         case "cogging":
             count = round(12.0 * 8.0 ** random.uniform())  # slots times poles, up to 96
             return {"count": float(count), "phase": random.uniform(0.0, 2.0 * np.pi)}
+        case "camera_vibration":
+            return {
+                "frequency": random.uniform(2.0, 25.0),
+                "direction": random.uniform(-0.5 * np.pi, 0.5 * np.pi),
+                "phase": random.uniform(0.0, 2.0 * np.pi),
+                "ellipticity": random.uniform(-0.6, 0.6),
+            }
+        case "timestamp_jitter":
+            return {"seed": float(random.integers(2**31))}
         case "marker_offset":
             return {"marker": float(random.integers(1, 6))}
         case "base_compliance":

@@ -18,7 +18,7 @@ from tests.hidden.severities import (
     EFFECTS,
     ONLY_WITH_HUB,
     SIZES,
-    TILT,
+    VECTORS,
     Planted,
     draw,
     effects_of,
@@ -116,7 +116,7 @@ def test_repeats_are_one_motion_and_quiet_recordings_are_quiet(rig: Rig) -> None
 
 
 def test_every_effect_has_an_everyday_size() -> None:
-    assert len(EFFECTS) == len(set(EFFECTS)) == 34
+    assert len(EFFECTS) == len(set(EFFECTS)) == 37
     for effect in EFFECTS:
         drawn = [draw(effect, seed) for seed in range(20)]
         assert len({tuple(each.parameters.values()) for each in drawn}) == 20
@@ -127,8 +127,11 @@ def test_every_effect_has_an_everyday_size() -> None:
             )
             assert np.all((np.abs(shares) >= 0.699) & (np.abs(shares) <= 1.401))
             assert bool(shares.min() < 0.0) is size.signed
-    tilts = [np.hypot.reduce(list(draw("in_plane_gravity", seed).parameters.values())) for seed in range(20)]
-    assert 0.7 * TILT < min(tilts) < max(tilts) < 1.4 * TILT
+    for effect, (names, typical) in VECTORS.items():
+        drawn = [draw(effect, seed) for seed in range(20)]
+        assert {tuple(each.parameters) for each in drawn} == {names}
+        lengths = [np.hypot.reduce(list(each.parameters.values())) for each in drawn]
+        assert 0.7 * typical < min(lengths) < max(lengths) < 1.4 * typical
 
 
 def test_sizes_in_multiples_of_the_smallest_that_is_seen() -> None:

@@ -73,7 +73,7 @@ class StoppingRule:
 
 def _least_gain(point: Point) -> float:
     """Return the decrease of chi^2 that several steps must bring for a fit to go on."""
-    return max(_LITTLE * point.chi2, _SLOW * (point.chi2 - point.count))
+    return max(_LITTLE * point.chi2, _SLOW * (point.chi2 - point.expected_chi2))
 
 
 @lru_cache(maxsize=4)
@@ -198,9 +198,9 @@ def _multistart(point: Point) -> tuple[Run, ...]:
     """
     best, trials = [*point.runs], []
     # Where the parameters are wrong most segments are missed, and no start of theirs leads out of that.
-    usual = max(1.0, float(np.quantile([run.chi2 / max(run.observed.count, 1) for run in point.runs], 0.25)))
+    usual = max(1.0, float(np.quantile([run.chi2 / max(run.expected_chi2, 1) for run in point.runs], 0.25)))
     for k, run in enumerate(point.runs):
-        if run.chi2 < usual * stats.chi2.isf(_MISSED, run.observed.count):
+        if run.chi2 < usual * stats.chi2.isf(_MISSED, run.expected_chi2):
             continue
         resting, before = run.state.copy(), _before(point.runs, run.observed)
         resting[run.chain.size + run.chain.active] = 0.0
@@ -273,7 +273,7 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
 
 def is_followed(runs: Sequence[Run]) -> bool:
     """Return True if simulations of parts of a recording follow its motion, so that slopes tell what they lack."""
-    missed = sum(run.chi2 - run.observed.count for run in runs)
+    missed = sum(run.chi2 - run.expected_chi2 for run in runs)
     moved = sum(run.observed.motion for run in runs)
     return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= _FOLLOWED**2 * moved
 

@@ -29,7 +29,10 @@ from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
 
 _Law = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
-_HOOKS = ("chain", "true_inputs", "force", *SENSING_HOOKS, "initial_states", "state_rates", "rate_independent_update")
+_HOOKS = (
+    *("chain", "true_inputs", "force", *SENSING_HOOKS, "timing_noise"),
+    *("initial_states", "state_rates", "rate_independent_update"),
+)
 _ROUNDING = 1e-9
 _PAYLOAD = 0.05  # kg
 _NOISE = (5e-5, 5e-5)  # m of a marker coordinate, rad of an encoder
@@ -85,12 +88,18 @@ class _Bench:
     recordings: tuple[Recording, ...]
     states: tuple[Array, ...]
 
-    def simulate(self, arm: Arm, step: float | None = None) -> list[Simulation]:
-        """Simulate all recordings with an arm made of this chain."""
+    def simulate(self, arm: Arm, step: float | None = None, seed: int = 0) -> list[Simulation]:
+        """Simulate all recordings with an arm made of this chain; the seed draws errors of the frames' instants."""
         q, v = zip(*(np.split(transfer_state(self.chain, arm.chain, state), 2) for state in self.states), strict=True)
         runs = simulate_trajectories([arm] * len(self.states), self.recordings, q, v, step=step)
-        pairs = zip(self.recordings, runs, strict=True)
-        return [sensor_readings(arm, MarkerArcs.of(self.rig), recording, run) for recording, run in pairs]
+        arcs, random, shown = MarkerArcs.of(self.rig), np.random.default_rng([seed, 1]), []
+        for recording, run in zip(self.recordings, runs, strict=True):
+            readings = sensor_readings(arm, arcs, recording, run)
+            if arm.timing_variance:
+                taken = recording.time + np.sqrt(arm.timing_variance) * random.normal(size=recording.time.size)
+                readings = replace(readings, markers=arcs.frames(arm, run, taken))
+            shown.append(readings)
+        return shown
 
     def typical(self, effect: Effect) -> Effect:
         """Return the last variant here with typical magnitudes; shape parameters are off by a tenth."""
@@ -212,7 +221,8 @@ def _calls(bench: _Bench, seed: int) -> dict[str, tuple[Any, ...]]:
     shapes = (5, *empty.markers.shape[1:]), (5, empty.markers.shape[1]), empty.theta.shape, empty.markers.shape
     positions, headings, angles, markers = (_fixed(0.3 * random.normal(size=shape)) for shape in shapes)
     driven = replace(empty, time=_fixed(empty.time.copy()), tau=angles, theta=angles, markers=markers)
-    sensed = (_fixed(np.linspace(0.3, 0.4, 5)), positions), (positions, headings), (angles,)
+    time = _fixed(np.linspace(0.3, 0.4, 5))
+    sensed = (time, positions), (positions, headings, time), (angles,)
     return {"chain": (bench.chain,), "true_inputs": (driven,), **dict(zip(SENSING_HOOKS, sensed, strict=True))}
 
 
@@ -233,6 +243,7 @@ def _null(effect: Effect, seed: int) -> _Law:
         q, v = random.normal(size=(2, 5, chain.size))
         force, z = absent.force(chain, _PAYLOAD), random.normal(size=absent.initial_states(chain, q).shape)
         yield force is None or not np.any(force(np.arange(5.0), q, v, z)), "a force at the null", "none"
+        yield absent.timing_noise == 0, f"`timing_noise` is {absent.timing_noise} at the null", "zero"
         yield _same(absent.rest_angles(chain, q), q), "`rest_angles` changes angles at the null", "the same values"
 
 
@@ -257,6 +268,8 @@ def _hooks(effect: Effect, seed: int) -> _Law:
                 first, *others = (argument.shape for argument in calls[name])
                 shapes = (first, others[0][:2]) if name == "camera_instants" else (first,)
                 yield from _array(f"`{name}`", getattr(present, name)(*calls[name]), *shapes)
+            timing = present.timing_noise
+            yield 0 <= timing < np.inf, f"`timing_noise` is {timing} s", "a finite number that is not negative"
             yield present.max_step(own) > 0, f"a longest step of {present.max_step(own)} s", "a positive one"
             yield from _motions(present, own, seed)
             smooth = replace(present, smooth=True)
@@ -439,7 +452,8 @@ def _unexplained(columns: Array, k: int) -> float:
 def _problem(bench: _Bench, true: Effect, seed: int) -> TrajectoryProblem:
     """Measurements with the effect present; none at either end, where a late camera would show the arm outside."""
     random, observed = np.random.default_rng(seed), []
-    for recording, shown in zip(bench.recordings, bench.simulate(Arm.of(bench.chain, (true,))), strict=True):
+    simulated = bench.simulate(Arm.of(bench.chain, (true,)), seed=seed)
+    for recording, shown in zip(bench.recordings, simulated, strict=True):
         inside = (recording.time >= recording.time[0] + 0.1) & (recording.time <= recording.time[-1] - 0.1)
         markers = shown.markers + _NOISE[0] * random.normal(size=shown.markers.shape)
         theta = shown.theta + _NOISE[1] * random.normal(size=shown.theta.shape)

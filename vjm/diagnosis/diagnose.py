@@ -133,7 +133,7 @@ def _findings(
     model, reference = model_of(best, rig, noise), model_of(start.reference, rig, noise)
     causes = _with_holdout_gains(causes, recordings, result, search)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
-    chi2, count = sum(run.chi2 for run in changed), sum(run.observed.count for run in changed)
+    chi2, count = sum(run.chi2 for run in changed), sum(run.expected_chi2 for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
     findings = Diagnosis(
         experiment=experiment,

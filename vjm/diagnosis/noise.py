@@ -1,9 +1,10 @@
 """Camera noise: its size and its autocorrelation, from residuals that no motion of the arm explains.
 
-An arm moves its markers along a few directions, those of its joints and slow modes; the noise of each marker is its
-own. Each frame's markers are therefore projected onto the complement of these directions, in quiet recordings where
-there are any. An autoregression by Yule and Walker's equations (Brockwell and Davis, Time Series: Theory and Methods,
-section 8.1) describes the correlation from frame to frame, and whitens the residuals of all later fits.
+An arm moves its markers along a few directions, those of its joints and slow modes, and a camera that shakes moves all
+of them together; the noise of each marker is its own. Each frame's markers are therefore projected onto the complement
+of these directions, in quiet recordings where there are any. An autoregression by Yule and Walker's equations
+(Brockwell and Davis, Time Series: Theory and Methods, section 8.1) describes the correlation from frame to frame, and
+whitens the residuals of all later fits.
 """
 
 from __future__ import annotations
@@ -84,6 +85,10 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
     directions = run.basis.shapes[:, : run.basis.slow_count]
     if time.size < _LEAST_FRAMES or channels.sum() <= directions.shape[1]:
         return None
+    # By how much the two components of a shift of all markers move each coordinate. A link moves its markers across
+    # itself only: where they are no more than its modes, a shift is a motion of the link.
+    shifts = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[channels]
+    shifts = shifts if channels.sum() / 2 > directions.shape[1] else shifts[:, :0]
     # An incomplete model may have moved the arm anywhere: start from the encoders' angles, and from straight links too.
     simulated = run.trajectory.angles(time)
     for joint, theta in zip(run.chain.active, observed.recording.theta.T, strict=True):
@@ -92,22 +97,30 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
             simulated[:, joint] = np.interp(time, observed.recording.time[known], theta[known])
     straight = simulated.copy()
     straight[:, run.chain.passive] = 0.0
-    starts = [_fit_frames(run, q, directions, markers[complete], channels) for q in (simulated, straight)]
+    shown = markers[complete]
+    starts = [_fit_frames(run, time, q, directions, shifts, shown, channels) for q in (simulated, straight)]
     better = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
     residual = np.where(better[:, None] == 0, *starts)
-    return _ticks(time), residual - residual.mean(axis=0), 1 - directions.shape[1] / channels.sum()
+    share = 1 - (directions.shape[1] + shifts.shape[1]) / channels.sum()
+    return _ticks(time), residual - residual.mean(axis=0), share
 
 
-def _fit_frames(run: Run, q: Array, directions: Array, markers: Array, channels: Mask) -> Array:
-    """Residuals (F, c) [m] of marker coordinates (F, 2 k), fitted frame by frame (Newton) from angles q (F, nv)."""
-    residual = np.zeros(0)
+def _fit_frames(
+    run: Run, time: Array, q: Array, directions: Array, shifts: Array, markers: Array, channels: Mask
+) -> Array:
+    """Residuals (F, c) [m] of marker coordinates (F, 2 k), fitted frame by frame (Newton) from angles q (F, nv).
+
+    The angles vary along directions (nv, m), all coordinates of a frame along shifts (c, 2) or (c, 0).
+    """
+    residual, elapsed = np.zeros(0), run.trajectory.elapsed(time)
     for _ in range(12):  # quadratic convergence needs fewer once it is near
-        predicted = run.observed.arcs.measured_positions(run.arm, q).reshape(len(q), -1)[:, channels]
-        slopes = run.observed.arcs.slopes(run.arm, q, directions)[:, channels]
+        predicted = run.observed.arcs.measured_positions(run.arm, q, elapsed).reshape(len(q), -1)[:, channels]
+        slopes = run.observed.arcs.slopes(run.arm, q, elapsed, directions)[:, channels]
+        slopes = np.concatenate([slopes, np.broadcast_to(shifts, (len(q), *shifts.shape))], axis=2)
         difference = markers[:, channels] - predicted
         change = (np.linalg.pinv(slopes) @ difference[:, :, None])[:, :, 0]
         residual = difference - (slopes @ change[:, :, None])[:, :, 0]
-        turn = change @ directions.T
+        turn = change[:, : directions.shape[1]] @ directions.T
         largest = np.abs(turn).max(axis=1, keepdims=True)
         q = q + turn * np.minimum(1.0, 0.3 / np.maximum(largest, 1e-300))  # rad; sin x = x within 1.5 % up to there
         if largest.max() < 1e-3:  # rad; the linear residual is then right to 1e-6 of the arm's length
@@ -126,7 +139,8 @@ def _autocorrelation(residuals: Sequence[tuple[Indices, Array, float]]) -> tuple
     lags = range(_HIGHEST_ORDER + 1)
     squares, freedom, products, counts = 0.0, 0.0, np.zeros(len(lags)), np.zeros(len(lags))
     for ticks, residual, share in residuals:
-        limit = _CLIP * 1.4826 * np.median(np.abs(residual))  # 1.4826 MAD is a normal standard deviation
+        # 1.4826 MAD is a normal standard deviation; what motions leave of the noise differs among coordinates.
+        limit = _CLIP * 1.4826 * np.median(np.abs(residual), axis=0)
         clipped = np.clip(residual, -limit, limit)
         squares, freedom = squares + float(np.sum(clipped**2)), freedom + share * clipped.size
         series = np.full((ticks[-1] + 1, clipped.shape[1]), np.nan)  # a dropped frame is a row of NaN

@@ -154,7 +154,7 @@ def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> st
     probes = [probe for probe in _Probe().variants(rig, []) if probe.bending or probe.link in rig.active_links]
     statistics = Screen.of(point, effects, probes).statistics
     best = int(np.argmax(statistics))
-    percent, probe = 100 * statistics[best] / max(point.chi2 - point.count, 1.0), probes[best]
+    percent, probe = 100 * statistics[best] / max(point.chi2 - point.expected_chi2, 1.0), probes[best]
     if percent < 1:
         return ""
     force = "a bending moment in" if probe.bending else "a torque at the joint of"

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from multiprocessing import get_context
 from typing import Self, TypeVar
@@ -26,7 +26,7 @@ from scipy import stats
 from vjm.chain.curve import transfer_state
 from vjm.diagnosis.candidate_fit import LEAST_START
 from vjm.diagnosis.records import Candidate
-from vjm.diagnosis.search_starts import spectral_starts
+from vjm.diagnosis.search_starts import spectral_starts, temporal_peaks
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
@@ -314,6 +314,9 @@ def _projected(
     initial = 2 * run.basis.slow_count
     columns = initial + len(linearization.perturbed)
     information = SquareRootInformation.of(rows(), columns).with_rows(*run.prior_rows(columns))
+    timing = run.timing_rows(linearization, far=True)
+    squares += np.sum(timing[0][:, columns - count :] ** 2, axis=0)
+    information = information.with_rows(*timing)
     return information.eliminated(initial).R, squares
 
 
@@ -406,6 +409,7 @@ class CandidateSet:
         variants: list[Effect] = []
         multiplicity: list[float] = []
         untestable: list[Candidate] = []
+        over_time = cache(partial(temporal_peaks, recordings, runs))  # once for all effects that need them
         for effect in effects:
             reason = effect.untestable(rig, recordings) or ("" if effect.places(rig) else "the rig has no place for it")
             if reason:
@@ -414,7 +418,7 @@ class CandidateSet:
             own, tests = effect.variants(rig, recordings), 1.0
             for parameter in effect.parameters:
                 if parameter.from_spectrum:
-                    own, tests = spectral_starts(parameter, own, recordings, runs)
+                    own, tests = spectral_starts(parameter, own, runs, over_time)
             if not own:
                 untestable.append(Candidate.untestable(effect, "the joints turn too little to show a whole wave"))
             variants += own
@@ -495,8 +499,8 @@ class FamilyTest:
             guess = effect.at(np.r_[screen.guess([k]), effect.coordinates[effect.magnitude_count :]]).values
             sizes = [parameter for parameter in effect.parameters if not parameter.shape_parameter]
             smallest = {}
-            for parameter, coordinate in zip(sizes, (detectable[k] * screen.std(k)).tolist(), strict=False):
-                value = parameter.value(coordinate)
+            for n, (parameter, coordinate) in enumerate(zip(sizes, detectable[k] * screen.std(k), strict=False)):
+                value = _with_size(effect, n, float(coordinate)).values[parameter.name]
                 smallest[parameter.name] = value if parameter.reciprocal else abs(value - parameter.null)
             guessed = {parameter.name: float(guess[parameter.name]) for parameter in sizes}
             rows.append(Candidate(effect, float(np.sqrt(screen.statistics[k])), float(p[k]), guessed, smallest))

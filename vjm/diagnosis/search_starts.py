@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -20,16 +20,19 @@ _GRID, _COARSE_GRID = 4, 2  # values for each independent one; between two, a pe
 _RESOLVED = 2.0  # rad of a wave over half an interval of the derivatives, whose error is then 1 % (2^4 / 2880)
 
 
+Peaks = tuple[list[float], float]  # the highest ones, and the number of independent values searched
+
+
 def spectral_starts(
-    parameter: Parameter, variants: Sequence[Effect], recordings: Sequence[Recording], runs: Sequence[Run]
+    parameter: Parameter, variants: Sequence[Effect], runs: Sequence[Run], over_time: Callable[[], Peaks]
 ) -> tuple[tuple[Effect, ...], float]:
     """Return variants of a periodic effect, for each place those of the highest peaks, and the tests each counts as.
 
     Args:
         parameter: that whose values are the peaks.
         variants: one for each place at least.
-        recordings: what was measured.
-        runs: simulations of these or of their segments.
+        runs: simulations of recordings or of their segments.
+        over_time: gives the peaks over time, as `temporal_peaks` does.
     """
     found: list[Effect] = []
     independent = 0.0
@@ -37,14 +40,14 @@ def spectral_starts(
         if parameter.from_spectrum == "joint_angle":
             peaks, count = _angular_peaks(variant, runs)
         else:
-            peaks, count = _temporal_peaks(recordings, runs)
+            peaks, count = over_time()
         independent += count
         changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
         found += [replace(variant, **change) for change in changes]
     return tuple(found), max(independent / max(len(found), 1), 1.0)
 
 
-def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> tuple[list[float], float]:
+def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
     """Return numbers of waves in a turn whose torques explain most of the residuals, and how many are independent.
 
     What a torque does is that of the arm's modes about rest.
@@ -122,7 +125,7 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
         return np.asarray(moved[k] + share.astype(np.float32) * (moved[k + 1] - moved[k]))
 
     frames = observed.recording.time[observed.frames]
-    slopes = observed.arcs.slopes(run.arm, path.angles(frames), shapes)
+    slopes = observed.arcs.slopes(run.arm, path.angles(frames), path.elapsed(frames), shapes)
     markers = (slopes @ at(frames)).reshape(-1, c + 2 * m)[observed.markers]
     instants, joints = np.divmod(observed.angles, max(chain.active.size, 1))
     by_mode = shapes[chain.active[joints]] if joints.size else np.zeros((0, m))
@@ -133,8 +136,8 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
     return np.asarray(response, dtype=complex), run.residual - free @ (free.T @ run.residual)
 
 
-def _temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> tuple[list[float], float]:
-    """Frequencies of the residuals' highest spectral peaks [Hz], and the number of independent frequencies searched.
+def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peaks:
+    """Return frequencies of the residuals' highest spectral peaks [Hz], and how many independent ones were searched.
 
     Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
     """

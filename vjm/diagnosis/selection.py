@@ -404,7 +404,7 @@ class Search:
         if fit is None:
             return False
         rest = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
-        return bool(fit.chi2 < fit.point.count + 5 * np.sqrt(2 * fit.point.count) + rest)
+        return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + rest)
 
     def _is_worth(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
         return fewer.chi2 - more.chi2 > self.least_decrease(more)

@@ -36,12 +36,15 @@ from vjm.effects.loads import QuadraticDrag as QuadraticDrag
 from vjm.effects.loads import TipPayload as TipPayload
 from vjm.effects.sensors import CameraRotation as CameraRotation
 from vjm.effects.sensors import CameraScale as CameraScale
+from vjm.effects.sensors import CameraTranslation as CameraTranslation
+from vjm.effects.sensors import CameraVibration as CameraVibration
 from vjm.effects.sensors import ClockScale as ClockScale
 from vjm.effects.sensors import EncoderOffset as EncoderOffset
 from vjm.effects.sensors import LensDistortion as LensDistortion
 from vjm.effects.sensors import MarkerOffset as MarkerOffset
 from vjm.effects.sensors import RollingShutter as RollingShutter
 from vjm.effects.sensors import TimeOffset as TimeOffset
+from vjm.effects.sensors import TimestampJitter as TimestampJitter
 
 # One absent instance of each public effect in these modules.
 BUILTIN: tuple[Effect, ...] = tuple(

@@ -174,7 +174,8 @@ class Effect:
     @property
     def sensor(self) -> bool:
         """True if it is in the sensors: it has a hook that says what these show."""
-        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in SENSING_HOOKS)
+        hooks = (*SENSING_HOOKS, "timing_noise")
+        return any(getattr(type(self), hook) is not getattr(Effect, hook) for hook in hooks)
 
     @property
     def key(self) -> Key:
@@ -339,12 +340,18 @@ class Effect:
         """
         return time
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    @property
+    def timing_noise(self) -> float:
+        """Standard deviation of the instants at which the camera takes its frames, about those it should [s]."""
+        return 0.0
+
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return the positions (F, k, 2) [m] that the camera reports.
 
         Args:
             positions: (F, k, 2) true positions of the markers [m].
             headings: (F, k) direction of the link's tangent at each marker [rad].
+            time: (F,) when the camera saw them, since the recording's start [s].
         """
         return positions
 
@@ -361,6 +368,61 @@ def is_nonsmooth(effects: Sequence[Effect]) -> bool:
 def is_recorded(recordings: Sequence[Recording], name: Literal["tau", "theta"]) -> bool:
     """Return True if torques or active joint angles were recorded."""
     return any(bool(np.isfinite(getattr(recording, name)).any()) for recording in recordings)
+
+
+@dataclass(frozen=True)
+class WaveEffect(Effect):
+    """A wave over time or a joint's angle, with a frequency or a number of waves that is found in a spectrum.
+
+    Its magnitudes are amplitudes of cosine and sine, in which the motion is about linear. Unless a subclass says
+    otherwise, the first three parameters are amplitude, frequency or number of waves, and phase.
+
+    Attributes:
+        lowest: frequency or number of waves to which searches may go; what takes longer than the recordings is no wave.
+    """
+
+    lowest: float = field(default=0.0, kw_only=True, compare=False)
+
+    @property
+    def coordinates(self) -> Array:
+        """(3,) amplitudes of cosine and sine over a typical one, logarithm of the frequency over a typical one."""
+        amplitude, frequency, phase = self.parameters
+        radius, angle = amplitude.coordinate(getattr(self, amplitude.name)), getattr(self, phase.name)
+        tone = frequency.coordinate(getattr(self, frequency.name))
+        return np.array([radius * np.cos(angle), radius * np.sin(angle), tone])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (3,); without amplitude, at phase zero."""
+        amplitude, frequency, phase = self.parameters
+        cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
+        size, angle = amplitude.value(float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
+        changes: dict[str, Any] = {amplitude.name: size, frequency.name: frequency.value(tone), phase.name: angle}
+        return replace(self, **changes)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,), (p,) of the coordinates, of which only the frequency, the last, has any."""
+        low, high = self._frequency.bounds
+        low = max(low, self._frequency.coordinate(self.lowest)) if self.lowest > 0 else low
+        unbounded = np.full(self.magnitude_count, np.inf)
+        return np.r_[-unbounded, low], np.r_[unbounded, high]
+
+    @property
+    def magnitude_count(self) -> int:
+        """Number of magnitudes: of cosine and sine."""
+        return 2
+
+    @property
+    def _frequency(self) -> Parameter:
+        return next(each for each in self.parameters if each.from_spectrum)
+
+    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
+        """Return it with frequencies down to one period in the longest recording, where it is a wave over time."""
+        found = super().variants(rig, recordings)
+        longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
+        if self._frequency.from_spectrum != "time" or longest == 0:
+            return found
+        return tuple(replace(variant, lowest=1 / longest) for variant in found)
 
 
 @dataclass(frozen=True)
@@ -405,48 +467,6 @@ class LinkEffect(Effect):
             return forces
 
         return on_all
-
-
-@dataclass(frozen=True)
-class WaveEffect(LinkEffect):
-    """A wave, whose first three parameters are its amplitude, its frequency or number of waves, and its phase.
-
-    A search varies amplitude cos(phase) and amplitude sin(phase), in which the motion is about linear.
-
-    Attributes:
-        lowest: frequency or number of waves to which searches may go.
-    """
-
-    lowest: float = field(default=0.0, kw_only=True, compare=False)
-
-    @property
-    def coordinates(self) -> Array:
-        """(3,) amplitudes of cosine and sine over a typical one, logarithm of the frequency over a typical one."""
-        amplitude, frequency, phase = self.parameters
-        radius, angle = amplitude.coordinate(getattr(self, amplitude.name)), getattr(self, phase.name)
-        tone = frequency.coordinate(getattr(self, frequency.name))
-        return np.array([radius * np.cos(angle), radius * np.sin(angle), tone])
-
-    def at(self, coordinates: Array) -> Self:
-        """Return the same effect at other coordinates (3,); without amplitude, at phase zero."""
-        amplitude, frequency, phase = self.parameters
-        cosine, sine, tone = np.asarray(coordinates, dtype=float).tolist()
-        size, angle = amplitude.value(float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
-        changes: dict[str, Any] = {amplitude.name: size, frequency.name: frequency.value(tone), phase.name: angle}
-        return replace(self, **changes)
-
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (3,), (3,) of the coordinates, of which only the frequency has any."""
-        frequency = self.parameters[1]
-        low, high = frequency.bounds
-        low = max(low, frequency.coordinate(self.lowest)) if self.lowest > 0 else low
-        return np.array([-np.inf, -np.inf, low]), np.array([np.inf, np.inf, high])
-
-    @property
-    def magnitude_count(self) -> int:
-        """Number of magnitudes: of cosine and sine."""
-        return 2
 
 
 @dataclass(frozen=True)

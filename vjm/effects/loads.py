@@ -6,9 +6,7 @@ i e_b at distance x from the rod's proximal end is Re(conj(e_b) sum_{a<b} l_a w_
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
 
 import numpy as np
 
@@ -82,12 +80,6 @@ class ExternalTone(WaveEffect, _TipEffect):
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
     abscissa = "frequency"
-
-    def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
-        """Return it with frequencies down to one period in the longest recording."""
-        longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
-        lowest = 1 / longest if longest > 0 else 0.0
-        return tuple(replace(variant, lowest=lowest) for variant in super().variants(rig, recordings))
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the force on the end of the last virtual link."""

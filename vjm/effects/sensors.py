@@ -9,7 +9,15 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.curve import rotate
-from vjm.effects.effect import ColumnEffect, Effect, LinkEffect, is_recorded, magnitude, shape_parameter
+from vjm.effects.effect import (
+    ColumnEffect,
+    Effect,
+    LinkEffect,
+    WaveEffect,
+    is_recorded,
+    magnitude,
+    shape_parameter,
+)
 from vjm.errors import ShapeError
 from vjm.records import Array, Recording, Rig
 
@@ -40,7 +48,7 @@ class CameraScale(Effect):
     abscissa = "position"
     common = True
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return larger positions."""
         return self.scale * positions
 
@@ -66,9 +74,98 @@ class CameraRotation(_CameraEffect):
             return "without an encoder and without gravity, a turned camera and a turned arm look the same"
         return ""
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return turned positions."""
         return rotate(positions, np.asarray(self.angle))
+
+
+@dataclass(frozen=True)
+class CameraTranslation(_CameraEffect):
+    """A camera whose origin is not the base's: it shows all positions shifted by the same vector."""
+
+    dx: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+    dy: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
+
+    description = "a camera that is shifted against the base"
+    clause = "a camera that shows everything {dx} along x and {dy} along y beside where it is"
+    reference = (
+        "R. Y. Tsai and R. K. Lenz, A new technique for fully autonomous and efficient 3D robotics hand/eye "
+        "calibration, IEEE Trans. Robotics and Automation 5(3), 1989"
+    )
+    distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; several hub angles"
+    abscissa = "marker"
+
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return shifted positions."""
+        return positions if self.is_null else positions + np.array([self.dx, self.dy])
+
+
+@dataclass(frozen=True)
+class CameraVibration(WaveEffect, _CameraEffect):
+    """A camera that shakes at one frequency, so that all markers move together along an ellipse.
+
+    They move by amplitude sin(2 pi frequency t + phase) along the ellipse's long axis, which is turned by the direction
+    from x, and by -ellipticity amplitude cos(2 pi frequency t + phase) across it. Time is that since the start of each
+    recording. A search varies the cosine's and the sine's amplitudes along x and y, in which the motion is linear.
+    """
+
+    amplitude: float = magnitude("m", 5e-4, lower=0.0, in_rig_units=True)
+    frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum="time", in_rig_units=True)
+    direction: float = shape_parameter("rad", 0.0, lower=-np.pi / 2, upper=np.pi / 2)
+    phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
+    ellipticity: float = shape_parameter("", 0.0, lower=-1.0, upper=1.0)  # short over long axis, against the clock
+
+    description = "a camera that shakes, and shows all markers shaking together"
+    clause = "a camera that shakes by {amplitude} at {frequency}, along {direction} from x"
+    reference = (
+        "S. Yoneyama and H. Ueda, Bridge deflection measurement using digital image correlation with camera movement "
+        "correction, Materials Transactions 53(2), 2012"
+    )
+    distinguishing_experiment = "a fixed fiducial in the camera's view; a quiet recording, in which nothing moves"
+    abscissa = "frequency"
+
+    @property
+    def coordinates(self) -> Array:
+        """(5,) cosine's amplitudes along x and y and the sine's, over a typical one; logarithm of the frequency."""
+        amplitude, frequency = self.parameters[:2]
+        size, axis, start = amplitude.coordinate(self.amplitude), np.exp(1j * self.direction), np.exp(1j * self.phase)
+        cosine = axis * size * (start.imag - 1j * self.ellipticity * start.real)
+        sine = axis * size * (start.real + 1j * self.ellipticity * start.imag)
+        logarithm = frequency.coordinate(self.frequency)
+        return np.array([cosine.real, cosine.imag, sine.real, sine.imag, logarithm])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at other coordinates (5,); without amplitude, with direction and phase zero."""
+        amplitude, frequency = self.parameters[:2]
+        numbers = np.asarray(coordinates, dtype=float)
+        cosine, sine = numbers[[0, 2]] + 1j * numbers[[1, 3]]
+        # The ellipse is the sum of two circles, run through in opposite senses.
+        forward, backward = 1j * (cosine - 1j * sine) / 2, -1j * (cosine + 1j * sine) / 2
+        sizes, angles = np.abs([forward, backward]), np.angle([forward, backward])
+        direction, phase = float(angles.sum() / 2), float((angles[0] - angles[1]) / 2)
+        if abs(direction) > np.pi / 2:  # half a turn of the axis is half a cycle
+            direction, phase = (each - np.copysign(np.pi, each) for each in (direction, phase))
+        long, short = float(sizes.sum()), float(sizes[0] - sizes[1])
+        return replace(
+            self,
+            amplitude=amplitude.value(long),
+            frequency=frequency.value(float(numbers[4])),
+            direction=direction,
+            phase=phase,
+            ellipticity=short / long if long else 0.0,
+        )
+
+    @property
+    def magnitude_count(self) -> int:
+        """Number of magnitudes: of cosine and sine, along x and y."""
+        return 4
+
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
+        """Return positions that shake."""
+        angle = 2 * np.pi * self.frequency * time + self.phase
+        along, across = self.amplitude * np.sin(angle), -self.ellipticity * self.amplitude * np.cos(angle)
+        shake = rotate(np.stack([along, across], axis=-1), np.asarray(self.direction))
+        return positions if self.is_null else positions + shake[:, None]
 
 
 @dataclass(frozen=True)
@@ -83,7 +180,7 @@ class LensDistortion(_CameraEffect):
     distinguishing_experiment = "three or more fiducials at measured distances in the camera's view"
     abscissa = "radial"
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return distorted positions."""
         squares: Array = (positions * positions).sum(axis=-1, keepdims=True)
         return positions * (1 + self.k1 * squares)
@@ -132,7 +229,7 @@ class MarkerOffset(LinkEffect):
             for k in range(1, part.stop - part.start + 1)
         )
 
-    def marker_positions(self, positions: Array, headings: Array) -> Array:
+    def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
         """Return the positions with that marker displaced."""
         displaced, heading = positions.copy(), headings[..., self.column]
         displaced[..., self.column, :] += rotate(np.array([self.along, self.across]), heading)
@@ -198,6 +295,43 @@ class ClockScale(_ClockEffect):
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return the instants by the encoder's clock."""
         return time / self.scale
+
+
+@dataclass(frozen=True)
+class TimestampJitter(Effect):
+    """A camera whose frames are taken earlier or later than stamped, at random, with a standard deviation: the jitter.
+
+    It changes no prediction: the noise of a frame's markers grows with their speed, and is common to all of them. A
+    search varies its variance, in which the likelihood is smooth.
+    """
+
+    jitter: float = magnitude("s", 4e-3, lower=0.0, upper=0.2, in_rig_units=True)
+
+    description = "a camera whose frames are taken earlier or later than stamped, at random"
+    clause = "a camera whose frames are taken {jitter} earlier or later than stamped, at random"
+    reference = "A. V. Balakrishnan, On the problem of time jitter in sampling, IRE Trans. Inf. Theory 8(3), 1962"
+    distinguishing_experiment = "a camera with a hardware trigger; repeats of one fast drive"
+    abscissa = "velocity"
+
+    @property
+    def coordinates(self) -> Array:
+        """(1,) variance over that of a typical magnitude."""
+        return np.array([self.parameters[0].coordinate(self.jitter) ** 2])
+
+    def at(self, coordinates: Array) -> Self:
+        """Return the same effect at another variance (1,)."""
+        (variance,) = np.asarray(coordinates, dtype=float).tolist()
+        return replace(self, jitter=self.parameters[0].value(float(np.sqrt(max(variance, 0.0)))))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (1,), (1,) of the coordinate."""
+        return np.zeros(1), np.array([self.parameters[0].bounds[1] ** 2])
+
+    @property
+    def timing_noise(self) -> float:
+        """The jitter."""
+        return self.jitter
 
 
 @dataclass(frozen=True)

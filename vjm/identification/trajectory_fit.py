@@ -202,9 +202,14 @@ class Point(Record):
         return sum(run.observed.count for run in self.runs)
 
     @property
+    def expected_chi2(self) -> float:
+        """Mean of `chi2` where the model is right: the number of values, but for errors of time."""
+        return sum(run.expected_chi2 for run in self.runs)
+
+    @property
     def misfit(self) -> float:
         """RMS weighted residual: one where it is the noise."""
-        return float(np.sqrt(self.chi2 / self.count))
+        return float(np.sqrt(self.chi2 / self.expected_chi2))
 
     @cached_property
     def linearizations(self) -> tuple[SquareRootInformation, ...]:

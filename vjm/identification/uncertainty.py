@@ -145,7 +145,7 @@ def _whiteness(run: Run) -> Whiteness:
         r = np.array([np.sum(values[lag:] * values[:-lag]) for lag in range(1, lags + 1)]) / power
         statistic, freedom = statistic + np.isfinite(series).sum() * float(np.sum(r**2)), freedom + lags
         largest = max(largest, float(np.abs(r).max()))
-    count = max(run.observed.count, 1)
+    count = max(run.expected_chi2, 1)
     correlated = freedom > 0 and statistic > stats.chi2.isf(1e-3, freedom)
     large = freedom > 0 and run.chi2 > stats.chi2.isf(1e-3, count)
     return Whiteness(run.observed.recording.file, run.chi2 / count, largest, bool(correlated or large))

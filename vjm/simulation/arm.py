@@ -152,6 +152,11 @@ class Arm:
         """Effects on the sensors."""
         return tuple(effect for effect in self.effects if effect.sensor)
 
+    @cached_property
+    def timing_variance(self) -> float:
+        """Variance of the instants at which the camera takes its frames [s^2]."""
+        return sum(effect.timing_noise**2 for effect in self.sensors)
+
     def encoder_angles(self, theta: Array) -> Array:
         """Return the encoders' readings of active joints' angles (..., n_a) [rad]."""
         for effect in self.sensors:

@@ -46,6 +46,8 @@ class SquareRootInformation:
 
     def with_rows(self, jacobian: Array, residual: Array) -> SquareRootInformation:
         """Return the problem with more rows."""
+        if not len(residual):
+            return self
         return SquareRootInformation.of([(self.R[:, :-1], self.R[:, -1]), (jacobian, residual)], self.columns)
 
     def damped(self, damping: float) -> SquareRootInformation:

@@ -46,35 +46,55 @@ class MarkerArcs:
         """Return (..., k, 2) marker positions [m] at angles q (..., nv) [rad]."""
         return marker_poses(chain, q, self.lengths, self.in_link_frame)[0]
 
-    def measured_positions(self, arm: Arm, q: Array) -> Array:
-        """Return (F, k, 2) positions [m] as the camera gives them, at angles (F, nv), or (k, F, nv) for each marker."""
+    def measured_positions(self, arm: Arm, q: Array, time: Array) -> Array:
+        """Return (F, k, 2) positions [m] as the camera gives them.
+
+        Args:
+            arm: with its sensors.
+            q: (F, nv), or (k, F, nv) for each marker, angles [rad].
+            time: (F,) or (k, F) when the arm is seen at these, since the recording's start [s].
+        """
         if q.ndim == 3:
-            return np.stack([self.measured_positions(arm, own)[:, marker] for marker, own in enumerate(q)], axis=1)
+            each = [self.measured_positions(arm, *own)[:, k] for k, own in enumerate(zip(q, time, strict=True))]
+            return np.stack(each, axis=1)
         positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
         for effect in arm.sensors:
-            positions = effect.marker_positions(positions, headings)
+            positions = effect.marker_positions(positions, headings, time)
         return positions
 
-    def slopes(self, arm: Arm, q: Array, directions: Array) -> Array:
+    def slopes(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
         """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
-        base, step = self.measured_positions(arm, q), 1e-6
-        moved = np.stack([self.measured_positions(arm, q + step * direction) for direction in directions.T], axis=-1)
+        base, step = self.measured_positions(arm, q, time), 1e-6
+        steps = step * directions.T
+        moved = np.stack([self.measured_positions(arm, q + change, time) for change in steps], axis=-1)
         slopes: Array = (moved - base[..., None]) / step
         return slopes.reshape(len(base), 2 * base.shape[1], directions.shape[1])
 
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
         seen = time
-        if arm.sensors:
+        shifting = [one for one in arm.sensors if type(one).camera_instants is not Effect.camera_instants]
+        if shifting:
             stamps = trajectory.elapsed(time)
             positions = self.positions(arm.chain, trajectory.angles(time))
-            for effect in arm.sensors:
+            for effect in shifting:
                 seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
         return seen
 
     def frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return the (F, k, 2) marker positions [m] in frames stamped (F,) [s] of a trajectory."""
-        return self.measured_positions(arm, trajectory.angles(self.exposure_times(arm, trajectory, time)))
+        exposures = self.exposure_times(arm, trajectory, time)
+        return self.measured_positions(arm, trajectory.angles(exposures), trajectory.elapsed(exposures))
+
+    def velocities(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
+        """Return the (F, k, 2) velocities [m/s] of what frames stamped (F,) [s] of a trajectory show."""
+        exposures, step = self.exposure_times(arm, trajectory, time), 0.1 * trajectory.step
+        later, earlier = (
+            self.measured_positions(arm, trajectory.angles(instants), trajectory.elapsed(instants))
+            for instants in (exposures + step, exposures - step)
+        )
+        result: Array = (later - earlier) / (2 * step)
+        return result
 
 
 def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory: Trajectory) -> Simulation:

@@ -18,9 +18,10 @@ from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations, sensor_readings
 from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm, with_coefficients
 from vjm.simulation.system import Trajectory
+from vjm.simulation.timing_noise import TimingNoise
 
 _LARGEST = 1e100  # derivative, in units of the noise
-_INDEPENDENT_OF_PRIOR = ("residual", "chi2", "stride", "basis")  # cached properties
+_INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached properties
 
 
 @dataclass(frozen=True)
@@ -89,22 +90,40 @@ class Run:
     @cached_property
     def residual(self) -> Array:
         """(N,) measured less simulated, weighted and whitened."""
-        return self.observed.residual(self.arm, self.trajectory)
+        return self._timed(self.observed.residual(self.arm, self.trajectory))
+
+    @cached_property
+    def timing_noise(self) -> TimingNoise:
+        """Errors of the instants at which the frames were taken."""
+        return TimingNoise.of(self.observed, self.arm, self.trajectory)
+
+    def _timed(self, weighted: Array) -> Array:
+        """Weighted values (N, ...) without the correlation that errors of the frames' instants bring."""
+        return self.timing_noise.whitened(weighted) if self.arm.timing_variance else weighted
 
     @cached_property
     def chi2(self) -> float:
-        """Sum of the squared weighted residuals."""
-        return float(self.residual @ self.residual)
+        """Sum of the squared weighted residuals, and the logarithm of the determinant of their errors of time."""
+        return float(self.residual @ self.residual) + self._log_determinant
+
+    @property
+    def expected_chi2(self) -> float:
+        """Mean of `chi2` where the model is right: the number of values, but for errors of time."""
+        return self.observed.count + self._log_determinant
+
+    @property
+    def _log_determinant(self) -> float:
+        return self.timing_noise.log_determinant if self.arm.timing_variance else 0.0
 
     @cached_property
     def cost(self) -> float:
         """Sum of the residuals' loss and the prior's term."""
         away = self.prior.scale * (self.prior.sqrt_information @ (self.state - self.prior.rest))
-        return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away)
+        return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away) + self._log_determinant
 
     def with_scaled_prior(self) -> Run:
         """Return the run with a prior in units of the residuals' size."""
-        scale = float(np.sqrt(max(self.chi2 / max(self.observed.count, 1), 1.0)))
+        scale = float(np.sqrt(max(self.chi2 / max(self.expected_chi2, 1), 1.0)))
         run = replace(self, prior=replace(self.prior, scale=scale))
         run.__dict__.update({name: self.__dict__[name] for name in _INDEPENDENT_OF_PRIOR if name in self.__dict__})
         return run
@@ -132,14 +151,14 @@ class Run:
     def slopes(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         parts = linearization.jacobian()
-        if self.observed.whitening is None:
+        if self.observed.whitening is None and not self.arm.timing_variance:
             yield from parts
             return
         rows, slopes = zip(*parts, strict=True)
         measured = np.concatenate(rows)
         whole = np.empty((measured.size, slopes[0].shape[1]))
         whole[measured] = np.concatenate(slopes)
-        yield np.arange(measured.size), self.observed.whitened(whole)
+        yield np.arange(measured.size), self._timed(self.observed.whitened(whole))
 
     def weighted_slopes(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
         """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the loss."""
@@ -155,7 +174,7 @@ class Run:
         """
         columns = 2 * self.basis.slow_count + len(linearization.perturbed)
         problem = SquareRootInformation.of(self.weighted_slopes(linearization), columns)
-        problem = problem.with_rows(*self.prior_rows(columns))
+        problem = problem.with_rows(*self.prior_rows(columns)).with_rows(*self.timing_rows(linearization))
         if not np.abs(problem.R).max(initial=0.0) < _LARGEST:
             remedy = "the motion depends on its start or parameters beyond all bounds: check them"
             raise SimulationDivergedError(float(self.trajectory.time[-1]), self.trajectory.step, remedy)
@@ -173,6 +192,21 @@ class Run:
         weight = self.prior.scale * self.prior.sqrt_information
         rows[:, : states.shape[1]] = weight @ states
         return rows, weight @ (self.prior.rest - self.state)
+
+    def timing_rows(self, linearization: Linearization, far: bool = False) -> tuple[Array, Array]:
+        """Return rows (r, columns) and right-hand side (r,) of the variance of the frames' instants; r is 0 or 1.
+
+        `far` says whether they shall promise what the best variance explains, however far it is.
+        """
+        before = self.arm.timing_variance
+        by_parameters = [(other.timing_variance - before) / step for other, step in linearization.perturbed]
+        columns = 2 * self.basis.slow_count + len(by_parameters)
+        if not any(by_parameters):
+            return np.zeros((0, columns)), np.zeros(0)
+        noise = self.timing_noise
+        slope, residual = (noise.likelihood_ratio if far else noise.score)(self.residual)
+        row = np.r_[np.zeros(columns - len(by_parameters)), slope * np.array(by_parameters)]
+        return row[None], np.array([residual])
 
     def scores(self, linearization: Linearization, linearized: SquareRootInformation) -> Array:
         """Return (T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated."""
@@ -197,7 +231,7 @@ class Run:
             recording=observed.recording,
             simulation=sensor_readings(self.arm, observed.arcs, observed.recording, self.trajectory),
             noise=observed.noise,
-            chi2=self.chi2,
+            chi2=float(self.residual @ self.residual),
             count=observed.count,
             status="converged" if converged else "not converged",
         )

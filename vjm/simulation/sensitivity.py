@@ -347,8 +347,8 @@ class Linearization:
 
     def _marker_slopes(self, part: Trajectory, exposures: Array, stamps: Array) -> Array:
         """(F, 2 k, 2 slow + p) derivatives of marker coordinates in frames seen at instants (F,) or (k, F)."""
-        arcs, q = self.observed.arcs, self.trajectory.angles(exposures)
-        by_modes = arcs.slopes(self.arm, q, self.basis.shapes)
+        arcs, q, elapsed = self.observed.arcs, self.trajectory.angles(exposures), self.trajectory.elapsed(exposures)
+        by_modes = arcs.slopes(self.arm, q, elapsed, self.basis.shapes)
         modes = np.swapaxes(part.angles(exposures), -2, -1)
         if exposures.ndim == 1:
             slopes = by_modes @ modes
@@ -359,7 +359,7 @@ class Linearization:
         for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[2] - len(self.perturbed)):
             # Markers are measured at the same places unless sensors or curves differ.
             if self.arm.sensors != other.sensors or not _equal(self.arm.chain, other.chain, _OF_CURVES):
-                base = arcs.measured_positions(self.arm, q) if base is None else base
+                base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
                 changed = arcs.frames(other, self.trajectory, stamps)
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
