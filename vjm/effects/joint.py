@@ -115,7 +115,8 @@ class Stribeck(_DryFriction):
     """Dry friction that falls with the joint's rate v, torque exp(-(v / speed)^2), and sticks.
 
     It is what friction at low rates exceeds that at high ones by, which is `coulomb_friction`. A speed above all rates
-    of the joint would make the two the same.
+    of the joint would make the two the same. It acts about reversals only, where a bristle is late by a part of a step:
+    simulated motion is that of a torque 3 % smaller and a speed 3 % larger.
     """
 
     torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
@@ -136,14 +137,6 @@ class Stribeck(_DryFriction):
     def share(self, rate: Array) -> Array:
         """Share of the torque at rest that there is at rates (...) [rad/s]."""
         return np.asarray(np.exp(-((rate / self.speed) ** 2)))
-
-    def max_step(self, chain: Chain) -> float:
-        """Return the time step [s] that resolves sticking.
-
-        It acts about reversals only, so that a bristle's delay there is a larger part of what it does: with half the
-        step, torque and speed come out as if they were 1 % smaller and larger instead of 3 %.
-        """
-        return super().max_step(chain) / 2
 
 
 @dataclass(frozen=True)
