@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.diagnosis.rigs import chain_of, point_of, recorded
+from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, cut, refit
-from vjm.effects import CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
+from vjm.diagnosis.selection import Rules, Search
+from vjm.effects import BaseCompliance, CoulombFriction, Effect, GearElasticity, ViscoelasticCreep, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification import trajectory_fit
 from vjm.identification.trajectory_fit import (
@@ -121,3 +122,17 @@ def missing_step(effect: Effect) -> tuple[Point, _TrajectoryStep, Array]:
     off = np.zeros(2 * arm.chain.size)
     off[arm.chain.size] = 0.1
     return point, _TrajectoryStep(20.0, 1.0, np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0]), off
+
+
+def test_a_search_does_not_report_a_fit_that_was_stopped() -> None:
+    truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0)
+    start = TrajectoryFit(point_of(chain_of(), (), recordings))
+    off = truth.at(truth.coordinates + np.array([0.1, 0.02, 0.2, 0.1]))
+    stopped = refit(start, [off], StoppingRule(most=1))
+    assert stopped is not None
+    assert not stopped.converged
+    found = Search(RIG, start, [BaseCompliance()], Rules(), lambda text: None)._converged(stopped)
+    assert found.converged
+    assert found.chi2 < stopped.chi2 - 5
+    assert found.misfit == pytest.approx(1.0, abs=0.05)

@@ -31,7 +31,7 @@ from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import DiscretizationBias
-from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
 
@@ -139,7 +139,19 @@ class Search:
                 best, family = self._select_small(best, fits)
         if family is None:
             best, family = self._select_small(best, fits)
+        best = fits[best.names] = self._converged(best)
         return SearchResult(best, self._first or family, family, self.p_values, fits, segment_fits)
+
+    def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Continue a fit that was stopped where it gained little: its estimates may be several standard errors off."""
+        if fit.converged or is_nonsmooth(fit.effects) or not fit.new_effects:
+            return fit
+        self.tell("converging")
+        try:
+            further = fit_trajectory(fit.point.problem, fit.point.x, None, fit.point.states)
+        except (SimulationDivergedError, InsufficientDataError):
+            return fit
+        return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
 
     def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
         """Add the effects that are needed beside a model and its chain's discretization error."""
