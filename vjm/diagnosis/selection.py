@@ -143,7 +143,7 @@ class Search:
         return SearchResult(best, self._first or family, family, self.p_values, fits, segment_fits)
 
     def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Continue a fit that was stopped where it gained little: its estimates may be several standard errors off."""
+        """Continue a fit that was stopped where it gained little, as long as it gains anything."""
         if fit.converged or is_nonsmooth(fit.effects) or not fit.new_effects:
             return fit
         self.tell("converging")
