@@ -14,6 +14,7 @@ from vjm.diagnosis import selection
 from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, cut, information_of, refit
 from vjm.effects import (
     ActuatorLag,
+    BaseCompliance,
     CoulombFriction,
     CubicStiffness,
     Effect,
@@ -182,3 +183,18 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
     found = search.open_loop(in_parts).point
     assert [run.observed.recording.file for run in found.runs] == ["drive_0.csv"]
     assert len(found.problem.observed) == 1
+
+
+def test_a_search_does_not_report_a_fit_that_was_stopped() -> None:
+    truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0)
+    start = TrajectoryFit(point_of(chain_of(), (), recordings))
+    off = truth.at(truth.coordinates + np.array([0.1, 0.02, 0.2, 0.1]))
+    stopped = refit(start, [off], StoppingRule(most=1))
+    assert stopped is not None
+    assert not stopped.converged
+    search = selection.Search(RIG, start, [BaseCompliance()], selection.Rules(), lambda text: None)
+    found = search._converged(stopped)
+    assert found.converged
+    assert found.chi2 < stopped.chi2 - 5
+    assert found.misfit == pytest.approx(1.0, abs=0.05)

@@ -34,7 +34,7 @@ from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import DiscretizationBias
-from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.run import Run
@@ -161,10 +161,25 @@ class Search:
                 best, family = self._select_small(best, fits)
         if family is None:
             best, family = self._select_small(best, fits)
+        best = fits[best.names] = self._converged(best)
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
         return SearchResult(best, self._first or family, family, self.p_values, fits, segment_fits)
+
+    def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Continue a fit that was stopped where it gained little, as long as it gains anything."""
+        if fit.converged or is_nonsmooth(fit.effects) or not fit.new_effects:
+            return fit
+        self.tell("converging")
+        point = fit.point
+        try:
+            further = fit_trajectory(
+                point.problem, point.x, None, point.states, stop=lambda point, predicted: self.rules.exhausted
+            )
+        except (SimulationDivergedError, InsufficientDataError):
+            return fit
+        return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
 
     def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
         """Add the effects that are needed beside a model and its chain's discretization error."""

@@ -313,7 +313,8 @@ class BaseCompliance(Effect):
             self,
             stiffness=stiffness.value(compliance),
             mass=float(mass.typical_magnitude * np.exp(-2 * frequency) / (compliance or 1.0)),
-            direction=(start + float(np.arctan2(across, along)) / 2) % np.pi,  # a line's: either way is the same
+            direction=start
+            + float(np.arctan2(across, along)) / 2,  # no jump near the start, which a wrapped one may have
             damping_ratio=damping.value(loss),
             start=start,
         )
