@@ -68,12 +68,12 @@ def test_python_code_runs_and_the_demo_gives_the_numbers_quoted(demo_folder: Pat
     stiffness, held_out = fit.parameters[0], fit.recordings[-1]
     assert held_out.simulated is not None
     assert held_out.reference is not None
-    assert stiffness.std is not None
+    assert stiffness.error is not None
     quoted = {
         r"bending stiffness is ([\d.]+) N m²": TRUE_BEAM.bending_stiffness,
         r"not the ([\d.]+) N m² that the nominal": NOMINAL_STIFFNESS,
         r"([\d.]+) ± [\d.]+ N m²": stiffness.value,
-        r"± ([\d.]+) N m²": stiffness.std,
+        r"± ([\d.]+) N m²": stiffness.error,
         r"open loop, to ([\d.]+) mm RMS": 1e3 * held_out.simulated.marker_rms,
         r"misses it by ([\d.]+) mm": 1e3 * held_out.reference.marker_rms,
     }
