@@ -14,9 +14,8 @@ import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ShapeError, SimulationDivergedError
-from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array, Recording
+from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.system import Drive, System, Trajectory
 
@@ -241,7 +240,9 @@ class _LinearPropagator:
         self.elbows = system.active[system.active > 0]  # joints further out that bend the arm, or beyond a moving base
         self.known: dict[tuple[int, ...], _Weights] = {}
         self.current: tuple[bytes, _Weights] | None = None
-        parts = (self._inertia(np.zeros((len(system.arms), self.elbows.size))), system.stiffness, system.damping)
+        everyone = np.arange(len(system.arms))
+        straight = self._inertia(np.zeros((everyone.size, self.elbows.size)), everyone)
+        parts = (straight, system.stiffness, system.damping)
         self.equal = all((part == part[0]).all() for part in parts)
 
     def at(self, x: Array) -> _Weights:
@@ -257,21 +258,25 @@ class _LinearPropagator:
         keys = [(0 if self.equal else c, *place) for c, place in enumerate(places.astype(int).tolist())]
         new = {key: c for c, key in enumerate(keys) if key not in self.known}
         if new:
-            copies = list(new.values())
-            computed = self._weights(self._inertia(places)[copies], copies)
+            copies = np.array([*new.values()])
+            computed = self._weights(self._inertia(places[copies], copies), copies)
             self.known |= {key: _Weights(*parts) for key, *parts in zip(new, *computed, strict=True)}
         if len(set(keys)) == 1:
             keys = keys[:1]
         return _Weights(*(np.stack(parts) for parts in zip(*(self.known[key] for key in keys), strict=True)))
 
-    def _inertia(self, places: Array) -> Array:
-        """(C, nv, nv) the copies' mass matrices at zero angles, but for the elbows'."""
-        q = np.zeros(self.system.stiffness.shape)
+    def _inertia(self, places: Array, copies: Indices) -> Array:
+        """(c, nv, nv) mass matrices of some copies at zero angles, but for the elbows', at places (c, elbows)."""
+        q = np.zeros((copies.size, self.system.stiffness.shape[1]))
         q[:, self.elbows] = _ELBOW_GRID * places
-        arms = zip(self.system.arms, self.system.payloads, q, strict=True)
-        return np.stack([mechanism_of(arm.chain, payload).mass_matrix(at[None])[0] for arm, payload, at in arms])
+        inertia = np.empty((*q.shape, q.shape[1]))
+        for group, mechanism in self.system.mechanisms:
+            own = np.isin(copies, np.arange(len(self.system.arms))[group])
+            if own.any():
+                inertia[own] = mechanism.mass_matrix(q[own])
+        return inertia
 
-    def _weights(self, inertia: Array, copies: list[int]) -> _Weights:
+    def _weights(self, inertia: Array, copies: Indices) -> _Weights:
         """Matrices of some copies, from their mass matrices (c, nv, nv)."""
         n, step = inertia.shape[1], self.step
         try:
