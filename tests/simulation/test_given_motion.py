@@ -15,7 +15,7 @@ from tests.simulation.integrators import simulate
 from tests.simulation.setups import jerky_torque, recording_of, rig_of, two_link_arm
 from vjm.chain.virtual_links import Chain
 from vjm.effects import BUILTIN, CoulombFriction, JointSpring, TorqueGain, ViscousFriction
-from vjm.errors import ExperimentError, RecordingError
+from vjm.errors import ExperimentError, InsufficientDataError, RecordingError
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
@@ -91,6 +91,19 @@ def test_a_link_is_identified_whatever_its_joint_does(seed: int) -> None:
     assert stiffness.value == pytest.approx(truth.links[0].bending_stiffness, abs=3 * (stiffness.std or 0.0))
     assert all(one.simulated is not None and one.simulated.marker_rms < 3.2e-4 for one in fit.recordings)
     assert any("without torque" in note for note in fit.notes)  # stiffness is relative to the given mass
+
+
+def test_frequencies_of_a_joint_that_turns_as_given_are_not_the_arms() -> None:
+    """They are those of a clamped link: three times as low in the first mode."""
+    torque = recorded(Arm(chain_of()), 1, duration=6.0)
+    given = [replace(one, input="motion") for one in torque]
+    measured = [mode.frequency_measured for mode in vjm.identify(vjm.Experiment(RIG, torque), "torque").modes]
+    assert any(measured)
+    with pytest.raises(InsufficientDataError, match="use method 'torque'"):
+        vjm.identify(vjm.Experiment(RIG, given), "torque+frequency")
+    fit = vjm.identify(vjm.Experiment(RIG, given), "torque", virtual_joints=3)
+    assert not any(mode.frequency_measured for mode in fit.modes)
+    assert fit["beam.bending_stiffness"].value == pytest.approx(chain_of().links[0].bending_stiffness, rel=0.02)
 
 
 def test_no_torque_column_is_needed(tmp_path: Path) -> None:

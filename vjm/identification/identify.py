@@ -188,8 +188,7 @@ def _measured_shape(data: TrainingData, frequency: float) -> Complex | None:
     Of all recordings, and of free and forced motion, the one shape that explains most.
     """
     parts = []
-    alike = [one for one in data.prepared if one.recording.payload == data.payload]
-    for one, known in zip(alike, data.modes, strict=True):
+    for one, known in zip(data.freely_moving, data.modes, strict=True):
         deviations = np.abs(known.frequencies / frequency - 1)
         if np.min(deviations, initial=np.inf) < MODE_TOLERANCE:
             pairs = zip(data.rig.links, one.angles.shapes, strict=True)

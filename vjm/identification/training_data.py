@@ -181,8 +181,14 @@ class TrainingData:
         payloads = [one.recording.payload for one in prepared] or [recording.payload for recording in self.recordings]
         payload = max(sorted(set(payloads)), key=payloads.count)
         most = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
-        modes = tuple(one.modes(self.noise[0], most) for one in prepared if one.recording.payload == payload)
-        return replace(self, prepared=tuple(prepared), problems=tuple(problems), modes=modes, payload=payload)
+        data = replace(self, prepared=tuple(prepared), problems=tuple(problems), payload=payload)
+        return replace(data, modes=tuple(one.modes(self.noise[0], most) for one in data.freely_moving))
+
+    @property
+    def freely_moving(self) -> tuple[PreparedRecording, ...]:
+        """Recordings in which the arm has the modes of the model: with the commonest payload, and no motion given."""
+        alike = [one for one in self.prepared if one.recording.payload == self.payload]
+        return tuple(one for one in alike if one.recording.input == "torque")
 
     def driven_hubs(self, recordings: Sequence[Recording]) -> tuple[int, ...]:
         """Return the links whose hub inertia shows: their active joint's torque was measured in a recording."""
