@@ -103,7 +103,8 @@ def test_frequencies_of_a_joint_that_turns_as_given_are_not_the_arms() -> None:
         vjm.identify(vjm.Experiment(RIG, given), "torque+frequency")
     fit = vjm.identify(vjm.Experiment(RIG, given), "torque", virtual_joints=3)
     assert not any(mode.frequency_measured for mode in fit.modes)
-    assert fit["beam.bending_stiffness"].value == pytest.approx(chain_of().links[0].bending_stiffness, rel=0.02)
+    stiffness = fit["beam.bending_stiffness"]
+    assert stiffness.value == pytest.approx(chain_of().links[0].bending_stiffness, abs=3 * (stiffness.std or 0.0))
 
 
 def test_no_torque_column_is_needed(tmp_path: Path) -> None:
