@@ -97,14 +97,15 @@ def test_frequencies_of_a_joint_that_turns_as_given_are_not_the_arms() -> None:
     """They are those of a clamped link: three times as low in the first mode."""
     torque = recorded(Arm(chain_of()), 1, duration=6.0)
     given = [replace(one, input="motion") for one in torque]
-    measured = [mode.frequency_measured for mode in vjm.identify(vjm.Experiment(RIG, torque), "torque").modes]
-    assert any(measured)
+    with_torque = vjm.identify(vjm.Experiment(RIG, torque), "torque", virtual_joints=3)
+    assert any(mode.frequency_measured for mode in with_torque.modes)
     with pytest.raises(InsufficientDataError, match="use method 'torque'"):
         vjm.identify(vjm.Experiment(RIG, given), "torque+frequency")
     fit = vjm.identify(vjm.Experiment(RIG, given), "torque", virtual_joints=3)
     assert not any(mode.frequency_measured for mode in fit.modes)
-    stiffness = fit["beam.bending_stiffness"]
-    assert stiffness.value == pytest.approx(chain_of().links[0].bending_stiffness, abs=3 * (stiffness.std or 0.0))
+    # The active row adds little to what the passive ones say of the stiffness.
+    known = with_torque["beam.bending_stiffness"].value
+    assert fit["beam.bending_stiffness"].value == pytest.approx(known, rel=0.02)
 
 
 def test_no_torque_column_is_needed(tmp_path: Path) -> None:
