@@ -19,6 +19,9 @@ from vjm.records import Array
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.run import Run
 
+_LEAST_SHARE = 0.25  # of the information on each parameter: half of the inverse standard error
+_SILENT = 1e-5  # singular value below which a combination of parameters is not determined: root of rounding in slopes
+
 
 def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
     """Return True if an effect's magnitudes differ from their nulls by more than their errors (Wald's test).
@@ -40,28 +43,55 @@ def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
     return statistic > stats.chi2.isf(alpha, x.size)
 
 
-def prediction_error(fit: TrajectoryFit) -> float:
-    """Return chi^2 of all recordings, each predicted from the others; NaN where there is one recording or group only.
+def predicts(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
+    """Return True if recordings are predicted from each other better by a model than with an effect less.
 
-    Sizes that the others do not determine stay at their nulls: an effect shows in one recording alone, and gains or
-    loses nothing in its prediction.
+    Also where nothing can be said, since each recording, or group of repeats, has information that the others lack.
+
+    Args:
+        fit: the model.
+        fewer: fitted to the same recordings or segments without one of its effects.
+    """
+    errors = prediction_errors(fit)
+    judged = np.isfinite(errors)
+    # A model predicts what it was not fitted to no better than what it was.
+    fitted = np.array([sum(fewer.point.runs[k].chi2 for k in group) for group in _groups(fewer.point.runs)])
+    if not judged.any() or errors[judged].sum() < fitted[judged].sum():
+        return True
+    others = prediction_errors(fewer)
+    judged &= np.isfinite(others)
+    return bool(not judged.any() or errors[judged].sum() < others[judged].sum())
+
+
+def prediction_errors(fit: TrajectoryFit) -> Array:
+    """Return chi^2 (G,) of each recording, or group of repeats, predicted by the parameters that the others give.
+
+    NaN where some parameter's standard error is more than twice as large without the group: what only it determines the
+    others cannot predict.
     """
     point = fit.point
-    groups = _groups(point.runs)
-    if len(groups) < 2:
-        return float("nan")
     parts = [part.eliminated(part.columns - point.x.size).R for part in point.linearizations]
-    known = np.column_stack(point.problem.prior(point.x))
-    shrunk = _towards_null(fit)
-    error = 0.0
-    for group in groups:
-        others = [part for k, part in enumerate(parts) if k not in group]
-        rows = np.vstack([*others, known, shrunk])
-        change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], point.x.size).best()
-        for k in group:
-            residual = parts[k][:, :-1] @ change - parts[k][:, -1]
-            error += float(residual @ residual)
-    return error
+    prior = np.column_stack(point.problem.prior(point.x))
+    whole = np.vstack([*parts, prior])[:, :-1]
+    groups = _groups(point.runs)
+    errors = np.full(len(groups), np.nan)
+    for g, group in enumerate(groups):
+        rows = np.vstack([*(part for k, part in enumerate(parts) if k not in group), prior])
+        if _least_share(rows[:, :-1], whole) > _LEAST_SHARE:
+            change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], point.x.size).best()
+            residuals = [parts[k][:, :-1] @ change - parts[k][:, -1] for k in group]
+            errors[g] = sum(float(residual @ residual) for residual in residuals)
+    return errors
+
+
+def _least_share(rows: Array, whole: Array) -> float:
+    """Return the least share of its information that some rows have of any combination of parameters."""
+    scale = np.linalg.norm(whole, axis=0)
+    shown = scale > 0
+    _, sizes, axes = np.linalg.svd(whole[:, shown] / scale[shown], full_matrices=False)
+    known = sizes > _SILENT * sizes[0]
+    parts = rows[:, shown] / scale[shown] @ axes[known].T / sizes[known]
+    return float(np.linalg.svd(parts, compute_uv=False)[-1] ** 2) if len(parts) >= known.sum() else 0.0
 
 
 def _groups(runs: Sequence[Run]) -> list[list[int]]:
@@ -71,16 +101,3 @@ def _groups(runs: Sequence[Run]) -> list[list[int]]:
         recording = run.observed.recording
         groups.setdefault((bool(recording.repeat), recording.repeat or recording.file), []).append(k)
     return list(groups.values())
-
-
-def _towards_null(fit: TrajectoryFit) -> Array:
-    """Rows (r, p + 1) of a prior of new effects' magnitudes about their nulls, as wide as what was estimated."""
-    x = fit.point.x
-    rows = []
-    for effect, part in zip(fit.effects, fit.point.problem.parts, strict=True):
-        for k in range(part.start, part.start + effect.magnitude_count):
-            row = np.zeros(x.size + 1)
-            if effect in fit.new_effects and x[k] != 0:
-                row[k], row[-1] = 1 / abs(x[k]), -np.sign(x[k])
-                rows.append(row)
-    return np.array(rows).reshape(-1, x.size + 1)

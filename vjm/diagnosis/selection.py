@@ -28,7 +28,7 @@ from vjm.diagnosis.candidate_fit import (
     start_size,
     state_at,
 )
-from vjm.diagnosis.cross_validation import is_determined, prediction_error
+from vjm.diagnosis.cross_validation import is_determined, predicts
 from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
@@ -194,18 +194,13 @@ class Search:
 
         Unlike significance, which noise alone decides, these tests fail effects that stand in for something else.
         """
-        error = None
         for effect in sorted(fit.new_effects, key=lambda effect: self._decreases.get(effect.key, 0.0)):
             if self.rules.exhausted:
                 break
             fewer = self.without(fit, effect, fits)
             if fewer is None:
                 continue
-            determined = is_determined(fit, effect, self.rules.alpha)
-            if determined and error is None:
-                error = prediction_error(fit)
-            # A model predicts what it was not fitted to no better than what it was.
-            if not determined or (error is not None and error > fewer.chi2 and error >= prediction_error(fewer)):
+            if not (is_determined(fit, effect, self.rules.alpha) and predicts(fit, fewer)):
                 self.unjustified.append(effect.id)
                 return self._justified(fewer, fits)
         return fit

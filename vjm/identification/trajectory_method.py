@@ -147,7 +147,7 @@ def first_fit(
         raise InsufficientDataError(
             "method trajectory",
             "no torque was measured at the active joints of any training recording, so none can be simulated",
-            'record the column LINK.tau, or give the recordings input = "motion"',
+            "record the column LINK.tau, give the recordings input = 'motion', or use method 'torque'",
         )
     observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
     torque = fit_torque(data, progress=progress) if data.prepared else None
