@@ -354,7 +354,8 @@ class Search:
 
         def promises(k: int) -> bool:
             gained = 0.0 if found is None else best.chi2 - found.chi2
-            compliant = screened.effects[k].adds_joint(best.point.chain) and not screened.effects[k].nonsmooth
+            effect = screened.effects[k]
+            compliant = effect.adds_joint(best.point.chain) and not (effect.nonsmooth or effect.proportional)
             # In longer segments slopes show what is left, and fits of what they do not show take long.
             return not followed or (compliant and base is not None) or screened.statistics[k] > _LINEAR * gained
 
