@@ -10,10 +10,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from tests.diagnosis.rigs import chain_of, point_of, recorded
+from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import refit
 from vjm.diagnosis.cross_validation import is_determined, prediction_errors, predicts
-from vjm.effects import Effect, JointSpring, TorqueOffset
+from vjm.effects import BaseCompliance, Effect, JointSpring, TorqueOffset
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
@@ -103,3 +103,16 @@ def test_a_size_within_its_error_is_not_determined() -> None:
     found = refit(fit_trajectory(point.problem, point.x), [absent])
     assert found is not None
     assert not is_determined(found, found.effects[0], 0.01)
+
+
+def test_a_table_is_determined_however_far_its_direction_is_from_where_the_search_began() -> None:
+    """At 45 degrees from there its compliance is all in the second of the two that a search varies."""
+    truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0)
+    point = point_of(chain_of(), (), recordings)
+    turned = replace(truth, start=truth.direction - np.pi / 4)
+    assert turned.coordinates[0] == pytest.approx(0.0, abs=1e-12)
+    found = refit(fit_trajectory(point.problem, point.x), [turned])
+    assert found is not None
+    assert found.misfit == pytest.approx(1.0, abs=0.05)
+    assert is_determined(found, found.effects[0], 0.01)

@@ -121,7 +121,7 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
     """
     known = {effect.key for effect in start.effects}
     for share in _SHARES:  # a linear guess may be far beyond what can be simulated
-        sized = [effect if effect.key in known else _with_share(effect, share) for effect in effects]
+        sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
         problem = replace(start.point.problem, effects=tuple(sized))
         chain = start.point.x[: len(problem.parametrisation.coordinates)]
         x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in sized)]), *problem.bounds)
@@ -134,11 +134,6 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
-
-
-def _with_share(effect: Effect, share: float) -> Effect:
-    sizes = np.arange(effect.coordinates.size) < effect.magnitude_count
-    return effect.at(np.where(sizes, share, 1.0) * effect.coordinates)
 
 
 def restarted(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:

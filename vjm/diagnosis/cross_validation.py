@@ -35,12 +35,12 @@ def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
     """
     effects = zip(fit.effects, fit.point.problem.parts, strict=True)
     start = next(part.start for one, part in effects if one is effect)
-    sizes = slice(start, start + effect.magnitude_count)
-    x, covariance = fit.estimate[sizes], information_of(fit).covariance[sizes, sizes]
+    sizes = [start + k for k in effect.size_coordinates]
+    x, covariance = fit.estimate[sizes], information_of(fit).covariance[np.ix_(sizes, sizes)]
     if not np.isfinite(covariance).all():
         return False
     statistic = float(x @ np.linalg.lstsq(covariance, x, rcond=None)[0])
-    return statistic > stats.chi2.isf(alpha, x.size)
+    return bool(statistic > stats.chi2.isf(alpha, x.size))
 
 
 def predicts(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:

@@ -217,6 +217,17 @@ class Effect:
         return sum(not each.shape_parameter for each in self.parameters)
 
     @property
+    def size_coordinates(self) -> tuple[int, ...]:
+        """Indices of the coordinates that are zero where it is absent: its magnitudes, unless a search varies more."""
+        return tuple(range(self.magnitude_count))
+
+    def scaled(self, factor: float) -> Self:
+        """Return the effect with its magnitudes times a factor."""
+        coordinates = self.coordinates
+        coordinates[[*self.size_coordinates]] *= factor
+        return self.at(coordinates)
+
+    @property
     def _varied(self) -> tuple[Parameter, ...]:
         varied = [each for each in self.parameters if not each.integer]
         return tuple(sorted(varied, key=lambda each: each.shape_parameter))

@@ -314,8 +314,8 @@ class BaseCompliance(Effect):
             self,
             stiffness=stiffness.value(compliance),
             mass=float(mass.typical_magnitude * np.exp(-2 * frequency) / (compliance or 1.0)),
-            direction=start
-            + float(np.arctan2(across, along)) / 2,  # no jump near the start, which a wrapped one may have
+            # Not wrapped: it would jump near the start, and has a standard error.
+            direction=start + float(np.arctan2(across, along)) / 2,
             damping_ratio=damping.value(loss),
             start=start,
         )
@@ -327,6 +327,11 @@ class BaseCompliance(Effect):
         most = stiffness.bounds[1]
         pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, damping.bounds, (-most, most)])
         return pairs[:, 0], pairs[:, 1]
+
+    @property
+    def size_coordinates(self) -> tuple[int, ...]:
+        """Indices of the two compliances."""
+        return 0, 3
 
     def superposes(self, other: Effect) -> bool:
         """Return True for a table of the same frequency and damping: compliances in several directions add up."""
