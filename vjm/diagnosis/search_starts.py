@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from vjm.effects.effect import Effect, JointEffect, Parameter
+from vjm.errors import ShapeError
 from vjm.model.modes import linearise
 from vjm.records import REFERENCE, Array, Complex, Recording
 from vjm.simulation.integrate import phi_functions
@@ -51,8 +52,12 @@ def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
     """Return numbers of waves in a turn whose torques explain most of the residuals, and how many are independent.
 
     What a torque does is that of the arm's modes about rest.
+
+    Raises:
+        ShapeError: the effect is not at an active joint.
     """
-    assert isinstance(variant, JointEffect)
+    if not isinstance(variant, JointEffect):
+        raise ShapeError(f"{variant.id}.from_spectrum", "joint_angle", "an effect at an active joint, or `time`")
     kinds = [(run, run.observed.recording) for run in runs]
     acting = [run for run, recording in kinds if recording.condition != REFERENCE and recording.kind != "quiet"]
     angles: dict[str, list[Array]] = {}
