@@ -37,7 +37,7 @@ from vjm.simulation.run import Run
 # reference recordings: as much as is left, since the old error, in another motion, may well explain less.
 _LEAST_CHANGE = 1.0
 # Default budget: of processor time, for seven recordings of 5 s, shared by two processes; and the part of a budget that
-# is kept for what follows the search (alternatives, simulations), a fifth of the time of most searches.
+# is kept for what follows the search: alternatives, simulations, tests of the residuals. A policy, not a measurement.
 _PROCESSOR_SECONDS, _USUAL_DURATION, _MOST_PROCESSES = 240.0, 35.0, 2
 _CONCLUSION = 0.25
 
