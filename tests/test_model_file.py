@@ -109,6 +109,8 @@ LINK = ["chain", "links", 1]
         ([*LINK, "width"], 0.0, r"width'"),
         ([*LINK, "name"], "beam", "names that differ"),
         (["rig", "links", 0, "length"], "long", r"key 'rig\.links\[0\]\.length': got 'long'"),
+        (["rig", "links", 0, "name"], "\x1b", "expected a name of letters, digits and underscores"),
+        (["rig", "links", 0, "markers"], [1e300], r"got 1e\+300; expected a list of finite positive numbers"),
         (["rig", "links", 0, "lenght"], 1.0, r"key 'rig\.links\[0\]\.lenght': unknown key"),
         (["rig", "links", 0, "name"], "other", r"key 'rig\.links': .*other"),
         (["marker_noise"], 0.0, "key 'marker_noise': got 0.0"),

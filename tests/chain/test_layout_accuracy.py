@@ -7,10 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 from tests.chain.beams import beam_chain, clamped_frequencies, hub_frequencies
 from vjm.chain.curve import curve_map
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
 from vjm.model.modes import modes
+from vjm.records import Link
 
 Array = NDArray[np.float64]
 
@@ -177,3 +181,23 @@ def test_a_link_joined_on_both_sides_bends_alike_from_either_end() -> None:
     )
     for field in ("lengths", "masses", "mass_centers", "inertias", "stiffness", "cells"):
         np.testing.assert_allclose(getattr(link, field), getattr(turned, field), rtol=1e-12)
+
+
+def rayleigh_frequencies(thickness: float, count: int) -> Array:
+    """Frequencies [Hz] of a clamped bar of unit length, mass and stiffness with rotary inertia (Ritz, powers of x)."""
+    powers = np.arange(2, 10)
+    both = powers[:, None] + powers
+    slopes = np.outer(powers, powers) / (both - 1)
+    bending = np.outer(powers * (powers - 1), powers * (powers - 1)) / (both - 3)
+    squares = eigh(bending, 1 / (both + 1) + thickness**2 / 12 * slopes, eigvals_only=True)
+    return np.asarray(np.sqrt(squares[:count]) / (2 * np.pi))
+
+
+@pytest.mark.parametrize("thickness", [0.02, 0.1, 0.3])
+def test_a_thick_link_has_the_rotary_inertia_of_its_section(thickness: float) -> None:
+    np.testing.assert_allclose(rayleigh_frequencies(0.0, 2), clamped_frequencies(2), rtol=1e-4)
+    stiffness = {"width": 1.0, "thickness": thickness, "youngs_modulus": 12 / thickness**3}
+    link = Link("bar", "clamped", 1.0, 1.0, markers=(1.0,), **stiffness)
+    found = modes(Chain("bar", (uniform_chain(link, layout(1.0, 24)),))).frequencies[:2]
+    np.testing.assert_allclose(found, rayleigh_frequencies(thickness, 2), rtol=2e-3 * (0.1 + thickness))
+    assert found[1] < (1 - thickness**2) * clamped_frequencies(2)[1]

@@ -15,7 +15,9 @@ from vjm.simulation.model import Model
 
 HOSTILE = "<a&\"b'>]]> é世\U0001f9be --"
 NAMES = st.text(
-    st.characters(exclude_categories=("Cc", "Cs"), exclude_characters="\ufffe\uffff"), min_size=1, max_size=8
+    st.characters(exclude_categories=("Cc", "Cf", "Cs", "Zl", "Zp"), exclude_characters="\ufffe\uffff"),
+    min_size=1,
+    max_size=8,
 )
 
 

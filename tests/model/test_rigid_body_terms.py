@@ -159,3 +159,18 @@ def test_extra_payload_hangs_on_the_last_tip_only() -> None:
     np.testing.assert_allclose(
         Mechanism(chain, 0.2).inverse_dynamics(*motion), Mechanism(heavier).inverse_dynamics(*motion), rtol=1e-12
     )
+
+
+@given(arms(), st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_derivatives_are_those_of_inverse_dynamics(chain: Chain, seed: int) -> None:
+    motion = random_motion(chain, 3, seed)
+    mechanism, step = Mechanism(chain, 0.1), 1e-5
+    for k, found in enumerate(mechanism.derivatives(*motion)):
+        for column, change in enumerate(step * np.eye(chain.size)):
+            ahead, behind = (
+                mechanism.inverse_dynamics(*(x + sign * change * (j == k) for j, x in enumerate(motion)))
+                for sign in (1, -1)
+            )
+            expected = (ahead - behind) / (2 * step)
+            np.testing.assert_allclose(found[:, :, column], expected, rtol=1e-5, atol=1e-6)

@@ -44,6 +44,8 @@ def test_wheel_holds_every_template(wheel: Path) -> None:
     templates = {f"vjm/urdf_templates/{file.name}" for file in (REPOSITORY / "urdf_templates").iterdir()}
     assert "vjm/urdf_templates/chain.urdf.jinja" in templates
     assert templates <= names
+    report = {f"vjm/report/{name}" for name in ("report.html.jinja", "report.css", "report.js")}
+    assert report | {f"vjm/report/uplot/{name}" for name in ("uPlot.iife.min.js", "uPlot.min.css", "LICENSE")} <= names
 
 
 def test_installed_wheel_writes_urdf_with_its_own_templates(wheel: Path, tmp_path: Path) -> None:

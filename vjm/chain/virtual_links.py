@@ -14,7 +14,8 @@ from vjm.records import Array, Indices, Record
 Distal = Literal["free", "joined"]
 _Values = Annotated[Array, GetPydanticSchema(lambda _, handler: handler(list[float]))]  # as model.json holds them
 _NotNegative = Annotated[float, Field(ge=0)]
-_Positive = Annotated[float, Field(gt=0)]
+_LARGEST = 1e100  # in SI units: a product of three, as of a mass and the square of a width, is finite as well
+_Positive = Annotated[float, Field(gt=0, le=_LARGEST)]
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,7 +50,7 @@ class LinkChain(Record):
     # Of the unloaded link, an arc [1/m]; the virtual joints' angles are measured from there.
     rest_curvature: float = 0.0
     width: _Positive | None = None  # parallel to the joint axes [m], for pictures; None where unknown
-    thickness: _Positive | None = None  # in the bending plane [m], for pictures; None where unknown
+    thickness: _Positive | None = None  # in the bending plane [m]; None where unknown
 
     def __post_init__(self) -> None:
         n = np.size(self.stiffness)
@@ -60,8 +61,8 @@ class LinkChain(Record):
             values.setflags(write=False)
             if values.shape != (n + size,):
                 raise ShapeError(f"{self.name}.{field}", f"shape {values.shape}", f"shape ({n + size},)")
-            if not np.isfinite(values).all() or (values < 0).any():
-                raise ShapeError(f"{self.name}.{field}", values.tolist(), "finite values, none negative")
+            if not ((values >= 0) & (values <= _LARGEST)).all():
+                raise ShapeError(f"{self.name}.{field}", values.tolist(), f"values from 0 to {_LARGEST:g}")
             object.__setattr__(self, field, values)
         for field in _NOT_NEGATIVE:
             value = getattr(self, field)
@@ -108,6 +109,11 @@ class LinkChain(Record):
         return float(np.mean(self.damping / np.maximum(self.stiffness, 1e-300)))
 
     @property
+    def time_unit(self) -> float:
+        """Its own unit of time, the root of m l^3 / EI [s]: a clamped link's first mode turns by 3.5 rad in it."""
+        return float(np.sqrt(self.masses.sum() * self.length**3 / self.bending_stiffness))
+
+    @property
     def joint_arcs(self) -> Array:
         """(n,) arc length s_j of each virtual joint from the proximal end [m]."""
         return np.cumsum(self.lengths)[:-1]
@@ -131,8 +137,8 @@ class MovingBase:
     def __post_init__(self) -> None:
         for field in ("mass", "stiffness", "damping"):
             value = getattr(self, field)
-            if not 0 <= value < np.inf:
-                raise ShapeError(f"base.{field}", value, "zero or a positive number")
+            if not 0 <= value <= _LARGEST:
+                raise ShapeError(f"base.{field}", value, f"a number from 0 to {_LARGEST:g}")
 
     @property
     def axis(self) -> Array:

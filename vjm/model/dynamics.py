@@ -23,30 +23,18 @@ _THREADS = 2
 _PARALLEL_FROM = 20_000  # samples below which starting threads costs more than it saves
 
 
-class Mechanism:
-    """A chain as a Pinocchio model: its rigid-body terms, without springs and dampers.
-
-    Args:
-        chain: the chain.
-        payload: extra point mass on the last link's tip [kg].
-        gravity: in the plane, (x, y) of the base frame [m/s^2]; the chain's when None.
+class RigidBodies:
+    """Rigid-body terms of a Pinocchio model in batches, without springs and dampers.
 
     Attributes:
-        model: the `pin.Model`; its joints are `Chain.joint_names`.
+        model: the `pin.Model`.
+        base_weight: along the first coordinate [N]; a moving base's spring carries it where its displacement is zero.
     """
 
-    def __init__(self, chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> None:
-        self.model = pin.Model()
-        self.model.gravity = pin.Motion(np.r_[chain.gravity if gravity is None else gravity, 0.0], np.zeros(3))
-        _add_chain(self.model, chain, payload)
-        if chain.armature:
-            armature = np.zeros(self.model.nv)
-            armature[chain.active] = chain.armature
-            self.model.armature = armature
-        # Weight along a moving base's direction [N], which its spring carries where its displacement is zero.
-        self._weight = 0.0
-        if chain.base is not None:
-            self._weight = float(pin.computeTotalMass(self.model) * self.model.gravity.linear[:2] @ chain.base.axis)
+    base_weight = 0.0
+
+    def __init__(self, model: pin.Model) -> None:
+        self.model = model
 
     @cached_property
     def _data(self) -> pin.Data:
@@ -59,12 +47,13 @@ class Mechanism:
     def inverse_dynamics(self, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
         """Return joint torques without springs and dampers, M a + h (T, nv) [N m], for a whole batch (RNEA).
 
-        The batch is of angles q [rad], rates v [rad/s] and accelerations a [rad/s^2], each (T, nv).
+        The batch is of positions q (T, nq) [rad], rates v [rad/s] and accelerations a [rad/s^2], each (T, nv).
 
         Raises:
             ShapeError: arrays that are not (T, nv).
         """
-        batches = [self._batch(name, values) for name, values in (("q", q), ("v", v), ("a", a))]
+        sizes = self.model.nq, self.model.nv, self.model.nv
+        batches = [self._batch(*given) for given in zip(("q", "v", "a"), (q, v, a), sizes, strict=True)]
         count = len(batches[0])
         if any(len(batch) != count for batch in batches):
             raise ShapeError("q, v, a", [batch.shape for batch in batches], "the same number of samples")
@@ -73,41 +62,77 @@ class Mechanism:
             threads = _THREADS if count >= _PARALLEL_FROM else 1
             # Time-first C arrays are the joint-first Fortran arrays Pinocchio wants: transposing copies nothing.
             pin.rneaInParallel(threads, self._pool, *(batch.T for batch in batches), torque.T)
-        if self._weight:
-            torque[:, 0] += self._weight
+        if self.base_weight:
+            torque[:, 0] += self.base_weight
         return torque
 
-    def _batch(self, name: str, values: ArrayLike) -> Array:
+    @staticmethod
+    def _batch(name: str, values: ArrayLike, size: int) -> Array:
         array = np.ascontiguousarray(values, dtype=float)
-        if array.ndim != 2 or array.shape[1] != self.model.nv:
-            raise ShapeError(name, f"shape {array.shape}", f"shape (T, {self.model.nv})")
+        if array.ndim != 2 or array.shape[1] != size:
+            raise ShapeError(name, f"shape {array.shape}", f"shape (T, {size})")
         return array
 
+    def derivatives(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """Return the derivatives of M a + h by q, v and a, each (T, nv, nv), for a batch of q (T, nq), v and a (T, nv).
+
+        Source: J. Carpentier and N. Mansard, Analytical derivatives of rigid body dynamics algorithms, RSS 2018.
+        """
+        by_angle, by_rate, inertia = np.empty((3, *v.shape, v.shape[1]))
+        model, data = self.model, self._data
+        for k, state in enumerate(zip(q, v, a, strict=True)):
+            by_angle[k], by_rate[k], inertia[k] = pin.computeRNEADerivatives(model, data, *state)
+        upper = np.triu(inertia)  # all that Pinocchio fills
+        return by_angle, by_rate, upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+
     def mass_matrix(self, q: ArrayLike) -> Array:
-        """Return M(q), (T, nv, nv) [kg m^2], at q (T, nv), by one batched RNEA a column."""
-        angles = self._batch("q", q)
-        rest = np.zeros_like(angles)
+        """Return M(q), (T, nv, nv) [kg m^2], at q (T, nq), by one batched RNEA a column."""
+        angles = self._batch("q", q, self.model.nq)
+        rest = np.zeros((len(angles), self.model.nv))
         at_rest = self.inverse_dynamics(angles, rest, rest)
-        matrix = np.empty((*angles.shape, angles.shape[1]))
-        for column, unit in enumerate(np.eye(angles.shape[1])):
-            acceleration = np.broadcast_to(unit, angles.shape)
+        matrix = np.empty((*rest.shape, self.model.nv))
+        for column, unit in enumerate(np.eye(self.model.nv)):
+            acceleration = np.broadcast_to(unit, rest.shape)
             matrix[:, :, column] = self.inverse_dynamics(angles, rest, acceleration) - at_rest
         return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
     def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
-        """Return accelerations (T, nv) [rad/s^2] of a whole batch (ABA), from contiguous q, v and torque (T, nv)."""
-        acceleration = np.empty(q.shape)
-        if self._weight:
-            torque = np.ascontiguousarray(torque - self._weight * (np.arange(q.shape[1]) == 0))
+        """Return accelerations (T, nv) [rad/s^2] of a batch (ABA), from contiguous q (T, nq), v and torque (T, nv)."""
+        acceleration = np.empty(v.shape)
+        if self.base_weight:
+            torque = np.ascontiguousarray(torque - self.base_weight * (np.arange(v.shape[1]) == 0))
         pin.abaInParallel(1, self._pool, q.T, v.T, torque.T, acceleration.T)
         return acceleration
 
     def gravity_stiffness(self, q: ArrayLike) -> Array:
-        """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nv,)."""
-        angles = np.asarray(q, dtype=float)
-        rest = np.zeros_like(angles)
+        """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nq,)."""
+        angles, rest = np.asarray(q, dtype=float), np.zeros(self.model.nv)
         pin.computeRNEADerivatives(self.model, self._data, angles, rest, rest)
         return np.array(self._data.dtau_dq)
+
+
+class Mechanism(RigidBodies):
+    """A chain as a Pinocchio model: its rigid-body terms, without springs and dampers.
+
+    Args:
+        chain: the chain.
+        payload: extra point mass on the last link's tip [kg].
+        gravity: in the plane, (x, y) of the base frame [m/s^2]; the chain's when None.
+
+    Attributes:
+        model: the `pin.Model`; its joints are `Chain.joint_names`.
+    """
+
+    def __init__(self, chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None) -> None:
+        super().__init__(pin.Model())
+        self.model.gravity = pin.Motion(np.r_[chain.gravity if gravity is None else gravity, 0.0], np.zeros(3))
+        _add_chain(self.model, chain, payload)
+        if chain.armature:
+            armature = np.zeros(self.model.nv)
+            armature[chain.active] = chain.armature
+            self.model.armature = armature
+        if chain.base is not None:
+            self.base_weight = float(pin.computeTotalMass(self.model) * self.model.gravity.linear[:2] @ chain.base.axis)
 
 
 @lru_cache(maxsize=256)

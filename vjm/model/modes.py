@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg, optimize
+from scipy import linalg
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
 from vjm.model.dynamics import Mechanism, mechanism_of
+from vjm.model.equilibrium import balance
 from vjm.records import Array
 
 _RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
-_TOLERANCE = 1e-9  # rad, of a position of rest
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,11 @@ def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
         q[p] = phi
         return np.asarray((K + mechanism.gravity_stiffness(q))[np.ix_(p, p)])
 
-    solution = optimize.root(residual, q[p], jac=tangent, method="hybr", options={"xtol": 1e-13})
-    slope = tangent(solution.x)
-    step = np.linalg.lstsq(slope, residual(solution.x), rcond=None)[0]
+    solution = balance(residual, tangent, q[p])
     # A position in which the arm is balanced, and about to fall over, is none.
-    if not np.abs(step).max() < _TOLERANCE or np.linalg.eigvalsh(slope)[0] <= 0:
+    if solution.status != "converged":
         raise InsufficientDataError("position of rest", "none was found", "check gravity, masses and bending stiffness")
+    q[p] = solution.position
     return q
 
 

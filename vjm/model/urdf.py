@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
-import unicodedata
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+from markupsafe import Markup
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.errors import ShapeError
+from vjm.errors import ShapeError, printable
 
 _FOLDER = "urdf_templates"
 _HUB_MASS = 1e-14  # kg; a hub before a root joint has none, but MuJoCo takes no moving body of less than 1e-15 kg
 
 
-class _Inertial(NamedTuple):
+class Inertial(NamedTuple):
     """Mass [kg], its centre on the x axis [m] and principal moments of inertia about the centre [kg m^2]."""
 
     mass: float
@@ -29,7 +29,7 @@ class _Inertial(NamedTuple):
     izz: float
 
 
-class _Shape(NamedTuple):
+class Shape(NamedTuple):
     """Visual shape at x [m]: `box` (x, y, z), `cylinder` about z (radius, length) or `sphere` (radius,) [m]."""
 
     kind: str
@@ -38,15 +38,20 @@ class _Shape(NamedTuple):
     material: str
 
 
-class _Body(NamedTuple):
-    """URDF link; without inertia it is a bare frame."""
+# Of the ground and of frames: without an inertial element PyBullet would give them 1 kg; with one of no mass, none, and
+# a base of no mass stands still.
+_NO_MASS = Inertial(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Body(NamedTuple):
+    """URDF link; without mass it is a bare frame."""
 
     name: str
-    inertial: _Inertial | None = None
-    shapes: tuple[_Shape, ...] = ()
+    inertial: Inertial = _NO_MASS
+    shapes: tuple[Shape, ...] = ()
 
 
-class _Joint(NamedTuple):
+class Joint(NamedTuple):
     """URDF joint at x on its parent's x axis [m], and the body that it carries, turned by yaw [rad].
 
     It turns about z, or slides along `axis` by no more than `reach` [m].
@@ -56,7 +61,7 @@ class _Joint(NamedTuple):
     type: str
     parent: str
     x: float
-    body: _Body
+    body: Body
     damping: float | None = None
     yaw: float = 0.0
     friction: float = 0.0
@@ -84,18 +89,32 @@ def chain_to_urdf(chain: Chain, friction: Mapping[str, float] | None = None) -> 
         ShapeError: no link, two links of one name, a name that XML cannot hold, a hub inertia, payload or friction
             below zero, a curvature that is not finite, or something at a joint that is not there.
     """
-    _check(chain, friction or {})
+    base, joints = bodies_of(chain, friction or {})
+    return template("chain.urdf.jinja").render(chain=chain, base=base, joints=joints)
+
+
+def bodies_of(chain: Chain, friction: Mapping[str, float]) -> tuple[Body, list[Joint]]:
+    """Return the arm's base, and all joints with the bodies that they carry, from the base outwards.
+
+    Raises:
+        ShapeError: as of `chain_to_urdf`.
+    """
+    _check(chain, friction)
     foot = 0.02 * chain.links[0].length
-    base = _Body("base", shapes=(_Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
-    template = _environment().get_template("chain.urdf.jinja")
-    return template.render(chain=chain, base=base, joints=_joints(chain, base.name, friction or {}))
+    base = Body("base", shapes=(Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
+    return base, list(_joints(chain, base.name, friction))
+
+
+def template(name: str) -> Template:
+    """Return a template of `urdf_templates`, which writes floats so that they are read back exactly."""
+    return _environment().get_template(name)
 
 
 @cache
 def _environment() -> Environment:
     """Environment that escapes text for XML, and writes floats so that they are read back exactly."""
     package = Path(__file__).parents[1]
-    return Environment(
+    environment = Environment(
         loader=FileSystemLoader([package / _FOLDER, package.parent / _FOLDER]),  # installed, and in a checkout
         autoescape=True,
         undefined=StrictUndefined,
@@ -104,16 +123,18 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters["literal"] = lambda text: Markup(repr(text))  # of Python; JSON's differs beyond 16 bits
+    return environment
 
 
-def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[_Joint]:
+def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[Joint]:
     """All joints with the bodies that they carry, from the base, their parent, outwards."""
     if chain.base is not None:
         radius, mass, axis = 0.1 * chain.links[0].length, chain.base.mass, chain.base.axis
         across = mass * radius**2 / 4  # a disc's; nothing turns it
-        table = _Body("base_table", _Inertial(mass, 0.0, across, across, 2 * across))
+        table = Body("base_table", Inertial(mass, 0.0, across, across, 2 * across))
         slide = (float(axis[0]), float(axis[1]), 0.0)
-        yield _Joint("base_slide", "prismatic", parent, 0.0, table, chain.base.damping, 0.0, 0.0, slide, radius)
+        yield Joint("base_slide", "prismatic", parent, 0.0, table, chain.base.damping, 0.0, 0.0, slide, radius)
         parent = table.name
     for link in chain.links:
         name, dry = link.name, friction.get(link.name, 0.0)
@@ -121,33 +142,33 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
         carried = body if link.root_stiffness is None else _hub(link)
         kind = "continuous" if link.joint == "revolute" else "fixed"
         damping = link.joint_damping if link.joint_damping or dry else None
-        yield _Joint(f"{name}_joint", kind, parent, 0.0, carried, damping, friction=dry)
+        yield Joint(f"{name}_joint", kind, parent, 0.0, carried, damping, friction=dry)
         if link.root_stiffness is not None:
-            yield _Joint(f"{name}_root", "revolute", carried.name, 0.0, body, link.root_damping)
+            yield Joint(f"{name}_root", "revolute", carried.name, 0.0, body, link.root_damping)
         for j in range(1, link.virtual_joints + 1):
             parent, body, x = body.name, _virtual_link(link, j), link.lengths[j - 1]
             yaw = link.rest_curvature * link.cells[j - 1]
-            yield _Joint(f"{name}_virtual_{j}", "revolute", parent, x, body, link.damping[j - 1], yaw)
+            yield Joint(f"{name}_virtual_{j}", "revolute", parent, x, body, link.damping[j - 1], yaw)
         parent = f"{name}_tip"
-        yield _Joint(f"{name}_tip_mount", "fixed", body.name, link.lengths[-1], _Body(parent))
+        yield Joint(f"{name}_tip_mount", "fixed", body.name, link.lengths[-1], Body(parent))
         if link.payload:
             # A point mass: an inertia of zero keeps M(q) exact, and is physically valid.
-            point = _Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
+            point = Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
             radius = (3 * link.payload / (4 * math.pi * 7850.0)) ** (1 / 3)  # of a ball of steel
-            body = _Body(f"{name}_payload", point, (_Shape("sphere", (radius,), 0.0, "vjm_payload"),))
-            yield _Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
+            body = Body(f"{name}_payload", point, (Shape("sphere", (radius,), 0.0, "vjm_payload"),))
+            yield Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
 
 
-def _hub(link: LinkChain) -> _Body:
+def _hub(link: LinkChain) -> Body:
     """The body between active joint and root joint; a bare frame where nothing turns."""
     name, turning = f"{link.name}_hub", float(link.hub_inertia)
     if link.joint == "clamped" and not turning:
-        return _Body(name)
-    disc = _Inertial(_HUB_MASS, 0.0, turning / 2, turning / 2, turning)
-    return _Body(name, disc, (_hub_shape(link),) if link.joint == "revolute" else ())
+        return Body(name)
+    disc = Inertial(_HUB_MASS, 0.0, turning / 2, turning / 2, turning)
+    return Body(name, disc, (_hub_shape(link),) if link.joint == "revolute" else ())
 
 
-def _virtual_link(link: LinkChain, j: int) -> _Body:
+def _virtual_link(link: LinkChain, j: int) -> Body:
     """Virtual link j, with what turns with virtual link 0 about the joint's axis.
 
     izz is the chain's moment of inertia, plus that of hub and root for virtual link 0: these carry no mass here, so
@@ -162,18 +183,18 @@ def _virtual_link(link: LinkChain, j: int) -> _Body:
     along_x = turning - along_y
     disc = link.carried_inertia if j == 0 else 0.0
     ixx, iyy = along_y + along_z + disc / 2, along_x + along_z + disc / 2
-    inertial = _Inertial(mass, link.mass_centers[j], ixx, iyy, turning + disc)
-    shapes = [_Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
+    inertial = Inertial(mass, link.mass_centers[j], ixx, iyy, turning + disc)
+    shapes = [Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
     if j:
         radius = max(0.6 * thickness, 0.008 * link.length)
-        shapes.append(_Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint"))
+        shapes.append(Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint"))
     elif link.joint == "revolute" and link.root_stiffness is None:
         shapes.append(_hub_shape(link))
-    return _Body(f"{link.name}_virtual_{j}_link", inertial, tuple(shapes))
+    return Body(f"{link.name}_virtual_{j}_link", inertial, tuple(shapes))
 
 
-def _hub_shape(link: LinkChain) -> _Shape:
-    return _Shape("cylinder", (0.025 * link.length, 1.3 * _section(link)[0]), 0.0, "vjm_hub")
+def _hub_shape(link: LinkChain) -> Shape:
+    return Shape("cylinder", (0.025 * link.length, 1.3 * _section(link)[0]), 0.0, "vjm_hub")
 
 
 def _section(link: LinkChain) -> tuple[float, float]:
@@ -190,7 +211,7 @@ def _check(chain: Chain, friction: Mapping[str, float]) -> None:
     if len(set(names)) < len(names):
         raise ShapeError("chain.links", f"names {names}", "names that differ")
     for name in (chain.name, *names):
-        if not name or any(unicodedata.category(c) in ("Cc", "Cs") or c in "\ufffe\uffff" for c in name):
+        if not name or printable(name) != name:
             raise ShapeError("name", repr(name), "a name without control characters, for XML")
     active = [link.name for link in chain.links if link.joint == "revolute"]
     for name in friction:
