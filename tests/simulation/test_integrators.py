@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import PPoly, make_interp_spline
 
+from tests.model.chains import extended_chain
 from tests.model.lagrange import lagrange_mass_matrix, lagrange_potential
 from tests.simulation.integrators import INTEGRATORS, simulate
 from tests.simulation.setups import (
@@ -64,6 +65,11 @@ def two_links(seed: int) -> Case:
     return Case(chain, recording_of(chain, TEN_SECONDS, jerky_torque(2, seed)), np.zeros(chain.size))
 
 
+def released(chain: Chain, gravity: tuple[float, float]) -> Case:
+    """From straight, where it is not at rest."""
+    return Case(chain, recording_of(chain, TEN_SECONDS, gravity=gravity), np.zeros(chain.size))
+
+
 def noisy(n: int, seed: int) -> Case:
     """A measured torque: every sample has an error of its own."""
     chain = arm_of(steel_link(n, "revolute"))
@@ -81,6 +87,7 @@ CASES = {
     "driven with payload and gravity": driven(6, 3, 0.05, DOWN),
     "driven by a noisy torque": noisy(4, 4),
     "two driven links": two_links(5),
+    "a link on a link, released in gravity": released(extended_chain(), (0.0, -9.81)),
 }
 
 

@@ -113,6 +113,12 @@ def test_absurd_steps_are_refused(step: float) -> None:
         tip(HUB, recording_of(HUB, np.arange(21) / 20.0), step=step)
 
 
+def test_a_recording_too_long_for_so_stiff_an_arm_is_named() -> None:
+    chain = arm_of(steel_link(3, bending_stiffness=1e17))
+    with pytest.raises(InsufficientDataError, match=r"simulation of made\.csv: its 1 s are .* steps.* Hz"):
+        tip(chain, recording_of(chain, np.arange(21) / 20.0))
+
+
 def test_divergence_is_said_with_its_time_and_remedy() -> None:
     chain = arm_of(steel_link(8))
     recording = recording_of(chain, 3.0 + np.arange(41) / 4.0)

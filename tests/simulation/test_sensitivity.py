@@ -118,7 +118,7 @@ def test_parameters(arm: str) -> None:
     expected = by_differences(run, pairs, run.observed)
     for k, name in enumerate(ahead):
         error = np.linalg.norm(found[:, k] - expected[:, k]) / np.linalg.norm(expected[:, k])
-        assert error < (0.02 if arm != "two links" else 0.1), (name, error)
+        assert error < 0.02, (name, error)
 
 
 @pytest.mark.parametrize("arm", ARMS)

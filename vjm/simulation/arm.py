@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, Motion, RateIndependentUpdate, is_nonsmooth
+from vjm.model.simulators import simulator_file
 from vjm.model.urdf import chain_to_urdf
 from vjm.records import Array, Recording
+from vjm.text import in_sentence
 
 T = TypeVar("T")
 # Inertia of a drive whose motion is given, over the arm's: reactions turn it by a millionth of the angle by which they
@@ -135,12 +137,42 @@ class Arm:
         Raises:
             ShapeError: as of `chain_to_urdf`.
         """
+        return chain_to_urdf(self.chain, self._friction)
+
+    def simulator_file(self, simulator: str, urdf: str, markers: Sequence[Sequence[float]] = ()) -> str:
+        """Return what a simulator reads beside the URDF, with every effect that it can carry and a list of the others.
+
+        Args:
+            simulator: one of `SIMULATORS`.
+            urdf: name of the URDF file.
+            markers: for each link, arc lengths of its markers [m].
+
+        Raises:
+            ChoiceError, ShapeError: as of `vjm.model.simulators.simulator_file`.
+        """
+        still = Recording(np.zeros(1), np.zeros((1, 0, 2)), kind="quiet", gravity=self.chain.gravity)
+        for effect in self.effects:
+            if effect.in_simulators:
+                still = effect.true_inputs(still)
+        chain = replace(self.chain, gravity=still.gravity)
+        return simulator_file(chain, simulator, urdf, self._friction, markers, self.not_in_simulators)
+
+    @property
+    def not_in_simulators(self) -> tuple[str, ...]:
+        """Effects that `simulator_file` cannot carry, each with the name of its link."""
+        effects = [effect for effect in self.effects if not (effect.in_urdf or effect.in_simulators)]
+        places = [f" ({self.chain.links[effect.link].name})" if effect.link is not None else "" for effect in effects]
+        return tuple(f"{in_sentence(effect.title)}{place}" for effect, place in zip(effects, places, strict=True))
+
+    @property
+    def _friction(self) -> dict[str, float]:
+        """Dry friction at active joints by their link's name [N m]."""
         friction: dict[str, float] = {}
         for effect in self.effects:
             if effect.joint_friction:
                 name = self.chain.links[effect.link or 0].name
                 friction[name] = friction.get(name, 0.0) + effect.joint_friction
-        return chain_to_urdf(self.chain, friction)
+        return friction
 
     @property
     def longest_step(self) -> float:

@@ -17,6 +17,9 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
 
+# Multiple of the default step of arms with elbows, with which markers are right to a tenth of a millimetre: enough for
+# steps towards the most likely initial state.
+_COARSE = 4.0
 _TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
 
 
@@ -142,6 +145,8 @@ def fit_initial_states(
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: a simulation diverges even from its start.
     """
+    if step_multiple < _COARSE and arms[0].chain.elbows.size:
+        states, most = _approximate_states(arms, observed, states, most)
     priors = [InitialStatePrior.of(arm, values.recording) for arm, values in zip(arms, observed, strict=True)]
     given = [None] * len(priors) if states is None else states
     first = [prior.rest if state is None else state for prior, state in zip(priors, given, strict=True)]
@@ -149,6 +154,26 @@ def fit_initial_states(
     searches = [_InitialStateSearch(run.with_scaled_prior()) for run in runs]
     minimise(searches, lambda running: _attempts(running, step_multiple), most)
     return [(search.point, search.status == "converged") for search in searches]
+
+
+def _approximate_states(
+    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array | None] | None, most: int
+) -> tuple[list[Array | None], int]:
+    """States (2 nv,) near which to look for the most likely ones, and how many simulations to try there.
+
+    Where no states are given, they are those found with long steps: what these did not find, short ones will not.
+    """
+    found: list[Array | None] = [None] * len(arms) if states is None else [*states]
+    unknown = [k for k, state in enumerate(found) if state is None]
+    if not unknown:
+        return found, most
+    try:
+        fits = fit_initial_states([arms[k] for k in unknown], [observed[k] for k in unknown], None, _COARSE, most)
+    except SimulationDivergedError:  # the steps are too long
+        return found, most
+    for k, (run, _) in zip(unknown, fits, strict=True):
+        found[k] = run.state
+    return found, max(1, most // 4)
 
 
 def _attempts(searches: Sequence[LevenbergMarquardt[Run, _StateStep]], step_multiple: float) -> list[Run | None]:

@@ -1,7 +1,7 @@
 """Integration of the equations of motion: recordings' torques in, trajectories out.
 
 Chains are stiff in K and smooth in everything else. All copies of a `System` advance together, each under its own
-torque, by fourth-order exponential time differencing.
+torque, by a fourth-order exponential Runge-Kutta method.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
-from vjm.errors import ShapeError, SimulationDivergedError
+from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.system import Drive, System, Trajectory
 
 _LEAST_STEPS = 20  # of a short recording
+_MOST_STEPS = 2e7  # of a long one: several GiB, and a day of an arm that swings once in a second
 # Half an interval over which derivatives of the motion are advanced, in periods of the slowest mode; shorter where an
 # elbow changes the arm's shape altogether.
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
@@ -56,7 +57,7 @@ def simulate_trajectories(
         multiples of two `steps_per_half_interval`s.
 
     Raises:
-        InsufficientDataError: no torque measured at an active joint.
+        InsufficientDataError: no torque measured at an active joint, or a recording too long to be simulated.
         ShapeError: a step that is not a positive number.
         SimulationDivergedError: a trajectory left the finite numbers.
     """
@@ -106,18 +107,18 @@ def _duration(recording: Recording) -> float:
 
 
 def default_step(chain: Chain, payload: float = 0.0) -> float:
-    """Return the exponential integrator's step [s] that keeps the tip within 1e-6 m of the reference over 10 s.
+    """Return the exponential integrator's step [s] that keeps the tip within a millionth of the arm's length.
 
-    Measured on 1 m chains of 4 to 40 joints bent by an eighth of their length, or driven. The error grows with the
-    arm's length and the fourth power of the step; the top modes of larger chains, however fast, are in the part that is
-    advanced exactly. An active joint further out swings the arm's outer part about fast.
+    Measured over ten periods of chains of 4 to 40 joints bent by an eighth of their length, or driven. The error grows
+    with the arm's length and the fourth power of the step; the top modes of larger chains, however fast, are in the
+    part that is advanced exactly. A further link is swung about by the one before: measured on two links that turn by
+    2 rad in a period; one that whirls needs shorter steps.
     """
     slowest, _ = locked_joint_frequencies(chain, payload)
     joints = max(link.virtual_joints for link in chain.links)
-    steps_a_period = min(60.0 + 16.0 * joints, 220.0)
-    if chain.elbows.size:
-        steps_a_period = min(880.0 * joints, 5200.0)
-    return float(sum(link.length for link in chain.links) ** -0.25 / (steps_a_period * slowest))
+    # Derivatives are advanced over two steps at least: longer ones would do for the motion, and cost them digits.
+    steps_a_period = min(60.0 + 16.0 * joints, 220.0) if len(chain.links) == 1 else 880.0
+    return 1.0 / (steps_a_period * slowest)
 
 
 @lru_cache(maxsize=64)
@@ -133,22 +134,36 @@ def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> 
     """Return the number of steps [s] in half an interval over which derivatives are advanced at once."""
     slowest, _ = locked_joint_frequencies(chain, recording.payload)
     periods = _HALF_INTERVAL_ELBOW if chain.elbows.size else _HALF_INTERVAL
-    return max(1, int(periods / (slowest * step) + 1e-9))
+    # A period may be far longer than the recording, beyond which nothing need be simulated.
+    longest = min(periods / slowest, max(_duration(recording), step))
+    return max(1, int(longest / step + 1e-9))
 
 
 def _step_count(chain: Chain, recording: Recording, step: float) -> int:
+    duration = _duration(recording)
+    if duration > _MOST_STEPS * step:
+        slowest, _ = locked_joint_frequencies(chain, recording.payload)
+        raise InsufficientDataError(
+            f"simulation of {recording.file or 'a recording'}",
+            f"its {duration:.4g} s are {duration / step:.2g} steps, for the model's slowest mode has {slowest:.4g} Hz",
+            f"check times, lengths, masses and stiffness; {_MOST_STEPS:g} steps are possible",
+        )
     multiple = 2 * steps_per_half_interval(chain, recording, step)
-    count = max(1, int(np.ceil(_duration(recording) / step - 1e-9)))
+    count = max(1, int(np.ceil(duration / step - 1e-9)))
     return multiple * -(-count // multiple)
 
 
 def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
-    """Trajectory from time zero of copies by ETDRK4 steps (Cox and Matthews 2002).
+    """Trajectory from time zero of copies by exponential Runge-Kutta steps of stiff order four, of five stages.
 
     The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
     resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
-    at the nearest of a grid of its angles. Internal states of effects are advanced by the classical Runge-Kutta steps
-    that this becomes where the linear part is zero.
+    at the nearest of a grid of its angles. As M turns with the elbow, what remains is as stiff as the springs are: the
+    four stages of Cox and Matthews lose two orders there, and need steps eight times shorter. Internal states of
+    effects are advanced by the classical Runge-Kutta steps that this becomes where the linear part is zero.
+
+    Source: M. Hochbruck and A. Ostermann, Explicit exponential Runge-Kutta methods for semilinear parabolic problems,
+    SIAM Journal on Numerical Analysis 43 (2005), eq. (5.19).
     """
     n, count, step, elapsed = q.shape[1], len(drive.start), drive.step, drive.first - drive.began
     propagator = _LinearPropagator(system, step)
@@ -170,6 +185,11 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         force, rates = system.further_forces(elapsed + k * step, x[:, :n], x[:, n:], z)
         return system.acceleration(x, springs + torque + force), rates
 
+    def stage(k: float, x: Array, z: Array, torque: Array, weights: _Weights) -> tuple[Array, Array]:
+        p = _multiply(x, weights.rate)
+        a, rates = accelerate(k, x, z, p[:, :n], torque)
+        return a - p[:, n:], rates
+
     def update(x: Array, z: Array, to: Array) -> Array:
         return system.update_states(x[:, :n], z, to[:, :n]) if z.size else z
 
@@ -179,23 +199,22 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         p = _multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
         a, z1 = accelerate(k, x, z, p[:, :n], start[k])
         record(k, x[:, :n], x[:, n:], a + _multiply(missing[k], weights.response), z)
-        drift, result = p[:, 2 * n : 4 * n], p[:, 4 * n :]
-        p = _multiply(a - p[:, n : 2 * n], weights.first)
-        first, result = p[:, : 2 * n], result + p[:, 2 * n :]
-        x2 = drift + first
-        p = _multiply(x2, weights.second)  # springs, L x, exp(L h / 2) x
-        later = p[:, 2 * n :] - first
-        a, z2 = accelerate(k + 0.5, x2, update(x, z + step / 2 * z1, x2), p[:, :n], middle[k])
-        p = _multiply(a - p[:, n : 2 * n], weights.middle)
-        x3, result = drift + p[:, : 2 * n], result + p[:, 2 * n :]
-        p = _multiply(x3, weights.rate)
-        a, z3 = accelerate(k + 0.5, x3, update(x, z + step / 2 * z2, x3), p[:, :n], middle[k])
-        p = _multiply(a - p[:, n:], weights.middle)
-        x4, result = later + 2 * p[:, : 2 * n], result + p[:, 2 * n :]
-        p = _multiply(x4, weights.rate)
-        a, z4 = accelerate(k + 1, x4, update(x, z + step * z3, x4), p[:, :n], end[k])
-        to = result + _multiply(a - p[:, n:], weights.end)
-        z = update(x, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), to)
+        half, whole, remainder = p[:, 2 * n : 4 * n], p[:, 4 * n :], a - p[:, n : 2 * n]
+        x2, x3, x4, x5, to = (_multiply(remainder, weights.first).reshape(len(x), 5, 2 * n)).transpose(1, 0, 2)
+        x2 = half + x2
+        remainder, z2 = stage(k + 0.5, x2, update(x, z + step / 2 * z1, x2), middle[k], weights)
+        p = _multiply(remainder, weights.second)
+        x3 = half + x3 + p[:, : 2 * n]
+        remainder, z3 = stage(k + 0.5, x3, update(x, z + step / 2 * z2, x3), middle[k], weights)
+        p = p[:, 2 * n :] + _multiply(remainder, weights.third)
+        x4 = whole + x4 + p[:, : 2 * n]
+        remainder, z4 = stage(k + 1, x4, update(x, z + step / 2 * (z2 + z3), x4), end[k], weights)
+        last = _multiply(remainder, weights.fourth)
+        x5 = half + x5 + p[:, 2 * n :] + last[:, : 2 * n]
+        z5 = update(x, z + step / 4 * z1 + step / 8 * (z2 + z3), x5)
+        remainder, z5 = stage(k + 0.5, x5, z5, middle[k], weights)
+        to = whole + to + last[:, 2 * n :] + _multiply(remainder, weights.fifth)
+        z = update(x, z + step / 6 * (z1 + z4 + 4 * z5), to)
         x = to
     springs = _multiply(x, propagator.at(x).rate)[:, :n]
     a, _ = accelerate(count, x, z, springs, _of_all_joints(system, drive.ends[-1:])[0])
@@ -216,29 +235,32 @@ def _multiply(states: Array, matrices: Array) -> Array:
 
 
 class _Weights(NamedTuple):
-    """ETDRK4's matrices (C, ...), transposed, and side by side where they multiply the same vector.
+    """Matrices of the steps (C, ...), transposed, and side by side where they multiply the same vector.
 
-    The remainder enters the rates only, so its weights are (2 nv, nv). `response` turns active torques (n_a,) into
-    accelerations (nv,). One copy stands for all where they are equal.
+    The remainders of the five stages enter the rates only, so their weights are (2 nv, nv): `first` to `fifth`, for the
+    later stages and the end of the step. `response` turns active torques (n_a,) into accelerations (nv,). One copy
+    stands for all where they are equal.
     """
 
     state: Array
     first: Array
     second: Array
-    middle: Array
+    third: Array
+    fourth: Array
+    fifth: Array
     rate: Array
-    end: Array
     response: Array
 
 
 class _LinearPropagator:
-    """ETDRK4's matrices at the copies' elbow angles, each computed once."""
+    """Matrices of the steps at the copies' elbow angles, each computed once."""
 
     def __init__(self, system: System, step: float) -> None:
         self.system = system
         self.step = step
         self.elbows = system.active[system.active > 0]  # joints further out that bend the arm, or beyond a moving base
         self.known: dict[tuple[int, ...], _Weights] = {}
+        self.gathered: tuple[list[tuple[int, ...]], _Weights] | None = None  # keys of the copies' own matrices
         self.current: tuple[bytes, _Weights] | None = None
         everyone = np.arange(len(system.arms))
         straight = self._inertia(np.zeros((everyone.size, self.elbows.size)), everyone)
@@ -262,8 +284,17 @@ class _LinearPropagator:
             computed = self._weights(self._inertia(places[copies], copies), copies)
             self.known |= {key: _Weights(*parts) for key, *parts in zip(new, *computed, strict=True)}
         if len(set(keys)) == 1:
-            keys = keys[:1]
-        return _Weights(*(np.stack(parts) for parts in zip(*(self.known[key] for key in keys), strict=True)))
+            return _Weights(*(part[None] for part in self.known[keys[0]]))
+        if self.gathered is None:
+            chosen = zip(*(self.known[key] for key in keys), strict=True)
+            self.gathered = keys, _Weights(*(np.stack(parts) for parts in chosen))
+        before, weights = self.gathered
+        for c, key in enumerate(keys):
+            if key != before[c]:
+                before[c] = key
+                for part, own in zip(weights, self.known[key], strict=True):
+                    part[c] = own
+        return weights
 
     def _inertia(self, places: Array, copies: Indices) -> Array:
         """(c, nv, nv) mass matrices of some copies at zero angles, but for the elbows', at places (c, elbows)."""
@@ -290,19 +321,20 @@ class _LinearPropagator:
         L = np.zeros((len(copies), 2 * n, 2 * n))
         L[:, :n, n:] = np.eye(n)
         L[:, n:] = rate = inverse @ springs
-        half_flow, half_phi, _, _ = phi_functions(L, step / 2, n)
-        flow, phi1, phi2, phi3 = phi_functions(L, step, n)
-        half = step / 2 * half_phi[:, :, n:]
-        start = step * (phi1 - 3 * phi2 + 4 * phi3)[:, :, n:]
-        middle = step * (2 * phi2 - 4 * phi3)[:, :, n:]
-        end = step * (4 * phi3 - phi2)[:, :, n:]
+        half_flow, *half = phi_functions(L, step / 2, n)
+        flow, *whole = _of_twice_the_step(half_flow, *half)
+        (half1, half2, half3), (phi1, phi2, phi3) = ([step * phi[:, :, n:] for phi in phis] for phis in (half, whole))
+        late = half2 / 2 - phi3 + phi2 / 4 - half3 / 2
+        last = half2 / 4 - late
+        first = (half1 / 2, half1 / 2 - half2, phi1 - 2 * phi2, half1 / 2 - 2 * late - last, phi1 - 3 * phi2 + 4 * phi3)
         return _Weights(
             state=_side_by_side(springs, rate, half_flow, flow),
-            first=_side_by_side(half, start),
-            second=_side_by_side(springs, rate, half_flow),
-            middle=_side_by_side(half, middle),
+            first=_side_by_side(*first),
+            second=_side_by_side(half2, phi2, late),
+            third=_side_by_side(phi2, late),
+            fourth=_side_by_side(last, 4 * phi3 - phi2),
+            fifth=_side_by_side(4 * phi2 - 8 * phi3),
             rate=_side_by_side(springs, rate),
-            end=_side_by_side(end),
             response=_side_by_side(inverse[:, :, self.system.active]),
         )
 
@@ -334,9 +366,16 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
     phi1 = one + X @ phi2
     flow = one + X @ phi1
     for _ in range(halvings):
-        phi3 = (flow @ phi3 + phi1 / 2 + phi2 + phi3) / 8
-        phi2 = (flow @ phi2 + phi1 + phi2) / 4
-        phi1 = (flow @ phi1 + phi1) / 2
-        flow = flow @ flow
+        flow, phi1, phi2, phi3 = _of_twice_the_step(flow, phi1, phi2, phi3)
     back = units[:, None] / units
     return flow * back, phi1 * back, phi2 * back, phi3 * back
+
+
+def _of_twice_the_step(flow: Array, phi1: Array, phi2: Array, phi3: Array) -> tuple[Array, Array, Array, Array]:
+    """Exp, phi_1, phi_2, phi_3 of 2 z from those of z (Hochbruck and Ostermann 2010)."""
+    return (
+        flow @ flow,
+        (flow @ phi1 + phi1) / 2,
+        (flow @ phi2 + phi1 + phi2) / 4,
+        (flow @ phi3 + phi1 / 2 + phi2 + phi3) / 8,
+    )

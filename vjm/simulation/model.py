@@ -7,16 +7,24 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
-from vjm.errors import ShapeError
+from vjm.errors import ChoiceError, ShapeError
+from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.files import write_text
 from vjm.model.dynamics import Mechanism
+from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
+from vjm.model.simulators import SIMULATORS
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
+from vjm.simulation.control import ControlLaw, simulate_motion
 from vjm.simulation.initial_state import fit_initial_states
-from vjm.simulation.measurement import Observations
+from vjm.simulation.measurement import MarkerArcs, Observations
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -67,6 +75,25 @@ class Model(Record):
         if chain_links != rig_links:
             raise ShapeError("model", f"links {chain_links}", f"the experiment's links {rig_links}")
 
+    @classmethod
+    def nominal(cls, rig: Rig, virtual_joints: int = 8, kelvin_voigt: float = 0.0) -> Model:
+        """Return the model of an arm as described, without any recording of it.
+
+        Args:
+            rig: the arm, with its nominal values.
+            virtual_joints: number n of every link's, where the rig does not say.
+            kelvin_voigt: time by which the links' damping moment is ahead [s]; 0: undamped.
+
+        Raises:
+            ShapeError: a number of joints below one, or a time below zero.
+        """
+        if virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
+            given = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
+            raise ShapeError("model", given, "a whole number from 1, and a time, zero or positive [s]")
+        cuts = rig_layouts(rig, [link.virtual_joints or virtual_joints for link in rig.links])
+        markers = rig.marker_noise or DEFAULT_NOISE * max(link.length for link in rig.links)
+        return cls(nominal_chain(rig, cuts, kelvin_voigt), rig, markers, rig.encoder_noise or DEFAULT_NOISE)
+
     @cached_property
     def arm(self) -> Arm:
         """The chain with its effects."""
@@ -80,13 +107,43 @@ class Model(Record):
         """Return the arm of a recording; in a `reference` recording it has the reference effects only."""
         return (self._reference if recording.condition == REFERENCE else self.arm).in_recording(recording)
 
-    def simulate(self, recording: Recording) -> Simulation:
-        """Simulate a recording open loop, from the initial state most likely given the whole of it.
+    def simulate(
+        self,
+        recording: Recording | None = None,
+        *,
+        torque: ArrayLike | ControlLaw | None = None,
+        duration: float | None = None,
+        initial: ArrayLike | None = None,
+        payload: float = 0.0,
+    ) -> Simulation:
+        """Simulate a recording open loop, or a motion under a torque of one's own.
+
+        A recording is simulated from the initial state most likely given the whole of it. Without one:
+
+        Args:
+            recording: whose torque drives the arm; the other arguments are of no use beside it.
+            torque: of the n_a active joints [N m]: (T, n_a), or (T,) of a single one, at T evenly spaced instants from
+                zero to the duration and linear between; or a control law, a function of the time [s] and the active
+                joints' angles (n_a,) [rad] and rates (n_a,) [rad/s], and of nothing else, that returns them (n_a,). It
+                acts without delay, and steps are halved until no marker moves by a tenth of its noise. None: none.
+            duration: of the motion [s].
+            initial: (2, nv) angles [rad] and rates [rad/s] of all joints in the chain's order, or (2, n_a) of active
+                ones, the passive ones at rest under gravity; None: at rest at zero.
+            payload: known extra mass on the tip [kg].
+
+        Returns:
+            The motion, at the torque's instants or, without any, at those of the integrator's default steps.
 
         Raises:
-            InsufficientDataError: no torque measured at an active joint.
-            SimulationDivergedError: the simulation left the finite numbers.
+            InsufficientDataError: no torque measured at an active joint of the recording.
+            ShapeError: neither a recording nor a duration, both, or an argument that does not fit the arm.
+            SimulationDivergedError: the simulation left the finite numbers, or depends on its step however short.
         """
+        if recording is None:
+            arm, noise = self.arm, self.marker_noise
+            return simulate_motion(arm, self.rig, noise, torque, duration, initial, payload)
+        if torque is not None or duration is not None or initial is not None or payload:
+            raise ShapeError("simulate", "a recording and a torque of one's own", "one of them")
         return self.replay(recording).simulation
 
     def replay(self, recording: Recording) -> SimulatedRecording:
@@ -104,6 +161,37 @@ class Model(Record):
         chain = self.arm.chain
         return PinocchioModel(Mechanism(chain).model, chain.stiffness, chain.damping)
 
+    def flexible_model(self) -> FlexibleModel:
+        """Return the chain for static equilibria, linearisation and control; its virtual joints are passive."""
+        chain = self.arm.chain
+        mechanism = Mechanism(chain)
+        cells = {
+            f"{link.name}_virtual_{j}": float(cell) for link in chain.links for j, cell in enumerate(link.cells, 1)
+        }
+        return FlexibleModel(
+            mechanism.model,
+            chain.stiffness,
+            chain.damping,
+            passive=[chain.joint_names[k] for k in chain.passive],
+            preload=[-mechanism.base_weight] + [0.0] * (chain.size - 1),
+            cells=cells,
+        )
+
+    def marker_slopes(self, q: ArrayLike) -> dict[str, Array]:
+        """Return the derivatives by q (nv,) [m/rad] of each marker's coordinates, `LINK.mK.x` and `.y`, at q (nv,).
+
+        They are of the curves through the joints, as the camera sees them: outputs of `FlexibleModel.state_space`.
+
+        Raises:
+            ShapeError: q of another size.
+        """
+        angles, size = np.asarray(q, dtype=float), self.arm.chain.size
+        if angles.shape != (size,):
+            raise ShapeError("q", f"shape {angles.shape}", f"shape ({size},)")
+        slopes = MarkerArcs.of(self.rig).slopes(self.arm, angles[None], np.zeros(1), np.eye(size))[0]
+        markers = [f"{link.name}.m{k}" for link in self.rig.links for k in range(1, len(link.markers) + 1)]
+        return dict(zip((f"{marker}.{axis}" for marker in markers for axis in "xy"), slopes, strict=True))
+
     def to_urdf(self, path: Path | str) -> Path:
         """Write the chain with its effects, as far as URDF can carry them, whole or not at all, and return the path.
 
@@ -113,3 +201,27 @@ class Model(Record):
         file = Path(path)
         write_text(file, self.arm.urdf())
         return file
+
+    def export(self, path: Path | str, simulator: str) -> tuple[Path, Path]:
+        """Write the URDF and, beside it, what a simulator reads with springs, and return both paths.
+
+        The file beside has the URDF's name and the suffix .xml (MJCF, `mujoco`), .sdf (`gazebo`) or .py (a script, of
+        `pinocchio`, `drake`, `pybullet`). Of the effects `arm.not_in_simulators` are in neither.
+
+        Raises:
+            ChoiceError: another simulator.
+            FolderError: a file cannot be written.
+            ShapeError: a path that ends as the file beside it does; as of `chain_to_urdf`; a base under load without a
+                spring; drives whose inertia the simulator has no place for.
+        """
+        file = Path(path)
+        if simulator not in SIMULATORS:
+            raise ChoiceError("simulator", simulator, SIMULATORS)
+        beside = file.with_suffix(SIMULATORS[simulator])
+        if beside == file:
+            raise ShapeError("path", str(file), f"a file that does not end in {file.suffix}, as the one beside it does")
+        markers = [link.markers for link in self.rig.links]
+        text = self.arm.simulator_file(simulator, file.name, markers)
+        self.to_urdf(file)
+        write_text(beside, text)
+        return file, beside

@@ -8,8 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.errors import SimulationDivergedError
+from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording, SimulatedRecording
 from vjm.simulation.arm import Arm
@@ -138,6 +140,23 @@ class Run:
         """The m modes in which its derivatives are expressed."""
         driven = self.arm.inputs(self.observed.recording)
         return ModalBasis.of(self.chain, driven, 2 * self.stride * self.trajectory.step)
+
+    def transferred_state(self, arm: Arm) -> Array:
+        """Return the initial state (2 nv,) in an arm with other virtual joints, with the active joints' momentum.
+
+        Initial rates of fast modes differ from chain to chain; a joint that turns freely must not drift by that.
+        """
+        state = transfer_state(self.chain, arm.chain, self.state)
+        active = arm.chain.active
+        if not active.size:
+            return state
+        recording = self.observed.recording
+        (q, v), (other_q, other_v) = np.split(self.state, 2), np.split(state, 2)
+        mass = mechanism_of(self.chain, self.arm.inputs(recording).payload).mass_matrix(q[None])[0]
+        other_mass = mechanism_of(arm.chain, arm.inputs(recording).payload).mass_matrix(other_q[None])[0]
+        missing = (mass @ v)[self.chain.active] - (other_mass @ other_v)[active]
+        other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], missing)
+        return np.concatenate([other_q, other_v])
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearised simulation, of perturbed arms as well."""

@@ -144,7 +144,9 @@ class _EquationsOfMotion:
 def _coefficients(
     arm: Arm, bases: Sequence[ModalBasis], perturbed: Sequence[PerturbedArm], motion: _Motions
 ) -> list[tuple[Array, Array]]:
-    """Coefficients of the variational equations along motions of I instants each, by forward differences.
+    """Coefficients of the variational equations along motions of I instants each.
+
+    Derivatives by parameters, and of effects, are forward differences.
 
     They are the derivatives of modal rates' and internal states' rates of change, by the unknowns (m modal coordinates,
     m modal rates, nz internal states; (I, m + nz, 2 m + nz)) and by the parameters (I, m + nz, p).
@@ -159,18 +161,17 @@ def _coefficients(
     m, nz = shapes.shape[2], motion.z.shape[1]
     forces = np.zeros((len(motion.q), chain.size, 2 * m + nz + len(perturbed)))
     rates = np.zeros((len(motion.q), nz, 2 * m + nz + len(perturbed)))
-    inertia = np.empty((len(motion.q), chain.size, m))
-    for j in range(m):
+    by_angle, by_rate, inertia = equations.mechanism.derivatives(motion.q, motion.v, motion.a)
+    forces[:, :, :m] = by_angle @ shapes + chain.stiffness[:, None] * shapes
+    forces[:, :, m : 2 * m] = by_rate @ shapes + chain.damping[:, None] * shapes
+    for j in range(m) if nz or equations.force is not None else ():
         shape, step = shapes[:, :, j], steps[:, j, None]
         turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
-        forces[:, :, j] = (equations.inertial_torque(turned) - inertial) / step + chain.stiffness * shape
-        forces[:, :, m + j] = (equations.inertial_torque(sped) - inertial) / step + chain.damping * shape
         for column, other in ((j, turned), (m + j, sped)):
             if equations.force is not None:
                 forces[:, :, column] += (equations.further_torque(other) - further) / step
             if nz:
                 rates[:, :, column] = (equations.state_rates(other) - state_rates) / step
-        inertia[:, :, j] = equations.inertial_torque(motion._replace(a=motion.a + shape)) - inertial
     for k, step_z in enumerate(_STEP * np.eye(nz)):
         other = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / _STEP
@@ -179,7 +180,7 @@ def _coefficients(
         change = _parameter_derivatives(equations, other_arm, motion, (inertial, further, state_rates))
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
     transposed = np.swapaxes(shapes, 1, 2)
-    solved = -np.linalg.solve(transposed @ inertia, transposed @ forces)
+    solved = -np.linalg.solve(transposed @ inertia @ shapes, transposed @ forces)
     lower = np.concatenate([solved, rates], axis=1)
     return [(lower[part, :, : 2 * m + nz], lower[part, :, 2 * m + nz :]) for part in motion.parts]
 

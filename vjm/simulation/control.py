@@ -1,0 +1,156 @@
+"""Simulation under a torque of one's own: given over time, or by a control law from the joints' angles and rates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from vjm.chain.virtual_links import Chain
+from vjm.effects.effect import Effect, Motion
+from vjm.errors import ShapeError, SimulationDivergedError, shown
+from vjm.model.modes import linearise
+from vjm.records import Array, Recording, Rig, Simulation
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import default_step, simulate_trajectories
+from vjm.simulation.measurement import MarkerArcs, sensor_readings
+
+ControlLaw: TypeAlias = Callable[[float, Array, Array], ArrayLike]
+_HALVINGS = 8  # of the step; a law that needs steps 256 times shorter than the arm's vibration jumps, or is unstable
+
+
+@dataclass(frozen=True)
+class _Feedback(Effect):
+    """Torque of active joints by a control law, through the actuators as effects change it."""
+
+    law: ControlLaw
+    effects: tuple[Effect, ...] = ()
+
+    def force(self, chain: Chain, payload: float) -> Motion:
+        """Return the function that gives the law's torque as a force on the joints."""
+        return lambda time, q, v, z: np.stack([self._forces(chain, *one) for one in zip(time, q, v, strict=True)])
+
+    def _forces(self, chain: Chain, time: float, q: Array, v: Array) -> Array:
+        """Forces (nv,) at a time [s], angles (nv,) and rates (nv,)."""
+        forces, active = np.zeros(chain.size), chain.active
+        asked = _shaped("torque", self.law(float(time), q[active], v[active]), (active.size,), "N m, of active joints")
+        forces[active] = _through_actuators(self.effects, np.array([time, time + 1.0]), np.stack([asked, asked]))[0]
+        return forces
+
+
+def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...], unit: str) -> Array:
+    """Return values as an array of a shape; a single joint's may be one number."""
+    try:
+        array = np.asarray(values, dtype=float).reshape(shape)
+    except (TypeError, ValueError):
+        raise ShapeError(name, shown(values), f"{shape}, finite [{unit}]") from None
+    if not np.isfinite(array).all():
+        raise ShapeError(name, "a value that is not finite", f"{shape}, finite [{unit}]")
+    return array
+
+
+def _through_actuators(effects: tuple[Effect, ...], time: Array, torque: Array) -> Array:
+    """Return the torques (T, n_a) that act where torques (T, n_a) are asked for at instants (T,)."""
+    if all(type(effect).true_inputs is Effect.true_inputs for effect in effects):
+        return torque
+    recording = _recording(time, torque, (0.0, 0.0), 0.0, 0)
+    for effect in effects:
+        recording = effect.true_inputs(recording)
+    return recording.tau
+
+
+def _recording(time: Array, torque: Array, gravity: tuple[float, float], payload: float, markers: int) -> Recording:
+    unseen = np.full((time.size, markers, 2), np.nan)
+    return Recording(time, unseen, tau=torque, kind="driven", gravity=gravity, payload=payload)
+
+
+def simulate_motion(
+    arm: Arm,
+    rig: Rig,
+    noise: float,
+    torque: ArrayLike | ControlLaw | None,
+    duration: float | None,
+    initial: ArrayLike | None,
+    payload: float,
+) -> Simulation:
+    """Simulate an arm as `Model.simulate` does under a torque of one's own.
+
+    Args:
+        arm: with its effects.
+        rig: says where the markers are.
+        noise: of a marker coordinate [m]; a control law's steps are halved until no marker moves by a tenth of it.
+        torque, duration, initial, payload: as of `Model.simulate`.
+
+    Raises:
+        ShapeError: an argument that does not fit the arm.
+        SimulationDivergedError: the motion left the finite numbers, or depends on the step however short.
+    """
+    if duration is None or not 0 < duration < np.inf:
+        raise ShapeError("duration", duration, "a positive number of seconds")
+    if not 0 <= payload < np.inf:
+        raise ShapeError("payload", payload, "a mass, zero or positive [kg]")
+    chain, count = arm.chain, arm.chain.active.size
+    step = min(default_step(chain, payload), duration / 20)
+    if torque is None or callable(torque):
+        time = np.linspace(0.0, duration, 1 + int(np.ceil(duration / step)))
+        given = np.zeros((time.size, count))
+    else:
+        samples = np.asarray(torque, dtype=float)
+        if samples.ndim == 0 or samples.shape[0] < 2:
+            raise ShapeError("torque", samples.shape, f"(T, {count}) at T >= 2 instants [N m]")
+        time = np.linspace(0.0, duration, samples.shape[0])
+        given = _shaped("torque", samples, (time.size, count), "N m")
+    recording = _recording(time, given, rig.gravity, payload, sum(len(link.markers) for link in rig.links))
+    q, v = _initial_state(arm, recording, initial)
+
+    def simulated(arm: Arm, step: float | None) -> Simulation:
+        (trajectory,) = simulate_trajectories([arm], [recording], [q], [v], step)
+        return sensor_readings(arm, MarkerArcs.of(rig), recording, trajectory)
+
+    if not callable(torque):
+        return simulated(arm, None)
+    _check_memory(arm.effects, count)
+    arm = Arm(chain, (*arm.effects, _Feedback(torque, arm.effects)))
+    before = None
+    for _ in range(_HALVINGS):
+        try:
+            motion = simulated(arm, step)
+        except SimulationDivergedError:  # the law may be stiff
+            motion = None
+        if motion and before and np.abs(motion.markers - before.markers).max(initial=0.0) < 0.1 * noise:
+            return motion
+        before, step = motion, step / 2
+    remedy = "the control law is unstable, jumps, or does not depend on its arguments alone"
+    raise SimulationDivergedError(0.0, 2 * step, remedy)
+
+
+def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) -> tuple[Array, Array]:
+    """Angles and rates (nv,), (nv,) from those given of all joints or of active ones, passive ones at rest."""
+    chain = arm.chain
+    n, count = chain.size, chain.active.size
+    given = np.zeros((2, count)) if initial is None else np.asarray(initial, dtype=float)
+    if given.shape == (2, n) and np.isfinite(given).all():
+        return given[0], given[1]
+    if given.shape != (2, count) or not np.isfinite(given).all():
+        expected = f"(2, {n}) angles and rates of all joints, or (2, {count}) of active ones [rad, rad/s]"
+        raise ShapeError("initial", given.shape if np.isfinite(given).all() else "a value that is not finite", expected)
+    inputs, v = arm.inputs(recording), np.zeros(n)
+    _, _, _, q = linearise(chain, recording.payload, inputs.gravity, given[0])
+    v[chain.active] = given[1]
+    return q, v
+
+
+def _check_memory(effects: tuple[Effect, ...], count: int) -> None:
+    """Refuse effects whose torque depends on earlier torques: a control law's are not known before it is simulated."""
+    time = np.linspace(0.0, 1.0, 9)
+    ramp = 1e-6 * time[:, None] * np.ones(count)
+    for effect in effects:
+        one_by_one = [
+            _through_actuators((effect,), np.array([0.0, 1.0]), np.stack([value, value]))[0] for value in ramp
+        ]
+        if not np.allclose(_through_actuators((effect,), time, ramp), one_by_one, rtol=1e-9, atol=1e-15):
+            expected = "effects without memory of earlier torques, or an array of torques instead of a control law"
+            raise ShapeError("torque", f"a control law beside the effect {effect.id!r}", expected)
