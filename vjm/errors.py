@@ -7,12 +7,32 @@ where the fault is and what was expected.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
+# Control characters, halves of surrogate pairs, and what makes other characters change places or vanish.
+_UNPRINTABLE = re.compile(
+    r"[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufff9-\ufffb\ufffe\uffff]"
+)
+
+
+_SHORT_ESCAPES = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
+
+
+def printable(text: str) -> str:
+    """Return text in which characters that a terminal would obey instead of show are written as escapes.
+
+    Names of files and columns may hold any. The escapes are those of JSON, TOML and Python.
+    """
+    return _UNPRINTABLE.sub(lambda match: _SHORT_ESCAPES.get(match[0], f"\\u{ord(match[0]):04x}"), text)
+
 
 class VjmError(Exception):
-    """Root of every error that vjm raises on purpose."""
+    """Root of every error that vjm raises on purpose; its message is printable, and may have several lines."""
+
+    def __init__(self, *lines: str) -> None:
+        super().__init__("\n".join(map(printable, lines)))
 
 
 class InputError(VjmError):
@@ -125,6 +145,18 @@ class InsufficientDataError(InputError):
         super().__init__(f"{what}: {reason}; {remedy}")
 
 
+class MistakeError(InputError):
+    """Recordings that a mistake explains far better than the experiment file does.
+
+    Attributes:
+        mistakes: what is wrong and what to change, a sentence each.
+    """
+
+    def __init__(self, mistakes: Iterable[str]) -> None:
+        self.mistakes = tuple(mistakes)
+        super().__init__(*self.mistakes)
+
+
 class EffectError(InputError):
     """An effect that does not keep the contract of effects.
 
@@ -152,6 +184,20 @@ class SimulationDivergedError(VjmError):
     def __init__(self, time: float, step: float, remedy: str) -> None:
         self.time, self.step, self.remedy = time, step, remedy
         super().__init__(f"the simulation diverged after t = {time:.6g} s with steps of {step:.3g} s; {remedy}")
+
+
+class MissingPackageError(VjmError):
+    """A package that vjm does without, but not for this.
+
+    Attributes:
+        package: what is absent.
+        purpose: what it is for.
+        remedy: how to install it.
+    """
+
+    def __init__(self, package: str, purpose: str, remedy: str) -> None:
+        self.package, self.purpose, self.remedy = package, purpose, remedy
+        super().__init__(f"{purpose} needs the package {package}, which is not installed; {remedy}")
 
 
 def shown(value: object) -> str:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
 import shutil
+import stat
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from vjm.errors import InputError
+from vjm.errors import InputError, printable
+
+_LARGEST = 2**31  # bytes of a file that is read: a hundred million numbers, days of a fast camera
 
 
 class FolderError(InputError):
@@ -29,6 +33,34 @@ class FolderError(InputError):
         super().__init__(f"{path}: {problem}; {remedy}")
 
 
+def read_file(path: Path) -> bytes:
+    """Return the content of a file.
+
+    Raises:
+        OSError: it cannot be read; `strerror` says why, in words.
+    """
+    check_file(path)
+    return path.read_bytes()
+
+
+def check_file(path: Path) -> None:
+    """Check that a path leads to a file: to no directory, nor a pipe or a device, which may never end.
+
+    Raises:
+        OSError: it does not, or the file is too large; `strerror` says why, in words.
+    """
+    try:
+        status = path.stat()
+    except ValueError as error:  # a NUL in its name
+        raise OSError(errno.EINVAL, str(error)) from error
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "this is a directory")
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "this is a pipe or a device, not a file")
+    if status.st_size > _LARGEST:
+        raise OSError(errno.EFBIG, f"larger than {_LARGEST / 2**30:g} GiB")
+
+
 def json_text(value: object) -> str:
     """Return dictionaries, lists, tuples, text, finite numbers, booleans and None as JSON.
 
@@ -40,11 +72,15 @@ def json_text(value: object) -> str:
 def _indented(value: object, newline: str) -> str:
     inner = newline + "  "
     if isinstance(value, dict) and value:
-        rows = [f"{json.dumps(key, ensure_ascii=False)}: {_indented(item, inner)}" for key, item in value.items()]
+        rows = [f"{_json(key)}: {_indented(item, inner)}" for key, item in value.items()]
         return "{" + inner + f",{inner}".join(rows) + newline + "}"
     if isinstance(value, list | tuple) and any(isinstance(item, dict | list | tuple) for item in value):
         return "[" + inner + f",{inner}".join(_indented(item, inner) for item in value) + newline + "]"
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    return _json(value)
+
+
+def _json(value: object) -> str:
+    return printable(json.dumps(value, ensure_ascii=False, allow_nan=False))
 
 
 def plain(value: Any, finite: bool = True) -> Any:
@@ -73,9 +109,9 @@ def write_text(path: Path | str, text: str) -> None:
         FolderError: the file cannot be written.
     """
     target = Path(path)
-    if target.is_dir():
-        raise FolderError(target, "this is a folder", "name a file with -o FILE")
     try:
+        if target.is_dir():
+            raise FolderError(target, "this is a folder", "name a file with -o FILE")
         if target.exists() and not target.is_file():
             target.write_bytes(_encoded(text))
             return
@@ -99,11 +135,16 @@ def check_folder(directory: Path | str) -> Path:
         FolderError: it is no folder, its parent does not exist, or it cannot be written to.
     """
     folder = Path(directory)
-    if folder.exists() and not folder.is_dir():
-        raise FolderError(folder, "this is no folder", "choose another with -o DIR")
-    if not folder.exists():
+    try:
+        is_folder = stat.S_ISDIR(folder.stat().st_mode)
+    except (FileNotFoundError, NotADirectoryError):
         _check_parent(folder)
-    elif not os.access(folder, os.W_OK | os.X_OK):
+        return folder
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    if not is_folder:
+        raise FolderError(folder, "this is no folder", "choose another with -o DIR")
+    if not os.access(folder, os.W_OK | os.X_OK):
         raise FolderError(folder, "this folder cannot be written to", "choose another with -o DIR")
     return folder
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from vjm.errors import ChoiceError
 from vjm.experiment.records import Array as Array
 from vjm.experiment.records import Complex as Complex
 from vjm.experiment.records import Experiment as Experiment
@@ -21,14 +23,45 @@ from vjm.experiment.records import Mask as Mask
 from vjm.experiment.records import Recording as Recording
 from vjm.experiment.records import Rig as Rig
 from vjm.experiment.records import Role as Role
+from vjm.text import unit, with_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Progress = Callable[[str, int, int], None]  # called with (text, done, total) now and then
 
-_CI95 = 1.96  # standard errors: two-sided 95 % of a normal distribution
+
+class Stages:
+    """Overall progress of a computation whose number of stages is not known before: each takes a share of what remains.
+
+    Where more of the time that it may take has gone, that is its progress.
+    """
+
+    def __init__(self, progress: Progress | None, share: float, budget: float = math.inf) -> None:
+        self._progress, self._share, self._budget = progress, share, budget
+        self._began, self._stage, self._last = monotonic(), 0, ("", 0)
+
+    def __call__(self, text: str) -> None:
+        """Begin a stage."""
+        self.inside(text, 0, 1)
+
+    def inside(self, text: str, done: int, total: int) -> None:
+        """Report the progress inside a stage; a new one begins where its name changes, or less is done than before.
+
+        What follows a comma in the text is no part of the stage's name.
+        """
+        name, last = text.partition(",")[0], self._last
+        self._stage += bool(last[0]) and (name != last[0] or done < last[1])
+        self._last = name, done
+        if self._progress is not None:
+            stages = 1 - (1 - self._share) ** (self._stage + done / max(total, 1))
+            spent = min((monotonic() - self._began) / self._budget, 1.0)
+            self._progress(text, int(100 * max(stages, spent)), 100)
+
+
+CI95 = 1.96  # standard errors: two-sided 95 % of a normal distribution
 REFERENCE = "reference"  # the condition in which the effect being sought is known to be absent
+NOT_NOISE = 1e-3  # p-value below which residuals are not noise: three standard deviations
 
 
 class Record:
@@ -138,6 +171,10 @@ class Estimate:
     remedy: str = ""
     discretization_shift: float | None = None
 
+    def __str__(self) -> str:
+        """Return the estimate as a line: `beam.bending_stiffness = 1.9741 ± 0.0005 N m²`."""
+        return f"{self.name} = {with_error(self.value, self.error)} {unit(self.unit)}".rstrip()
+
     @property
     def std_discretisation(self) -> float | None:
         """Error by so few virtual joints, as a standard deviation [unit]; None where it was not measured."""
@@ -151,7 +188,19 @@ class Estimate:
     @property
     def ci95(self) -> tuple[float, float] | None:
         """95 % interval by noise and discretization together [unit]; None where the parameter was not estimated."""
-        return None if self.error is None else (self.value - _CI95 * self.error, self.value + _CI95 * self.error)
+        return None if self.error is None else (self.value - CI95 * self.error, self.value + CI95 * self.error)
+
+
+def estimate_of(parameters: Sequence[Estimate], name: str) -> Estimate:
+    """Return a parameter's estimate by its name.
+
+    Raises:
+        ChoiceError: no parameter of that name; the message lists those there are.
+    """
+    by_name = {estimate.name: estimate for estimate in parameters}
+    if name not in by_name:
+        raise ChoiceError("parameter", name, by_name)
+    return by_name[name]
 
 
 @dataclass(frozen=True, repr=False)

@@ -18,12 +18,13 @@ from vjm.experiment.checks import (
     _coverage_warnings,
     _distance_warnings,
     _gap_warnings,
-    _moves,
     _torque_difference,
     _unit_warnings,
+    cleaned,
+    moves,
 )
 from vjm.experiment.load import load_experiment
-from vjm.records import Experiment, Recording
+from vjm.records import Experiment, Link, Recording, Rig
 
 NOISE = 3e-4
 ARCS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
@@ -138,13 +139,13 @@ def test_what_only_resembles_clipping() -> None:
 def test_noise_and_motion() -> None:
     noise = np.random.default_rng(0).normal(0.0, NOISE, 2000)
     for given in (NOISE, None):
-        assert not _moves(noise, given)
-        assert _moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given)
-    assert not _moves(np.full(50, 0.1 + 0.2), None)
-    assert not _moves(np.full(97, 0.1), None)
-    assert not _moves(np.full(50, np.nan), None)
+        assert not moves(noise, given)
+        assert moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given)
+    assert not moves(np.full(50, 0.1 + 0.2), None)
+    assert not moves(np.full(97, 0.1), None)
+    assert not moves(np.full(50, np.nan), None)
     fast = 0.05 * np.sin(2.0 * np.pi * 31.0 * TIME)  # near half the sampling rate, differences are no longer noise
-    assert _moves(fast, None)
+    assert moves(fast, None)
 
 
 def test_absence() -> None:
@@ -289,3 +290,14 @@ def test_markers_in_millimetres_are_refused_once_they_are_used(tmp_path: Path) -
     shrunk = replace(experiment, recordings=(replace(free, markers=0.02 * free.markers),))
     with pytest.raises(RecordingError, match=r"are 20.* times"):
         _ = shrunk.cleaned_recordings
+
+
+@pytest.mark.parametrize("length", [0.03, 1.0, 30.0])
+def test_what_is_left_out_does_not_depend_on_the_size_of_the_arm(length: float) -> None:
+    link = Link("beam", "clamped", length, 1.0, 1.0, tuple(length * arc for arc in (0.2, 0.6, 1.0)))
+    markers = np.tile(np.column_stack([link.markers, np.zeros(3)]), (20, 1, 1))
+    markers[3, 2, 0] += 0.015 * length  # less than 4 % of the distances: a scale or a marker that is off
+    markers[7, 2, 0] += 0.05 * length
+    recording = Recording(np.arange(20) / 20, markers, kind="decay", file="decay.csv")
+    left = cleaned(Rig("rig", (link,)), recording).markers
+    assert np.flatnonzero(np.isnan(left).any(axis=(1, 2))).tolist() == [7]

@@ -21,6 +21,8 @@ TOML_CASES = [  # old text, new text, table, key, words of the message
     ("schema = 1", "schema = 1.0", "", "schema", ["got 1.0"]),
     ('name = "two links"\n', "", "", "name", ["missing"]),
     ('name = "two links"', 'name = ""', "", "name", ["not empty"]),
+    ('name = "two links"', 'name = "\\u001b[2J"', "", "name", ["control characters"]),
+    ('name = "two links"', '"\\u001b[2J\\n" = 1', "", "\x1b[2J\n", ["key '\\u001b[2J\\n'", "unknown key"]),
     ('name = "two links"', 'nme = "two links"', "", "nme", ["unknown key", "did you mean 'name'", "schema, name"]),
     ("[sensors]", "[sensor]", "", "sensor", ["unknown key", "did you mean 'sensors'"]),
     ("[base]\ngravity = [0.0, -9.81]\n", "", "", "base", ["missing", "m/s^2"]),
@@ -42,6 +44,12 @@ TOML_CASES = [  # old text, new text, table, key, words of the message
     ("length = 1.0", 'length = "1.0"', LINK, "length", ["got '1.0'"]),
     ("length = 1.0", "length = true", LINK, "length", ["got True"]),
     ("length = 1.0", "length = inf", LINK, "length", ["got inf"]),
+    ("length = 1.0", "length = 1e9", LINK, "length", ["got 1000000000.0", "from 1e-9 to 1e6"]),
+    ("mass = 0.4", "mass = 4e-301", LINK, "mass", ["got 4e-301", "from 1e-14 to 1e9"]),
+    ("hub_inertia = 0.02", "hub_inertia = 2e298", LINK, "hub_inertia", ["at most 1e15"]),
+    ("bending_stiffness = 1.5", "bending_stiffness = 1.5e300", TIP, "bending_stiffness", ["from 1e-18 to 1e18"]),
+    ("gravity = [0.0, -9.81]", "gravity = [0.0, -9.81e9]", "base", "gravity", ["item 2 is -9810000000.0", "1e8"]),
+    ("marker_noise = 0.0005", "marker_noise = 5e-304", "sensors", "marker_noise", ["from 1e-12 to 1e6"]),
     ("length = 1.0", "length = 1979-05-27", LINK, "length", ["positive number [m]"]),
     ("length = 1.0", "lenght = 1.0", LINK, "lenght", ["unknown key", "did you mean 'length'", "1 more fault "]),
     ("mass = 0.4", "mass = 0.0", LINK, "mass", ["positive number [kg]"]),
@@ -52,8 +60,9 @@ TOML_CASES = [  # old text, new text, table, key, words of the message
     ("bending_stiffness = 1.5\n", "", TIP, "bending_stiffness", ["missing", "either youngs_modulus"]),
     ("bending_stiffness = 1.5", "bending_stiffness = 1.5\nwidth = 0.03", TIP, "width", ["together", "either"]),
     ("bending_stiffness = 1.5", "bending_stiffness = 0", TIP, "bending_stiffness", ["positive number [N m^2]"]),
-    ("thickness = 0.002", "thickness = 1e-200", LINK, "youngs_modulus", ["comes out as 0"]),
-    ("thickness = 0.002", "thickness = 1e200", LINK, "youngs_modulus", ["comes out as inf"]),
+    ("thickness = 0.002", "thickness = 1e-200", LINK, "thickness", ["got 1e-200", "from 1e-9 to 1e6"]),
+    ("thickness = 0.002", "thickness = 2e6", LINK, "thickness", ["got 2000000.0", "from 1e-9 to 1e6"]),
+    ("thickness = 0.002", "thickness = 1e-9", LINK, "youngs_modulus", ["comes out as 1.75e-19", "1e-18 to"]),
     (ARM_MARKERS, "markers = [0.25, 0.5, 1.2]", LINK, "markers", ["item 3 is 1.2", "beyond the link", "1 m"]),
     (ARM_MARKERS, "markers = [0.5, 0.25, 1.0]", LINK, "markers", ["item 2 is 0.25", "strictly increasing"]),
     (ARM_MARKERS, "markers = [0.5, 0.5, 1.0]", LINK, "markers", ["strictly increasing"]),
@@ -179,6 +188,10 @@ def emptied(column: str) -> Callable[[list[str], list[list[str]]], str]:
     return change
 
 
+def scaled_time(factor: float) -> Callable[[list[str], list[list[str]]], str]:
+    return lambda columns, cells: csv_text(columns, [[repr(factor * float(t)), *rest] for t, *rest in cells])
+
+
 ARM_COLUMNS = ["arm.m1.x", "arm.m1.y", "arm.m2.x", "arm.m2.y", "arm.m3.x", "arm.m3.y"]
 FIRST_CELL = rows(DRIVEN)[0][0]
 
@@ -235,6 +248,14 @@ CSV_CASES: list[tuple[Callable[[list[str], list[list[str]]], str], int | None, s
     (emptied("arm.theta"), None, "arm.theta", ["every cell is empty"]),
     (emptied("arm.tau"), None, "arm.tau", ["every cell is empty"]),
     (lambda columns, cells: csv_text(columns, cells[:18]), None, None, ["9 usable frames", "at least 10"]),
+    (cell(41, "t", "1e9"), 41, "t", ["1e+09 s after the row before", "every 0.02 s", "split"]),
+    (cell(41, "t", "1e300"), 41, "t", ["1e+300 s is beyond any arm"]),
+    (cell(3, "t", "1e-13"), 3, "t", ["1e-13 s after the sensor's measurement before"]),
+    (scaled_time(1e12), None, "t", ["3.9e+11 s from the first row to the last", "at most 1e+10 s"]),
+    (cell(4, "arm.theta", "-1e300"), 4, "arm.theta", ["-1e+300 rad is beyond any arm"]),
+    (cell(4, "arm.tau", "1e300"), 4, "arm.tau", ["1e+300 N m is beyond any arm"]),
+    (cell(4, "arm.m2.x", "1e300"), 4, "arm.m2.x", ["1e+300 m is beyond any arm"]),
+    (header("arm.tau", "\x1b[31m\u202e"), 1, "\x1b[31m\u202e", ["column '\\u001b[31m\\u202e'"]),
 ]  # fmt: skip
 
 

@@ -14,15 +14,17 @@ import numpy as np
 from vjm.errors import RecordingError
 
 if TYPE_CHECKING:
-    from vjm.experiment.records import Array, Indices, Mask, Recording, Rig
+    from vjm.experiment.conventions import Conventions
+    from vjm.experiment.records import Array, Indices, Link, Mask, Recording, Rig
 
-_DEFAULT_NOISE = 1e-3  # m or rad, as much as a sensor may have where the experiment does not give it
+# Of the link's length, or of a radian: as much as a sensor may have where the experiment does not give it.
+DEFAULT_NOISE = 1e-3
 
 
-def experiment_warnings(rig: Rig, recordings: Sequence[Recording]) -> Iterator[str]:
+def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: Conventions) -> Iterator[str]:
     """Yield everything the checks have to say about an experiment, recording by recording, then across them."""
     for recording in recordings:
-        yield from (f"{recording.file}: {sentence}" for sentence in _recording_warnings(rig, recording))
+        yield from (f"{recording.file}: {sentence}" for sentence in _recording_warnings(rig, recording, conventions))
     yield from _repeat_warnings(recordings)
     for recording in recordings:
         label = recording.condition
@@ -51,7 +53,7 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     wrong = clipped.reshape(recording.markers.shape)
     for link, own in zip(rig.links, rig.marker_slices, strict=True):
         arcs, markers = np.array(link.markers), recording.markers[:, own]
-        impossible = _impossible(markers, arcs, rig.marker_noise or _DEFAULT_NOISE)
+        impossible = _impossible(markers, link, rig.marker_noise)
         seen = np.isfinite(markers).any(axis=2)
         if seen.any() and impossible[seen].all():
             first, second = np.triu_indices(arcs.size, 1)
@@ -67,12 +69,13 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     return replace(recording, markers=np.where(wrong, np.nan, recording.markers))
 
 
-def _impossible(markers: Array, arcs: Array, noise: float) -> Mask:
-    """Return which markers (T, k) of one link, at arc lengths (k,) [m], cannot be where they were seen."""
+def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
+    """Return which markers (T, k) of a link cannot be where they were seen, given their noise [m] if it is known."""
+    arcs = np.array(link.markers)
     # A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found,
-    # not to be left out. As a share of the distance, and at least 1 cm.
-    slack = np.maximum(0.04 * np.abs(arcs[:, None] - arcs), 0.01)
-    beyond = _distances(markers) > _distance_limits(arcs, noise) + slack
+    # not to be left out. As a share of the distance, and at least one of the length.
+    slack = np.maximum(0.04 * np.abs(arcs[:, None] - arcs), 0.01 * link.length)
+    beyond = _distances(markers) > _distance_limits(arcs, noise or DEFAULT_NOISE * link.length) + slack
     count = beyond.sum(axis=(1, 2)) // 2
     culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)  # all such pairs are its
     single = culprit.sum(axis=1) == 1
@@ -120,7 +123,7 @@ def _clipped_runs(values: Array) -> tuple[Indices, Indices]:
     return starts[clipped], lengths[clipped]
 
 
-def _recording_warnings(rig: Rig, recording: Recording) -> Iterator[str]:
+def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions) -> Iterator[str]:
     frames = recording.frames
     time, markers = recording.time[frames], recording.markers[frames]
     names = [f"{link.name}.m{number}" for link in rig.links for number in range(1, len(link.markers) + 1)]
@@ -131,22 +134,30 @@ def _recording_warnings(rig: Rig, recording: Recording) -> Iterator[str]:
     for quantity, values in sensors if recording.input == "torque" else sensors[:1]:
         for index, column in zip(rig.active_links, values.T, strict=True):
             measured = recording.time[np.isfinite(column)]
-            yield from _coverage_warnings(f"{rig.links[index].name}.{quantity}", measured, time)
+            name = conventions.name_in_files(f"{rig.links[index].name}.{quantity}")
+            yield from _coverage_warnings(name, measured, time)
     torque = recording.kind == "driven" and recording.input == "torque"
     if torque and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
         yield "every torque is zero, though the kind is 'driven'"
+    reach = sum(link.length for link in rig.links)
     with np.errstate(over="ignore", invalid="ignore"):  # absurd coordinates deserve the sentence on units, not noise
-        units = list(_unit_warnings(markers, sum(link.length for link in rig.links)))
+        units = list(_unit_warnings(markers, reach))
         yield from units
         for link, own in zip(rig.links, rig.marker_slices, strict=True):
             if not units and len(link.markers) > 1:
-                noise = rig.marker_noise or _DEFAULT_NOISE
+                noise = rig.marker_noise or DEFAULT_NOISE * link.length
                 yield from _distance_warnings(time, markers[:, own], np.array(link.markers), names[own], noise)
-        moving = [_moves(values, rig.marker_noise) for values in recording.markers.reshape(len(recording.time), -1).T]
-        moving += [_moves(values, rig.encoder_noise) for values in recording.theta.T]
+        places = recording.markers.reshape(len(recording.time), -1)
+        moving = [moves(values, rig.marker_noise, reach) for values in places.T]
+        moving += [moves(values, rig.encoder_noise) for values in recording.theta.T]
         if recording.kind in ("driven", "decay") and not any(moving):
             yield f"nothing moves beyond the noise, though the recording is of kind '{recording.kind}'"
-    coordinates = [f"{name}.{axis}" for name in names for axis in "xy"]
+    coordinates = [
+        conventions.source_of(f"{link.name}.m{number}", axis, link.markers_frame)
+        for link in rig.links
+        for number in range(1, len(link.markers) + 1)
+        for axis in ("x", "y")
+    ]
     yield from _clipping_warnings(time, markers.reshape(len(time), -1), coordinates)
 
 
@@ -238,15 +249,15 @@ def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> Ite
         )
 
 
-def _moves(values: Array, noise: float | None) -> bool:
-    """Return True if a signal (N,) [m or rad] spreads over more than its noise explains."""
+def moves(values: Array, noise: float | None, unit: float = 1.0) -> bool:
+    """Return True if a signal (N,) spreads over more than its noise explains; its unit is a length [m], or a radian."""
     measured = values[np.isfinite(values)]
     if measured.size < 2:
         return False
     if noise is None:  # told by first differences of a well sampled signal; fast motion inflates them
         differences = np.diff(measured)
         deviation = np.median(np.abs(differences - np.median(differences)))
-        noise = min(1.4826 * deviation / np.sqrt(2.0), _DEFAULT_NOISE)  # 1.4826: standard over median deviation
+        noise = min(1.4826 * deviation / np.sqrt(2.0), DEFAULT_NOISE * unit)  # 1.4826: standard over median deviation
     # The range of a sinusoid of the same variance; the plain range would grow with the number of samples.
     spread = 2.0 * np.sqrt(2.0) * (measured - measured[0]).std()  # from the first: a constant has exactly none
     return bool(spread > 4.0 * noise)  # pure noise spreads over 2.8 sigma

@@ -8,6 +8,8 @@ import math
 import os
 import re
 import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import GenericAlias
 from typing import Any
@@ -16,17 +18,35 @@ import numpy as np
 import pandas as pd
 from pydantic import BaseModel, Field, ValidationError, create_model
 
-from vjm.errors import ExperimentError, RecordingError, shown
-from vjm.experiment.records import Array, Experiment, Indices, Link, Recording, Rig, check_columns
+from vjm.errors import ExperimentError, RecordingError, shown, suggestion
+from vjm.experiment.columns import check_known_columns, known_columns, needed_columns
+from vjm.experiment.conventions import Camera, Conventions, Units
+from vjm.experiment.records import (
+    Array,
+    Experiment,
+    Indices,
+    Link,
+    Recording,
+    Rig,
+    check_time,
+)
 from vjm.experiment.schema import STRICT, explain, table_model
+from vjm.files import check_file, read_file
 
 _TEXT = "a CSV text file in UTF-8"
 _SECTIONS: dict[str, Any] = {
     "base": table_model(Rig, ("gravity",), ("gravity",)),
     "link": table_model(Link, required=("markers",)),
     "sensors": table_model(Rig, ("marker_noise", "encoder_noise")),
-    "recording": table_model(Recording, required=("file", "role")),
+    "units": table_model(Units),
+    "camera": table_model(Camera),
+    "recording": create_model(
+        "recording",
+        __base__=table_model(Recording, required=("file", "role")),
+        motors_file=(str | None, Field(None, description="the name of a CSV file, relative to the experiment file")),
+    ),
 }
+_COLUMNS = 'a name of the documentation and the files\' own, as "beam.m1.x" = "Marker1_X"'
 _FIELDS: dict[str, Any] = {
     "schema_": (int, Field(alias="schema", ge=1, le=1, description="schema = 1, the only one there is")),
     "name": (str, table_model(Rig, ("name",)).model_fields["name"]),
@@ -36,6 +56,9 @@ _FIELDS: dict[str, Any] = {
         Field(min_length=1, description="at least one table [[link]], from the base outwards"),
     ),
     "sensors": (_SECTIONS["sensors"], Field(default=None, description="a table [sensors]")),
+    "units": (_SECTIONS["units"], Field(default=None, description="a table [units] of the recordings' units")),
+    "camera": (_SECTIONS["camera"], Field(default=None, description="a table [camera]")),
+    "columns": (dict[str, Any], Field(default=None, description=f"a table [columns], in each line {_COLUMNS}")),
     "recording": (
         GenericAlias(list, _SECTIONS["recording"]),
         Field(min_length=1, description="at least one table [[recording]]"),
@@ -71,26 +94,70 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         for index, table in enumerate(document["link"]):
             table_name = _table_name(document, "link", index)
             links.append(Link(**table))
-        table_name = ""  # faults of the rig name their own
+        table_name = ""  # faults of the rig and of the camera name their own
         rig = Rig(document["name"], tuple(links), **document["base"], **document.get("sensors", {}))
         rig.require_markers()
+        camera = Camera(**document.get("camera", {}))
     except ExperimentError as error:
         raise error.at(file, table_name) from error
+    if "camera" in document and not any(link.markers_frame == "base" and link.markers for link in rig.links):
+        problem = (
+            "every link's markers are in its own frame (markers_frame = \"link\"), which the camera's pose is not in"
+        )
+        raise ExperimentError(file, "camera", "", problem, 'no [camera], or markers_frame = "base"')
+    columns = _own_columns(file, document.get("columns", {}), rig, camera)
+    conventions = Conventions(Units(**document.get("units", {})), camera, columns)
     files = _recording_files(file, document)
-    tables = zip(files, document["recording"], strict=True)
-    recordings = [_read_recording(source, table, rig) for source, table in tables]
-    return Experiment(rig, tuple(recordings), file)
+    found: dict[str, None] = {}  # all files' columns, in order
+    recordings = [
+        _read_recording(*sources, dict(table), rig, conventions, found)
+        for sources, table in zip(files, document["recording"], strict=True)
+    ]
+    for ours, theirs in columns.items():
+        if theirs not in found and ours not in found:
+            near = suggestion(theirs, found)
+            problem = f"no recording has a column {shown(theirs)}{near}"
+            raise ExperimentError(file, "columns", ours, problem, "the name in the files' header")
+    known = {*known_columns(rig, "xyz"), *columns.values()}
+    return Experiment(rig, tuple(recordings), file, conventions, tuple(name for name in found if name not in known))
+
+
+def _own_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera) -> dict[str, str]:
+    """Return the files' names of columns by the documentation's, of [columns], in which bare dotted keys nest."""
+    columns: dict[str, str] = {}
+    letters = "".join(sorted({*"xy", *camera.letters}))
+    known = list(known_columns(rig, letters))
+
+    def collect(prefix: str, value: Any) -> None:
+        if isinstance(value, dict) and value:
+            for key, item in value.items():
+                collect(f"{prefix}.{key}" if prefix else key, item)
+            return
+        if prefix not in known:
+            problem = f"unknown column{suggestion(prefix, known)}"
+            raise ExperimentError(file, "columns", prefix, problem, f"only the names {', '.join(known)}")
+        if not isinstance(value, str) or not value.strip():
+            raise ExperimentError(file, "columns", prefix, f"got {shown(value)}", "the name of a column, a string")
+        other = next((ours for ours, theirs in columns.items() if theirs == value.strip()), None)
+        if other is not None:
+            expected = "a column of its own for each name"
+            raise ExperimentError(file, "columns", prefix, f"{shown(value)} is already '{other}'", expected)
+        columns[prefix] = value.strip()
+
+    if table:
+        collect("", table)
+    return columns
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        raw = file.read_bytes()
+        raw = read_file(file)
     except FileNotFoundError as error:
         raise ExperimentError(file, "", "", "there is no such file", "an experiment file (TOML)") from error
     except IsADirectoryError as error:
         raise ExperimentError(file, "", "", "this is a directory", "the experiment file (TOML) itself") from error
-    except (OSError, ValueError) as error:
-        raise ExperimentError(file, "", "", f"cannot be read ({error})", "a readable file") from error
+    except OSError as error:
+        raise ExperimentError(file, "", "", f"cannot be read ({error.strerror})", "a readable file") from error
     try:
         return tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
@@ -127,48 +194,166 @@ def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> Ex
     return ExperimentError(file, table, key, problem + note, expected)
 
 
-def _recording_files(file: Path, document: dict[str, Any]) -> list[Path]:
-    paths: list[Path] = []
-    first: dict[Path, int] = {}
+def _recording_files(file: Path, document: dict[str, Any]) -> list[tuple[Path, Path | None]]:
+    """Return for each recording its file and, where there is one, that of its motors."""
+    paths: list[tuple[Path, Path | None]] = []
+    first: dict[str, int] = {}
     tables = document["recording"]
     for index, table in enumerate(tables):
         place = _table_name(document, "recording", index)
-        path = file.parent / table["file"]
-        try:
-            exists, resolved = path.is_file(), path.resolve()
-        except (OSError, ValueError) as error:
-            raise ExperimentError(file, place, "file", f"{path} cannot be read ({error})", "a CSV file") from error
-        if not exists:
-            problem = f"{path} is a directory" if path.is_dir() else f"there is no file {path}"
-            raise ExperimentError(file, place, "file", problem, "a CSV file, its path relative to the experiment file")
-        number = first.setdefault(resolved, index)
+        path = _existing(file, place, "file", table["file"])
+        number = first.setdefault(os.path.realpath(path), index)
         role = tables[number]["role"]
         if role != table["role"]:
             problem = f"the same file is recording[{number + 1}], of role '{role}'"
             raise ExperimentError(file, place, "file", problem, "a file to be either train or holdout")
-        paths.append(path)
+        motors = table.get("motors_file")
+        paths.append((path, None if motors is None else _existing(file, place, "motors_file", motors)))
     return paths
 
 
-def _read_recording(file: Path, table: dict[str, Any], rig: Rig) -> Recording:
-    """Return the recording in a CSV file; its table in the experiment file is valid by itself."""
-    columns, body = _read_text(file)
-    check_columns(file, columns, rig, table["kind"], table.get("input", "torque"), row=1)
+def _existing(file: Path, place: str, key: str, name: str) -> Path:
+    path = file.parent / name
+    try:
+        check_file(path)
+    except FileNotFoundError as error:
+        expected = "a CSV file, its path relative to the experiment file"
+        raise ExperimentError(file, place, key, f"there is no file {path}", expected) from error
+    except OSError as error:
+        raise ExperimentError(file, place, key, f"{path} cannot be read ({error.strerror})", "a CSV file") from error
+    return path
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Numbers of a recording file.
+
+    Attributes:
+        file: the CSV file.
+        values: (T,) numbers of each column, in the file's units; NaN for an empty cell.
+        lines: (T,) of the file, the header being line 1.
+    """
+
+    file: Path
+    values: dict[str, Array]
+    lines: Indices
+
+
+def _read_recording(
+    file: Path, motors: Path | None, table: dict[str, Any], rig: Rig, conventions: Conventions, found: dict[str, None]
+) -> Recording:
+    """Return the recording in a CSV file, or two; its table in the experiment file is valid by itself.
+
+    Names of the files' columns are added to `found`.
+    """
+    table.pop("motors_file", None)
+    axes, sources = conventions.camera.letters, [file] if motors is None else [file, motors]
+    tables = [_read_table(source, rig, conventions, found) for source in sources]
+    columns = [column for each in tables for column in each.values]
+    for column in tables[-1].values if motors is not None else ():
+        if column != "t" and ".m" in column:
+            problem, expected = "a marker's column in a motors_file", "only times, angles and torques"
+            raise RecordingError(tables[-1].file, 1, conventions.name_in_files(column), problem, expected)
+        if column != "t" and column in tables[0].values:
+            problem = f"the column is in {file.name} as well"
+            raise RecordingError(tables[-1].file, 1, conventions.name_in_files(column), problem, "it in one of them")
+    torque = table["kind"] == "driven" and table.get("input", "torque") == "torque"
+    for column, expected in needed_columns(columns, rig, torque, axes):
+        source = tables[-1] if column.rpartition(".")[2] in ("theta", "tau") else tables[0]
+        if column not in columns or (column == "t" and any("t" not in each.values for each in tables)):
+            source = next((each for each in tables if column == "t" and "t" not in each.values), source)
+            own = conventions.name_in_files(column)
+            raise RecordingError(source.file, 1, own, "the column is missing", expected)
+    return _to_recording(_merged(tables, conventions), tables, table, rig, conventions)
+
+
+def _read_table(file: Path, rig: Rig, conventions: Conventions, found: dict[str, None]) -> _Table:
+    """Return the numbers of a file's columns that are named; others are an error unless [columns] names some."""
+    header, body = _read_text(file)
+    found.update(dict.fromkeys(header))
+    letters = "".join(sorted({*"xy", *conventions.camera.letters}))
+    names = [conventions.standard_name(name) for name in header]
+    known = set(known_columns(rig, letters))
+    used = tuple(not conventions.columns or name in known for name in names)
+    try:
+        check_known_columns(file, [name for name, use in zip(names, used, strict=True) if use], rig, 1, letters)
+    except RecordingError as error:
+        column = conventions.name_in_files(error.column or "")
+        raise RecordingError(file, 1, column, error.problem, error.expected) from error
     if not body or body.isspace():
         raise RecordingError(file, None, None, "no row follows the header", "rows of numbers")
-    values, lines = _parse_at_once(body, columns) or _parse_row_by_row(file, columns, body.decode("utf-8"))
+    parsed = _parse_at_once(body, len(header)) or _parse_row_by_row(file, header, body.decode("utf-8"), used)
+    columns = [(name, column) for name, use, column in zip(names, used, parsed[0].T, strict=True) if use]
+    return _Table(file, dict(columns), parsed[1])
+
+
+def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[str, Array], Indices]:
+    """Return the columns (T,) of one or two files by their time, and the row of each file (T, files); -1 for none."""
+    times = [table.values["t"] for table in tables]
+    for table, time in zip(tables, times, strict=True):
+        try:
+            check_time(str(table.file), conventions.name_in_files("t"), time)
+        except RecordingError as error:
+            row = None if error.index is None else int(table.lines[error.index])
+            raise RecordingError(table.file, row, error.column, error.problem, error.expected) from error
+    if len(tables) == 1:
+        return dict(tables[0].values), np.arange(times[0].size)[:, None]
+    first, second = times
+    # Instants that differ by rounding share a row: in a ten thousandth of a sample no signal changes noticeably.
+    tolerance = 1e-4 * float(np.median(np.diff(second))) if second.size > 1 else 0.0
+    nearest = np.clip(np.searchsorted(first, second - tolerance), 0, first.size - 1)
+    alike = np.abs(first[nearest] - second) <= tolerance
+    alike[1:] &= (nearest[1:] != nearest[:-1]) | ~alike[:-1]
+    time = np.concatenate([first, second[~alike]])
+    order = np.argsort(time, kind="stable")
+    rows = np.full((time.size, 2), -1, dtype=np.intp)
+    rows[: first.size, 0] = np.arange(first.size)
+    rows[nearest[alike], 1] = np.flatnonzero(alike)
+    rows[first.size :, 1] = np.flatnonzero(~alike)
+    rows = rows[order]
+    values = {"t": time[order]}
+    for table, own in zip(tables, rows.T, strict=True):
+        for column, numbers in table.values.items():
+            if column != "t":
+                values[column] = np.where(own >= 0, numbers[own], np.nan)
+    return values, rows
+
+
+def _to_recording(
+    merged: tuple[dict[str, Array], Indices],
+    tables: Sequence[_Table],
+    table: dict[str, Any],
+    rig: Rig,
+    conventions: Conventions,
+) -> Recording:
+    """Return a recording in SI and the base frame of the numbers in its files."""
+    values, rows = merged
+    with np.errstate(over="ignore"):  # of absurd numbers; infinite ones are refused
+        si = {name: numbers * conventions.units.factor(name) for name, numbers in values.items()}
+        for link in rig.links:
+            for k in range(1, len(link.markers) + 1) if link.markers_frame == "base" else ():
+                marker = f"{link.name}.m{k}"
+                seen = [si.pop(f"{marker}.{letter}", None) for letter in conventions.camera.letters]
+                for letter in "xyz":
+                    si.pop(f"{marker}.{letter}", None)
+                if seen[0] is not None and seen[1] is not None:
+                    si[f"{marker}.x"], si[f"{marker}.y"] = conventions.camera.to_base(seen[0], seen[1])
     try:
-        return Recording.from_dataframe(pd.DataFrame(values, columns=list(columns)), rig, **table)
+        return Recording.from_dataframe(pd.DataFrame(si), rig, **table)
     except RecordingError as error:
-        row = None if error.index is None else int(lines[error.index])
-        raise RecordingError(file, row, error.column, error.problem, error.expected) from error
+        columns = [error.column or "", conventions.name_in_files(error.column or "")]
+        owners = [k for k, each in enumerate(tables) if columns[0] in each.values]  # both of the time
+        own = next((k for k in reversed(owners) if error.index is None or rows[error.index, k] >= 0), 0)
+        row = -1 if error.index is None else int(rows[error.index, own])
+        line = int(tables[own].lines[row]) if row >= 0 else None
+        raise RecordingError(tables[own].file, line, columns[1] or None, error.problem, error.expected) from error
 
 
 def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
     try:
-        raw = file.read_bytes()
-    except (OSError, ValueError) as error:
-        raise RecordingError(file, None, None, f"cannot be read ({error})", "a readable file") from error
+        raw = read_file(file)
+    except OSError as error:
+        raise RecordingError(file, None, None, f"cannot be read ({error.strerror})", "a readable file") from error
     try:
         raw.isascii() or raw.decode("utf-8")  # the former is much faster
     except UnicodeDecodeError as error:
@@ -188,30 +373,35 @@ def _split_header(file: Path, header: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in next(csv.reader([header], strict=True), []))
     except csv.Error as error:
         raise RecordingError(file, 1, None, f"the header cannot be read ({error})", "column names") from error
+    if not names:
+        raise RecordingError(file, 1, None, "the header is empty", "column names")
     separator = next((mark for mark in ";\t" if len(names) == 1 and mark in header), None)
     if separator is not None:
         raise RecordingError(file, 1, None, f"cells are separated by {separator!r}", "cells separated by commas")
     return names
 
 
-def _parse_at_once(body: bytes, columns: tuple[str, ...]) -> tuple[Array, Indices] | None:
-    """Return the (T, c) values and their lines if every line is a full row of finite numbers; None otherwise."""
+def _parse_at_once(body: bytes, count: int) -> tuple[Array, Indices] | None:
+    """Return the (T, count) values and their lines if every line is a full row of finite numbers; else None."""
     separators = body.translate(None, b"0123456789+-.eE \t\r") + b"\n"  # and whatever does not belong in a number
-    line = b"," * (len(columns) - 1) + b"\n"
-    if separators != line * (len(separators) // len(columns)) or body.count(b"\r") != body.count(b"\r\n"):
+    line = b"," * (count - 1) + b"\n"
+    if separators != line * (len(separators) // count) or body.count(b"\r") != body.count(b"\r\n"):
         return None
     options: dict[str, Any] = {"index_col": False, "skip_blank_lines": False, "low_memory": False, "engine": "c"}
     empty: dict[str, Any] = {"na_values": [""], "keep_default_na": False}
     try:
-        frame = pd.read_csv(io.BytesIO(body), header=None, names=list(columns), dtype=np.float64, **options, **empty)
+        frame = pd.read_csv(io.BytesIO(body), header=None, names=range(count), dtype=np.float64, **options, **empty)
     except ValueError:  # a cell such as 1-2: the slow path says where
         return None
     values = frame.to_numpy(dtype=np.float64)
     return None if np.isinf(values).any() else (values, np.arange(2, len(values) + 2, dtype=np.intp))
 
 
-def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str) -> tuple[Array, Indices]:
-    """Return (T, c) values and their lines of text that has quotes, blank lines, or a fault, which is located."""
+def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str, used: tuple[bool, ...]) -> tuple[Array, Indices]:
+    """Return (T, c) values and their lines of text that has quotes, blank lines, or a fault, which is located.
+
+    Columns that are not `used` are NaN, whatever they hold.
+    """
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     rows: list[list[float]] = []
     lines: list[int] = []
@@ -223,7 +413,8 @@ def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str) -> tuple[
             if len(cells) != len(columns):
                 problem = f"{len(cells)} cell{'' if len(cells) == 1 else 's'}"
                 raise RecordingError(file, line, None, problem, f"{len(columns)} cells, as in the header")
-            rows.append([_parse_cell(file, line, *item) for item in zip(columns, cells, strict=True)])
+            named = zip(columns, cells, used, strict=True)
+            rows.append([_parse_cell(file, line, name, cell) if use else math.nan for name, cell, use in named])
             lines.append(line)
     except csv.Error as error:
         line = reader.line_num + 1

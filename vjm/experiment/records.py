@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Le, MinLen, Predicate
+from annotated_types import Ge, Le, MinLen, Predicate
 from numpy.typing import ArrayLike, NDArray
 
-from vjm.errors import ExperimentError, RecordingError, shown, suggestion
+from vjm.errors import ExperimentError, RecordingError, printable, shown
 from vjm.experiment.checks import cleaned, experiment_warnings
+from vjm.experiment.columns import angle_of, check_columns
+from vjm.experiment.conventions import Conventions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,15 +33,35 @@ Mask = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 
 # Fields of the records and keys of the experiment file alike: type, constraints, and what errors say is expected.
-_Gravity = Annotated[tuple[float, float], "two finite numbers, gravity along x and y of the base frame [m/s^2]"]
-_Payload = Annotated[float, Ge(0), "a finite number, zero or positive [kg]"]
-_Metres = Annotated[float, Gt(0), "a finite positive number [m]"]
-_OptionalMetres = Annotated[float | None, Gt(0), "a finite positive number [m]"]
+# Bounds are those of anything that was ever called an arm, a thousand times wider for a number in the wrong unit, which
+# is to be named as such: from the cantilever of an atomic force microscope (0.1 mm, 1 µm thick, 1e-11 kg, 1e-13 N m^2)
+# to a tower crane (100 m, 1e5 kg, 1e11 N m^2), from gels (1 Pa) to diamond (1e12 Pa), and a centrifuge's 1e5 m/s^2.
+_Acceleration = Annotated[float, Ge(-1e8), Le(1e8)]
+_Gravity = Annotated[
+    tuple[_Acceleration, _Acceleration],
+    "two finite numbers, gravity along x and y of the base frame [m/s^2], at most 1e8",
+]
+_Payload = Annotated[float, Ge(0), Le(1e9), "a finite number, zero or positive [kg], at most 1e9"]
+_Arc = Annotated[float, Ge(1e-9), Le(1e6)]
+_Metres = Annotated[float, Ge(1e-9), Le(1e6), "a finite positive number [m], from 1e-9 to 1e6"]
+_OptionalMetres = Annotated[float | None, Ge(1e-9), Le(1e6), "a finite positive number [m], from 1e-9 to 1e6"]
+_OptionalPascals = Annotated[float | None, Ge(1e-6), Le(1e15), "a finite positive number [Pa], from 1e-6 to 1e15"]
+_OptionalRadians = Annotated[float | None, Ge(1e-12), Le(1e6), "a finite positive number [rad], from 1e-12 to 1e6"]
+_PRINTABLE = Predicate(lambda name: printable(name) == name)
+_MIN_STIFFNESS, _MAX_STIFFNESS = 1e-18, 1e18  # N m^2
 
 T = TypeVar("T")
 _CELL = "a finite number, or NaN where nothing was measured"
 
 _MIN_FRAMES = 10  # usable ones, for a recording to be worth anything
+
+# Magnitudes that no arm's recordings reach, not even in the wrong unit: a tower crane's 100 m in µm are 1e8, counts of
+# an encoder 1e7, a wind turbine's torque of 1e7 N m in N mm is 1e10, the time of the epoch in µs is 2e15.
+_LARGEST = {"time": (1e18, "s"), "theta": (1e9, "rad"), "tau": (1e15, "N m"), "markers": (1e9, "m")}
+_MIN_INTERVAL, _MAX_DURATION = 1e-9, 1e10  # s; cameras take 1e7 frames/s at most, three hours in µs are 1e10
+# Signals are filtered on even instants from a recording's begin to its end, pauses included: no more of these than ten
+# for each row, or a hundred thousand.
+_INSTANTS_PER_ROW, _MOST_INSTANTS = 10, 1e5
 
 
 class _RigsGravity(tuple[float, float]):
@@ -78,15 +100,17 @@ class Link:
     name: Annotated[str, Predicate(re.compile("[A-Za-z0-9_]+").fullmatch), "a name of letters, digits and underscores"]
     joint: Annotated[Joint, '"revolute" or "clamped"']
     length: _Metres
-    mass: Annotated[float, Gt(0), "a finite positive number [kg]"]
-    bending_stiffness: Annotated[float, Gt(0), "a finite positive number [N m^2]"] = None  # type: ignore[assignment]
-    markers: Annotated[tuple[Annotated[float, Gt(0)], ...], "a list of finite positive numbers, arc lengths [m]"] = ()
-    hub_inertia: Annotated[float, Ge(0), "a finite number, zero or positive [kg m^2]"] = 0.0
+    mass: Annotated[float, Ge(1e-14), Le(1e9), "a finite positive number [kg], from 1e-14 to 1e9"]
+    bending_stiffness: Annotated[
+        float, Ge(_MIN_STIFFNESS), Le(_MAX_STIFFNESS), "a finite positive number [N m^2], from 1e-18 to 1e18"
+    ] = None  # type: ignore[assignment]
+    markers: Annotated[tuple[_Arc, ...], "a list of finite positive numbers, arc lengths [m]"] = ()
+    hub_inertia: Annotated[float, Ge(0), Le(1e15), "a finite number, zero or positive [kg m^2], at most 1e15"] = 0.0
     payload: _Payload = 0.0
     markers_frame: Annotated[MarkersFrame, '"base" or "link"'] = "base"
     width: _OptionalMetres = None
     thickness: _OptionalMetres = None
-    youngs_modulus: Annotated[float | None, Gt(0), "a finite positive number [Pa]"] = None
+    youngs_modulus: _OptionalPascals = None
     virtual_joints: Annotated[int | None, Ge(1), Le(60), "a whole number from 1 to 60"] = None
 
     def __post_init__(self) -> None:
@@ -119,9 +143,10 @@ class Link:
             return self.bending_stiffness
         if absent:
             self._refuse(absent[0] if given else "bending_stiffness", "missing", either)
-        if not (np.isfinite(stiffness) and stiffness > 0.0):
+        if not _MIN_STIFFNESS <= stiffness <= _MAX_STIFFNESS:
             problem = f"bending stiffness E w h^3 / 12 comes out as {stiffness:g}"
-            self._refuse("youngs_modulus", problem, "values that give a finite positive one")
+            expected = f"values that give {_MIN_STIFFNESS:g} to {_MAX_STIFFNESS:g} N m^2"
+            self._refuse("youngs_modulus", problem, expected)
         return stiffness
 
     def _refuse(self, key: str, problem: str, expected: str) -> None:
@@ -148,11 +173,16 @@ class Rig:
         ExperimentError: a field has the wrong type or value, or two links have one name.
     """
 
-    name: Annotated[str, MinLen(1), "the experiment's name, a string that is not empty"]
+    name: Annotated[
+        str,
+        MinLen(1),
+        _PRINTABLE,  # XML, and so URDF, holds no other
+        "the experiment's name, a string that is not empty and has no control characters",
+    ]
     links: tuple[Link, ...]
     gravity: _Gravity = (0.0, 0.0)
-    marker_noise: _OptionalMetres = None
-    encoder_noise: Annotated[float | None, Gt(0), "a finite positive number [rad]"] = None
+    marker_noise: Annotated[float | None, Ge(1e-12), Le(1e6), "a finite positive number [m], from 1e-12 to 1e6"] = None
+    encoder_noise: _OptionalRadians = None
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -236,7 +266,7 @@ class Recording:
         _check_fields(self, self.file)
         name = self.file or "recording"
         time = _array(name, "time", self.time, "(T,) instants [s]", (None,))
-        _check_time(name, "time", time)
+        check_time(name, "time", time)
         arrays = {
             key: _array(name, key, values, f"(T, number of active joints) {unit}", (time.size, None))
             for key, values, unit in (("theta", self.theta, "angles [rad]"), ("tau", self.tau, "torques [N m]"))
@@ -273,7 +303,7 @@ class Recording:
         columns = tuple(str(column) for column in frame.columns)
         check_columns(name, columns, rig, kind, fields.get("input", "torque"))
         values = {column: _numbers(name, column, frame[column]) for column in columns}
-        _check_time(name, "t", values["t"])
+        check_time(name, "t", values["t"])
         unknown = np.full(values["t"].size, np.nan)
 
         def gathered(names: Iterable[str]) -> Array:
@@ -324,6 +354,8 @@ class Experiment:
         rig: the arm; a bare link is fine too.
         recordings: in the file's order; a bare one is fine too.
         file: the experiment file, None for an experiment built in Python.
+        conventions: units, camera and column names of the recording files; the records themselves are SI.
+        unused_columns: those of the recording files that nothing names.
 
     Raises:
         ExperimentError: no recording, or recordings of one `repeat` label that differ in kind, payload or gravity.
@@ -333,6 +365,8 @@ class Experiment:
     rig: Rig
     recordings: tuple[Recording, ...]
     file: Path | None = None
+    conventions: Conventions = field(default_factory=Conventions)
+    unused_columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -373,7 +407,9 @@ class Experiment:
     @cached_property
     def warnings(self) -> tuple[str, ...]:
         """Sentences that a user should read before trusting results."""
-        return tuple(experiment_warnings(self.rig, self.recordings))
+        unused = [f"columns that nothing names are not used: {', '.join(self.unused_columns)}"]
+        found = experiment_warnings(self.rig, self.recordings, self.conventions)
+        return (*unused[: len(self.unused_columns)], *found)
 
     @cached_property
     def cleaned_recordings(self) -> tuple[Recording, ...]:
@@ -397,33 +433,6 @@ def _as_rig(rig: Rig | Link) -> Rig:
     return rig
 
 
-def check_columns(
-    name: Path | str,
-    columns: Sequence[str],
-    rig: Rig,
-    kind: Kind,
-    given: Input = "torque",
-    row: int | None = None,
-) -> None:
-    """Check that each column occurs once, that the rig knows it, and that none is missing.
-
-    Raises:
-        RecordingError: naming the column, the file or recording, and of a file the header's line `row`.
-    """
-    active = [rig.links[i].name for i in rig.active_links]
-    known = {"t", *(f"{link}.{quantity}" for link in active for quantity in ("theta", "tau"))}
-    known |= {column for link in rig.links for column in link.marker_columns}
-    for position, column in enumerate(columns):
-        if column in columns[:position]:
-            raise RecordingError(name, row, column, "the column occurs twice", "each column once")
-        if column not in known:
-            problem = _unknown_reason(column, rig, known) if column else "a column without a name"
-            raise RecordingError(name, row, column, problem, f"only the columns {_known_columns(rig)}")
-    for column, expected in _needed_columns(columns, rig, kind == "driven" and given == "torque"):
-        if column not in columns:
-            raise RecordingError(name, row, column, "the column is missing", expected)
-
-
 def _check_recording(rig: Rig, recording: Recording) -> None:
     name = recording.file or "recording"
     counts = ", ".join(f"{link.name} {len(link.markers)}" for link in rig.links)
@@ -434,7 +443,7 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         raise RecordingError(name, None, "markers", problem, f"{total}, as the links have: {counts}")
     width = recording.theta.shape[1]
     if active and not width:
-        raise RecordingError(name, None, f"{active[0]}.theta", "the column is missing", _angle_of(active[0]))
+        raise RecordingError(name, None, f"{active[0]}.theta", "the column is missing", angle_of(active[0]))
     if width != len(active):
         expected = f"{len(active)}, one for each active joint: {', '.join(active) or 'there is none'}"
         raise RecordingError(name, None, "theta", f"{width} column{'s' if width > 1 else ''}", expected)
@@ -453,6 +462,8 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         expected = "a link with an active joint"
         raise RecordingError(name, None, "input", "the motion of no joint is given: every link is clamped", expected)
     measured = np.isfinite(recording.markers)
+    seen = [measured.any(axis=(1, 2)), *np.isfinite(recording.theta).T, *np.isfinite(recording.tau).T]
+    _check_rate(name, recording.time, (recording.time[rows] for rows in seen))
     usable = measured[:, :, 1]
     for link, own in zip(rig.links, rig.marker_slices, strict=True):
         if link.markers_frame == "base":
@@ -494,14 +505,50 @@ def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[in
     if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
         there = "" if shape[0] is None else f" with T = {shape[0]}"
         raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{there}")
-    _check_finite(name, key, array)
+    _check_range(name, key, array, key)
     return array
 
 
-def _check_finite(name: str, column: str, values: Array) -> None:
-    infinite = np.isinf(values)
-    if infinite.any():
-        raise RecordingError(name, None, column, "an infinite value", _CELL, int(np.argwhere(infinite)[0, 0]))
+def _check_range(name: str, column: str, values: Array, quantity: str) -> None:
+    """Raise a `RecordingError` at the first number (T, ...) of a column that is infinite or beyond any arm's."""
+    largest, unit = _LARGEST[quantity]
+    beyond = np.argwhere(np.abs(values) > largest)
+    if beyond.size:
+        value, problem, expected = values[tuple(beyond[0])], "an infinite value", _CELL
+        if np.isfinite(value):
+            problem, expected = f"{value:.6g} {unit} is beyond any arm", f"at most {largest:g} {unit}; check its unit"
+        raise RecordingError(name, None, column, problem, expected, int(beyond[0, 0]))
+
+
+def _check_rate(name: str, time: Array, sensors: Iterable[Array]) -> None:
+    """Raise a `RecordingError` if the instants (T,) of a recording, or those of a sensor, are no sampling.
+
+    Args:
+        name: of the recording.
+        time: all instants [s].
+        sensors: of each sensor, the instants at which it measured anything [s].
+    """
+    duration = float(time[-1] - time[0])
+    if duration > _MAX_DURATION:
+        problem = f"{duration:.4g} s from the first row to the last"
+        raise RecordingError(name, None, "t", problem, f"at most {_MAX_DURATION:g} s; check the unit of time")
+    for instants in sensors:
+        intervals = np.diff(instants)
+        if not intervals.size:
+            continue
+        if intervals.min() < _MIN_INTERVAL:
+            index = int(np.searchsorted(time, instants[intervals.argmin() + 1]))
+            problem = f"{intervals.min():.4g} s after the sensor's measurement before"
+            raise RecordingError(name, None, "t", problem, f"at least {_MIN_INTERVAL:g} s", index)
+        usual = float(np.median(intervals))
+        if duration > usual * max(_MOST_INSTANTS, _INSTANTS_PER_ROW * time.size):
+            index = int(np.diff(time).argmax()) + 1
+            problem = (
+                f"{time[index] - time[index - 1]:.4g} s after the row before, where a sensor usually measures every "
+                f"{usual:.4g} s"
+            )
+            expected = "shorter pauses; split the recording there"
+            raise RecordingError(name, None, "t", problem, expected, index)
 
 
 def _numbers(name: str, column: str, values: pd.Series) -> Array:
@@ -510,7 +557,8 @@ def _numbers(name: str, column: str, values: pd.Series) -> Array:
         array = values.astype(object if np.iscomplexobj(values) else values.dtype).to_numpy(
             dtype=np.float64, na_value=np.nan, copy=True
         )
-        _check_finite(name, column, array)
+        quantity = {"t": "time"}.get(column, column.rpartition(".")[2])
+        _check_range(name, column, array, quantity if quantity in _LARGEST else "markers")
         return array
     for index, cell in enumerate(values):
         try:
@@ -520,7 +568,9 @@ def _numbers(name: str, column: str, values: pd.Series) -> Array:
     raise RecordingError(name, None, column, "not a column of numbers", _CELL)
 
 
-def _check_time(name: str, column: str, time: Array) -> None:
+def check_time(name: str, column: str, time: Array) -> None:
+    """Raise a `RecordingError` if a time (T,) is missing or time does not increase."""
+    _check_range(name, column, time, "time")
     bad = np.flatnonzero(np.isnan(time))
     if bad.size:
         raise RecordingError(name, None, column, "the time is missing", "a time in every row [s]", int(bad[0]))
@@ -529,46 +579,3 @@ def _check_time(name: str, column: str, time: Array) -> None:
         index = int(bad[0]) + 1
         problem = f"time does not increase, {time[index]:.9g} after {time[index - 1]:.9g}"
         raise RecordingError(name, None, column, problem, "a time later than the row before", index)
-
-
-def _known_columns(rig: Rig) -> str:
-    parts = ["t"]
-    for link in rig.links:
-        parts += [f"{link.name}.theta", f"{link.name}.tau"] if link.joint == "revolute" else []
-        count = len(link.markers)
-        numbers = "K = 1" if count == 1 else f"K = 1..{count}"
-        parts += [f"{link.name}.mK.x and {link.name}.mK.y ({numbers})"] if count else []
-    return ", ".join(parts)
-
-
-def _unknown_reason(column: str, rig: Rig, known: set[str]) -> str:
-    owner, _, quantity = column.partition(".")
-    link = {link.name: link for link in rig.links}.get(owner)
-    if link is not None and quantity in ("theta", "tau"):
-        return f"unknown column: link '{owner}' is clamped and has no active joint"
-    if link is not None and re.fullmatch(r"m[1-9][0-9]*\.[xy]", quantity):
-        return f"unknown column: link '{owner}' has {len(link.markers)} markers"
-    if link is None and quantity:
-        return f"unknown column: there is no link {shown(owner)}{suggestion(column, sorted(known))}"
-    return f"unknown column{suggestion(column, sorted(known))}"
-
-
-def _needed_columns(columns: Sequence[str], rig: Rig, torque: bool) -> Iterator[tuple[str, str]]:
-    yield "t", "the time of each row [s]"
-    for link in rig.links:
-        if link.joint == "revolute":
-            yield f"{link.name}.theta", _angle_of(link.name)
-        if link.joint == "revolute" and torque:
-            yield f"{link.name}.tau", f"the torque that drives link '{link.name}' [N m]"
-        pairs = list(zip(link.marker_columns[::2], link.marker_columns[1::2], strict=True))
-        given = [pair for pair in pairs if pair[0] in columns or pair[1] in columns]
-        if pairs and not given:
-            yield pairs[0][1], f"columns of at least one marker of link '{link.name}'"
-        for x, y in given:
-            yield y, "x and y of a marker, both [m]"
-            if link.markers_frame == "base":
-                yield x, "both x and y of a marker measured in the base frame [m]"
-
-
-def _angle_of(link: str) -> str:
-    return f"the angle of the active joint of link '{link}' [rad]"

@@ -33,11 +33,11 @@ def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, floa
 
 
 def _median_noise(signals: Sequence[Array], scale: float) -> float:
-    known = [noise for noise in map(_white_noise, signals) if np.isfinite(noise)]
+    known = [noise for noise in map(white_noise, signals) if np.isfinite(noise)]
     return max(float(np.median(known)) if known else 0.0, 1e-9 * scale)  # exact data still need a finite weight
 
 
-def _white_noise(samples: Array) -> float:
+def white_noise(samples: Array) -> float:
     """Return the 1-sigma of the white part of evenly sampled signals (T, m); NaN for fewer than 16 complete rows."""
     values = samples[:, np.isfinite(samples).any(axis=0)]
     values = values[np.isfinite(values).all(axis=1)]
@@ -237,9 +237,31 @@ def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: 
     upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), 0.7)]).ravel()
     scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
     inside = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
-    result = least_squares(residual, inside, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
+
+    def slopes(x: Array) -> Array:
+        return -_projected_slopes(oscillators, y, x.reshape(-1, 2)) / noise
+
+    result = least_squares(residual, inside, slopes, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
     refined: Array = np.asarray(result.x).reshape(-1, 2)
     return refined
+
+
+def _projected_slopes(oscillators: Oscillators, y: Array, values: Array) -> Array:
+    """Return the slopes (T c, 2 m) of the fitted motion over frequencies and damping ratios, amplitudes projected out.
+
+    The slopes of the projected residual but for a part that the residual is normal to, which leaves the gradient exact
+    (L. Kaufman, A variable projection method for solving separable nonlinear least squares problems, BIT 15, 1975).
+    """
+    columns = oscillators.columns(values)
+    _, amplitudes = _project(columns, y)
+    slopes = []
+    for pair, own in zip(values, np.split(amplitudes[1:], len(values)), strict=True):
+
+        def motion(x: Array, own: Array = own) -> Array:
+            return (oscillators.columns(x[None])[:, 1:] @ own).ravel()
+
+        slopes.append(approx_fprime(pair, motion, 1e-6 * np.maximum(np.abs(pair), 1e-3)))
+    return _project(columns, np.hstack(slopes).reshape(len(y), -1))[0].reshape(y.size, -1)
 
 
 def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> Array:
@@ -262,15 +284,9 @@ def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array
     """Return the (m, 2) standard errors of frequencies [Hz] and damping ratios, the residual itself taken as noise."""
     if len(values) == 0:
         return np.empty((0, 2))
-    base = values.ravel()
     columns = oscillators.columns(values)
-    residual, amplitudes = _project(columns, y)
-
-    def motion(x: Array) -> Array:
-        return (oscillators.columns(x.reshape(-1, 2)) @ amplitudes).ravel()
-
-    slopes = approx_fprime(base, motion, 1e-6 * np.maximum(np.abs(base), 1e-3))
-    matrix = _project(columns, slopes.reshape(len(y), -1))[0].reshape(y.size, -1)
-    freedom = max(residual.size - columns.shape[1] * y.shape[1] - base.size, 1)
+    residual, _ = _project(columns, y)
+    matrix = _projected_slopes(oscillators, y, values)
+    freedom = max(residual.size - columns.shape[1] * y.shape[1] - values.size, 1)
     covariance = np.linalg.pinv(matrix.T @ matrix) * float(np.sum(residual**2)) / freedom
     return np.sqrt(np.maximum(np.diag(covariance), 0)).reshape(-1, 2)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -190,19 +190,41 @@ def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
 
 def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
     """Angles phi (T, n) [rad] by Gauss-Newton steps on markers (T, k, 2) [m]; NaN for frames with too few of them."""
-    phi, n = np.nan_to_num(initial), curve.heading.shape[1]
+    n = curve.heading.shape[1]
     if curve.arcs.size < n:
         problem = f"{curve.arcs.size} markers cannot place {n} virtual joints"
         raise InsufficientDataError("angles by the curve", problem, "ask for fewer joints")
+    enough = np.isfinite(markers[..., 1]).sum(axis=1) >= n
+    phi = solve_angles(lambda phi: (curve.positions(phi), curve.jacobian(phi)), markers, initial)
+    return np.where(enough[:, None], phi, np.nan)
+
+
+def solve_angles(locate: Callable[[Array], tuple[Array, Array]], markers: Array, initial: Array) -> Array:
+    """Return the angles (T, n) [rad] at which markers are nearest to where they were seen, frame by frame.
+
+    Gauss-Newton steps for all frames at once (J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. 2006,
+    section 10.3), each cut to half a radian; they converge quadratically on exact data.
+
+    Args:
+        locate: from angles (T, n), the markers' positions (T, k, d) [m] and their derivatives (T, k, d, n).
+        markers: (T, k, d) seen [m]; NaN where they were not.
+        initial: (T, n) where the search begins; NaN is zero.
+
+    Returns:
+        (T, n); of no meaning in frames whose markers leave angles open.
+    """
+    phi = np.nan_to_num(initial)
+    n = phi.shape[1]
     known = np.isfinite(markers)
     values = np.where(known, markers, 0.0)
-    enough = known[..., 1].sum(axis=1) >= n
+    enough = known.sum(axis=(1, 2)) >= n
     ridge = 1e-14 * np.eye(n)  # keeps frames without enough markers solvable; their angles are dropped
-    for _ in range(12):  # converges quadratically on exact data
-        residual = np.where(known, values - curve.positions(phi), 0.0).reshape(len(phi), -1)
-        jacobian = np.where(known[..., None], curve.jacobian(phi), 0.0).reshape(*residual.shape, -1)
-        normal = np.einsum("tmi,tmj->tij", jacobian, jacobian)
-        right = np.einsum("tmi,tm->ti", jacobian, residual)
+    for _ in range(12):
+        positions, slopes = locate(phi)
+        residual = np.where(known, values - positions, 0.0).reshape(len(phi), -1)
+        jacobian = np.where(known[..., None], slopes, 0.0).reshape(*residual.shape, -1)
+        transposed = np.swapaxes(jacobian, 1, 2)
+        normal, right = transposed @ jacobian, (transposed @ residual[..., None])[..., 0]
         # Columns scaled to one before solving: joints near the tip move the markers little.
         size = np.sqrt(np.maximum(np.einsum("tii->ti", normal), 1e-300))
         scaled = normal / (size[:, :, None] * size[:, None, :])
@@ -211,7 +233,7 @@ def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
         phi = phi + step * np.minimum(1.0, _LARGEST_TURN / np.maximum(largest, 1e-300))
         if not (largest[enough] > 1e-13).any():  # rad: rounding errors
             break
-    return np.where(enough[:, None], phi, np.nan)
+    return phi
 
 
 def _representative_points(fit: ShapeFit, lengths: Array) -> Array:

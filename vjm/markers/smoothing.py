@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.linalg import solveh_banded
+from scipy.ndimage import binary_erosion
 from scipy.optimize import brentq
 from scipy.sparse import csr_array, diags_array
 
@@ -18,6 +19,7 @@ from vjm.records import Array, Mask, Record
 # Degree 7 keeps the second derivative right to 0.1 % at four samples a period, where a cubic spline is 20 % off.
 _DEGREE = 7
 _PENALISED = 4  # order of the difference
+_BRIDGED = 50  # knots on either side of a pause; no kernel is wider than 10^(_SMOOTHEST / 8) = 18 of them
 _ROUGHEST, _SMOOTHEST = -4.0, 10.0  # log10 of the penalty searched
 
 
@@ -65,24 +67,34 @@ class Smoother:
     coefficients (Eilers and Marx 1996), solved as a banded system.
 
     Args:
-        time: (T,) instants [s], ten or more.
+        time: (T,) instants of the data [s], ten or more.
+        instants: (S,) at which the derivatives are wanted, inside the data [s] (default: the data's).
     """
 
-    def __init__(self, time: Array) -> None:
+    def __init__(self, time: Array, instants: Array | None = None) -> None:
         self.time = t = time
+        self.instants = time if instants is None else instants
         step = float(np.median(np.diff(t)))
         count = int(np.ceil((t[-1] - t[0]) / step + 1e-9))
         knots = t[0] + step * np.arange(-_DEGREE, count + _DEGREE + 1)
         size = knots.size - _DEGREE - 1
-        inside = np.minimum(t, knots[-_DEGREE - 1])
-        # Matrices (T, size) from coefficients to the value, rate and acceleration at the data's instants.
-        self._basis = []
-        for order in range(3):
+
+        def basis(at: Array, order: int) -> csr_array:
+            inside = np.minimum(at, knots[-_DEGREE - 1])
             matrix = csr_array(BSpline.design_matrix(inside, knots[order : knots.size - order], _DEGREE - order))
-            self._basis.append(csr_array(matrix @ _differences(size, order) / step**order))
+            return csr_array(matrix @ _differences(size, order) / step**order)
+
+        # Matrices from coefficients to values at the data (T, size), and to value, rate and acceleration (S, size).
+        self._data = basis(t, 0)
+        self._basis = [basis(self.instants, order) for order in range(3)]
         penalty = _differences(size, _PENALISED)
-        self._gram = _bands(csr_array(self._basis[0].T @ self._basis[0]))
+        self._gram = _bands(csr_array(self._data.T @ self._data))
+        # Inside a long pause the penalty alone would hold the coefficients, and over hundreds of them not beyond
+        # rounding; what is before and what is after are parted there.
+        inside_pause = binary_erosion(self._gram[-1] == 0.0, iterations=_BRIDGED)
+        penalty = penalty[abs(penalty) @ inside_pause == 0.0]
         self._penalty = _bands(csr_array(penalty.T @ penalty))
+        self._penalty[-1] += inside_pause
 
     def derivatives(self, values: Array, covariance: Array, exponent: float | None = None) -> Derivatives:
         """Smooth signals and differentiate them.
@@ -92,35 +104,65 @@ class Smoother:
             covariance: (m, m) of a sample's noise; signals without noise do not count.
             exponent: log10 of the penalty, to repeat an earlier filter; found from the noise when None.
         """
-        y, t, whiten = values, self.time, _whitener(covariance)
+        y, t, whiten = values, self.instants, _whitener(covariance)
         centre = y.mean(axis=0)
-        right = self._basis[0].T @ (y - centre)
+        right = self._data.T @ (y - centre)
 
         def excess(trial: float) -> float:
-            residual = (y - centre - self._basis[0] @ self._solve(right, trial)) @ whiten
+            residual = (y - centre - self._data @ self._solve(right, trial)) @ whiten
             return float(np.log(max(np.sum(residual**2), 1e-300) / y.size))
 
         if exponent is None:
             exponent = _discrepancy_root(excess)
         coefficients = self._solve(right, exponent)
         gains, half_width = self._gains(exponent)
-        inside = (t >= t[0] + half_width) & (t <= t[-1] - half_width)
+        half_width -= 0.5 * float(np.median(np.diff(self.time)))  # rounding of the instants must not decide on a frame
+        inside = (t >= self.time[0] + half_width) & (t <= self.time[-1] - half_width)
         value, rate, acceleration = (matrix @ coefficients for matrix in self._basis)
         return Derivatives(t, value + centre, rate, acceleration, gains, inside, exponent)
 
+    def exponent_of(self, frequency: float) -> float:
+        """Return the log10 of the penalty at which a frequency [Hz], below half the sampling rate, passes by half.
+
+        The gain is b^2 / (b^2 + penalty d^8): b is that of the sampled B-spline, from coefficients to values, and d = 2
+        sin(omega h / 2) that of a difference at the step h.
+        """
+        step = float(np.median(np.diff(self.time)))
+        knots = np.arange(_DEGREE + 2) - (_DEGREE + 1) / 2
+        places = np.arange(-(_DEGREE // 2), _DEGREE // 2 + 1)
+        spline = BSpline.basis_element(knots)(places) @ np.cos(2 * np.pi * frequency * step * places)
+        difference = 2 * np.sin(np.pi * frequency * step)
+        return float(2 * np.log10(spline) - 2 * _PENALISED * np.log10(difference))
+
+    def adjoint(self, weights: Sequence[Array], exponent: float) -> Array:
+        """Return the derivative (T, m) by the data of a weighted sum of all values, rates and accelerations.
+
+        Args:
+            weights: of value, rate and acceleration, each (S, m).
+            exponent: log10 of the penalty.
+        """
+        right = sum(basis.T @ weight for basis, weight in zip(self._basis, weights, strict=True))
+        return np.asarray(self._data @ self._solve(np.asarray(right), exponent))
+
     def _solve(self, right: Array, exponent: float) -> Array:
         """Return coefficients (size, m) for a right-hand side (size, m)."""
-        return np.asarray(solveh_banded(self._gram + 10.0**exponent * self._penalty, right))
+        matrix = self._gram + 10.0**exponent * self._penalty
+        try:
+            return np.asarray(solveh_banded(matrix, right))
+        except np.linalg.LinAlgError:
+            # Few frames beside a long pause do not hold its coefficients beyond rounding; ten times that does.
+            matrix[-1] += 10 * np.finfo(float).eps * matrix[-1].max()
+            return np.asarray(solveh_banded(matrix, right))
 
     def _gains(self, exponent: float) -> tuple[Array, float]:
         """Return the noise covariance (3, 3) of value, rate, acceleration, and the kernel's half width [s].
 
         Two per cent of the kernel's energy may lie outside the recording at the first and last instants kept.
         """
-        middle = self.time.size // 2
+        middle = self.instants.size // 2
         rows = np.stack([matrix[[middle], :].toarray()[0] for matrix in self._basis], axis=1)
-        kernels = (self._basis[0] @ self._solve(rows, exponent)).T
-        distance = np.abs(self.time - self.time[middle])
+        kernels = (self._data @ self._solve(rows, exponent)).T
+        distance = np.abs(self.time - self.instants[middle])
         order = np.argsort(distance)
         energy = np.cumsum(kernels[2][order] ** 2)
         last = int(np.searchsorted(energy, 0.98 * energy[-1]))
@@ -134,7 +176,7 @@ def _discrepancy_root(excess: Callable[[float], float]) -> float:
         return _SMOOTHEST
     if excess(_ROUGHEST) >= 0:
         return _ROUGHEST
-    return float(brentq(excess, _ROUGHEST, _SMOOTHEST, xtol=0.01))
+    return float(brentq(excess, _ROUGHEST, _SMOOTHEST, xtol=1e-4))
 
 
 def _whitener(covariance: Array) -> Array:

@@ -1,0 +1,319 @@
+"""An experiment file proposed from the recordings that it shall describe."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from jinja2 import Environment, StrictUndefined
+
+from vjm.errors import RecordingError, printable
+from vjm.experiment.checks import moves
+from vjm.experiment.conventions import FACTORS, Array
+from vjm.files import read_file
+
+UNKNOWN = "?"  # stands where a number has to be filled in: no key takes a text there, so that reading the file names it
+
+_STANDARD = re.compile(r"(?P<link>[A-Za-z0-9_]+)\.(?:theta|tau|m(?P<number>[1-9][0-9]*)\.(?P<axis>[xyz]))")
+_COORDINATE = re.compile(r"(?P<marker>.*?)[\s._:-]*(?P<axis>[xyzXYZ])(?P<unit>\W.*)?")
+_WORDS = {
+    "t": re.compile(r"t|time.*|timestamp.*|seconds", re.IGNORECASE),
+    "theta": re.compile(r".*(theta|angle|encoder).*", re.IGNORECASE),
+    "tau": re.compile(r".*(tau|torque).*", re.IGNORECASE),
+}
+_UNITS = {  # as they are written in headers
+    "length": {"mm": "mm", "cm": "cm", "in": "in", "inch": "in"},
+    "angle": {"deg": "deg", "degrees": "deg", "°": "deg"},
+    "time": {"ms": "ms", "us": "us", "µs": "us"},
+    "torque": {"Nmm": "N mm", "N mm": "N mm", "N*mm": "N mm", "mNm": "N mm"},
+}
+
+
+@dataclass(frozen=True)
+class CsvFile:
+    """Numbers of a CSV file, and what its columns seem to be.
+
+    Attributes:
+        path: the file.
+        header: names of its columns.
+        values: (T,) numbers by name of column; NaN for a cell that holds none.
+        names: the documentation's names of columns by the file's.
+    """
+
+    path: Path
+    header: tuple[str, ...]
+    values: Mapping[str, Array]
+    names: Mapping[str, str]
+
+    def column(self, name: str) -> Array | None:
+        """Return the numbers (T,) of a column by its documentation's name; None where there is none."""
+        own = next((theirs for theirs, ours in self.names.items() if ours == name), None)
+        return None if own is None else self.values[own]
+
+    def ending(self, *endings: str) -> list[str]:
+        """Return the documentation's names of columns with one of these endings."""
+        return [ours for ours in self.names.values() if ours.endswith(endings)]
+
+    @property
+    def has_markers(self) -> bool:
+        """True if there is a column of a marker's coordinate."""
+        return any(".m" in name for name in self.names.values())
+
+
+@dataclass(frozen=True)
+class ProposedRecording:
+    """A table [[recording]], and why it says what it says."""
+
+    file: str
+    motors_file: str | None
+    kind: str
+    role: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class ExperimentProposal:
+    """An experiment file before it is written.
+
+    Attributes:
+        folder: that it is written into.
+        files: the CSV files with markers, each with that of its motors or None.
+        given: values of the rig's keys, as far as they are known; others are to be filled in.
+        chosen: units that are known, by quantity; others are guessed.
+    """
+
+    folder: Path
+    files: tuple[tuple[CsvFile, CsvFile | None], ...]
+    given: dict[str, Any] = field(default_factory=dict)
+    chosen: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The experiment's: that of its folder, if that will do."""
+        name = self.folder.resolve().name
+        return name if name and printable(name) == name else "experiment"
+
+    @cached_property
+    def links(self) -> dict[str, int]:
+        """Number of markers by link, from the base outwards."""
+        found: dict[str, int] = {}
+        for name in (name for one, _ in self.files for name in one.names.values()):
+            match = _STANDARD.fullmatch(name)
+            if match:
+                found[match["link"]] = max(found.get(match["link"], 0), int(match["number"] or 0))
+        return {link: count for link, count in found.items() if count} or {"beam": 0}
+
+    def is_revolute(self, link: str) -> bool:
+        """Return True if the angle of the link's proximal joint was measured."""
+        return self._largest(f"{link}.theta") is not None
+
+    @cached_property
+    def units(self) -> dict[str, tuple[str, str]]:
+        """Unit of each quantity, and why it is thought to be so."""
+        return {
+            quantity: (self.chosen[quantity], "as chosen") if quantity in self.chosen else self._guess(quantity)
+            for quantity in FACTORS
+        }
+
+    def _largest(self, *endings: str) -> float | None:
+        both = [each for pair in self.files for each in pair if each is not None]
+        columns = [each.column(name) for each in both for name in each.ending(*endings)]
+        sizes = [float(np.nanmax(np.abs(column))) for column in columns if column is not None]
+        return max(sizes, default=None)
+
+    def _guess(self, quantity: str) -> tuple[str, str]:
+        """Return the unit that a header names, else the one in which the numbers are of a usual size."""
+        endings = {"length": (".x", ".y", ".z"), "angle": (".theta",), "torque": (".tau",), "time": ("t",)}[quantity]
+        for own, ours in ((own, ours) for one in self._all_files for own, ours in one.names.items()):
+            words = re.split(r"[\[\](),_]+", own)
+            unit = next((unit for word, unit in _UNITS[quantity].items() if word in map(str.strip, words[1:])), None)
+            if unit and ours.endswith(endings):
+                return unit, f"the column {own!r} says so"
+        if quantity == "time":
+            return self._guess_time()
+        largest = self._largest(*endings)
+        usual = {"length": 0.5, "angle": np.pi, "torque": 1.0}[quantity]  # m, rad, N m: arms that stand on a table
+        choices: tuple[str, ...] = {"length": ("m", "mm"), "angle": ("rad", "deg"), "torque": ("N m", "N mm")}[quantity]
+        if largest is None:
+            return choices[0], "none was measured"
+        if quantity == "length" and isinstance(self.given.get("length"), float):
+            usual, choices = self.given["length"], ("m", "mm", "cm", "in")
+        if largest == 0.0 or (quantity == "angle" and largest <= 2 * np.pi):
+            return choices[0], f"guessed: numbers reach {largest:.4g}"
+        unit = min(choices, key=lambda unit: abs(np.log(largest * FACTORS[quantity][unit] / usual)))
+        return unit, f"guessed: numbers reach {largest:.4g}"
+
+    def _guess_time(self) -> tuple[str, str]:
+        steps = [float(np.median(np.diff(time))) for one, _ in self.files if (time := one.column("t")) is not None]
+        step = steps[0] if steps and steps[0] > 0 else 0.01
+        unit = min(FACTORS["time"], key=lambda unit: abs(np.log(step * FACTORS["time"][unit] / 0.01)))
+        return unit, f"guessed: rows follow every {step:.4g}"
+
+    @property
+    def _all_files(self) -> Iterator[CsvFile]:
+        return (each for pair in self.files for each in pair if each is not None)
+
+    @cached_property
+    def axes(self) -> tuple[str, str]:
+        """Letters of the columns that span the plane of motion: all but the one in which least happens."""
+        letters = sorted({name[-1] for one, _ in self.files for name in one.ending(".x", ".y", ".z")})
+        if len(letters) < 3:
+            return (letters[0], letters[1]) if len(letters) == 2 else ("x", "y")
+        spans = {}
+        for letter in letters:
+            columns = [one.column(name) for one, _ in self.files for name in one.ending(f".{letter}")]
+            values = np.concatenate([column for column in columns if column is not None])
+            spans[letter] = float(np.nanmax(values) - np.nanmin(values))
+        first, second = sorted(sorted(letters, key=lambda letter: spans[letter])[1:])
+        return first, second
+
+    @cached_property
+    def columns(self) -> dict[str, str]:
+        """The files' names of columns by the documentation's, where they differ or some are not used."""
+        names = {ours: own for one in self._all_files for own, ours in one.names.items() if ours != own}
+        surplus = any(len(one.names) < len(one.header) for one in self._all_files)
+        unused = any(name[-1] not in self.axes for one, _ in self.files for name in one.ending(".x", ".y", ".z"))
+        return names or ({"t": "t"} if surplus or (unused and self.axes == ("x", "y")) else {})
+
+    def arcs(self, link: str) -> tuple[float, ...] | None:
+        """Return the median distances of a first link's markers from the camera's origin [m]; None if no arc lengths.
+
+        They are if the camera's origin is the base's and the link bends little.
+        """
+        factor, distances = FACTORS["length"][self.units["length"][0]], []
+        for k in range(1, self.links[link] + 1):
+            pairs = [[one.column(f"{link}.m{k}.{axis}") for axis in self.axes] for one, _ in self.files]
+            seen = [np.hypot(x, y) for x, y in pairs if x is not None and y is not None]
+            distances.append(factor * float(np.nanmedian(np.concatenate(seen))) if seen else 0.0)
+        length = self.given.get("length")
+        if isinstance(length, float):  # the outermost marker is often at the very end
+            distances = [min(distance, length) if distance < 1.05 * length else distance for distance in distances]
+        arcs = tuple(float(f"{distance:.3g}") for distance in distances)
+        return arcs if next(iter(self.links)) == link and np.all(np.diff([0.0, *arcs]) > 0) else None
+
+    @cached_property
+    def recordings(self) -> tuple[ProposedRecording, ...]:
+        """The recordings: what moved them, and the last moving one held out."""
+        kinds = [self._kind(one, motors) for one, motors in self.files]
+        moving = [k for k, (kind, _) in enumerate(kinds) if kind in ("driven", "decay")]
+        held_out = moving[-1] if len(moving) > 1 else None
+        proposed = []
+        for k, ((one, motors), (kind, reason)) in enumerate(zip(self.files, kinds, strict=True)):
+            names = [os.path.relpath(each.path, self.folder) for each in (one, motors) if each is not None]
+            role = "holdout" if k == held_out else "train"
+            motors_file = Path(names[1]).as_posix() if motors else None
+            proposed.append(ProposedRecording(Path(names[0]).as_posix(), motors_file, kind, role, reason))
+        return tuple(proposed)
+
+    def _kind(self, one: CsvFile, motors: CsvFile | None) -> tuple[str, str]:
+        both = [each for each in (one, motors) if each is not None]
+        torques = [column for each in both for name in each.ending(".tau") if (column := each.column(name)) is not None]
+        largest = max((float(np.nanmax(np.abs(torque))) for torque in torques), default=0.0)
+        if largest > 0:
+            return "driven", f"guessed: the torque reaches {largest:.4g} {self.units['torque'][0]}"
+        factor = FACTORS["length"][self.units["length"][0]]
+        coordinates = [one.column(name) for name in one.ending(".x", ".y", ".z")]
+        if not any(column is not None and moves(factor * column, None) for column in coordinates):
+            return "quiet", "guessed: nothing moves beyond the noise"
+        return "decay", "guessed: it moves without a torque"
+
+    @property
+    def missing(self) -> list[str]:
+        """Keys that have to be filled in by hand."""
+        lines = [line.partition("#")[0].partition("=") for line in self.text().splitlines()]
+        return [key.strip() for key, _, value in lines if f'"{UNKNOWN}"' in value]
+
+    def text(self) -> str:
+        """Return the experiment file."""
+        environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+        environment.filters["toml"] = lambda value: printable(json.dumps(value, ensure_ascii=False))
+        template = resources.files("vjm.experiment").joinpath("experiment.toml.jinja").read_text(encoding="utf-8")
+        return environment.from_string(template).render(proposal=self, given=self.given, unknown=UNKNOWN)
+
+
+def read_csv(path: Path) -> CsvFile:
+    """Read a CSV file of numbers with a header, and guess what its columns are.
+
+    Raises:
+        RecordingError: it cannot be read, or holds no numbers.
+    """
+    try:
+        content = io.BytesIO(read_file(path))
+        frame = pd.read_csv(content, encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
+    except (OSError, ValueError) as error:  # of pandas' own kinds, and text that is not UTF-8
+        problem = f"cannot be read ({getattr(error, 'strerror', None) or error})"
+        raise RecordingError(path, None, None, problem, "a CSV file with a header") from error
+    header = tuple(str(name).strip() for name in frame.columns)
+    numbers = [pd.to_numeric(frame.iloc[:, k], errors="coerce").to_numpy(dtype=float) for k in range(len(header))]
+    values = {name: column for name, column in zip(header, numbers, strict=True) if np.isfinite(column).any()}
+    if not values:
+        raise RecordingError(path, None, None, "there is no column of numbers", "a header line, then rows of numbers")
+    return CsvFile(path, header, values, _recognized(values))
+
+
+def _recognized(values: Mapping[str, Array]) -> dict[str, str]:
+    """Return the documentation's names of the columns that can be told, by the file's own."""
+    if any(_STANDARD.fullmatch(name) for name in values):
+        names = {name: name for name in values if _STANDARD.fullmatch(name) or name == "t"}
+    else:
+        names = _recognized_markers([name for name in values if not _is(name, "t", "theta", "tau")])
+    for quantity in ("t", "theta", "tau"):
+        standard = "t" if quantity == "t" else f"beam.{quantity}"
+        own = next((name for name in values if name not in names and _is(name, quantity)), None)
+        if own is not None and not any(
+            ours == "t" or ours.endswith(quantity) for ours in names.values() if ours == standard
+        ):
+            names[own] = standard
+    return names
+
+
+def _is(name: str, *quantities: str) -> bool:
+    return any(_WORDS[quantity].fullmatch(name) for quantity in quantities)
+
+
+def _recognized_markers(columns: Sequence[str]) -> dict[str, str]:
+    """Return names of markers' coordinates, numbered in the order in which the file has them."""
+    groups: dict[str, dict[str, str]] = {}
+    for name in columns:
+        match = _COORDINATE.fullmatch(name)
+        if match:
+            groups.setdefault(match["marker"], {})[match["axis"].lower()] = name
+    complete = [axes for axes in groups.values() if len(axes) >= 2]
+    return {name: f"beam.m{k}.{axis}" for k, axes in enumerate(complete, start=1) for axis, name in axes.items()}
+
+
+def propose(folder: Path, paths: Sequence[Path]) -> ExperimentProposal:
+    """Propose an experiment file for some CSV files.
+
+    Args:
+        folder: that it is written into.
+        paths: of the CSV files. One without markers holds angles and torques of the one whose name its own begins with.
+
+    Raises:
+        RecordingError: a file cannot be read, has no markers, or belongs to none that has.
+    """
+    for path in paths:
+        if re.search("[\ud800-\udfff]", str(path)):
+            raise RecordingError(path, None, None, "its name is not UTF-8", "a name that an experiment file can hold")
+    files = [read_csv(path) for path in paths]
+    markers = [one for one in files if one.has_markers]
+    motors: dict[Path, CsvFile] = {}
+    for one in files:
+        if one.has_markers:
+            continue
+        stems = [other for other in markers if one.path.stem.startswith(other.path.stem)]
+        if not stems or not one.names:
+            expected = "columns such as beam.m1.x and beam.m1.y, or Marker1_X and Marker1_Y"
+            raise RecordingError(one.path, 1, None, "no column looks like a marker's coordinate", expected)
+        motors[max(stems, key=lambda other: len(other.path.stem)).path] = one
+    return ExperimentProposal(folder, tuple((one, motors.get(one.path)) for one in markers))
