@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import vjm
-from tests.hidden.rigs import Rig, beam_of, write_hidden
+from tests.hidden.rigs import write_hidden
+from tests.hidden.settings import Rig, setting_of
 from vjm.identification.discretization import DiscretizationBias, parameter_shift
 from vjm.identification.records import Identification
 from vjm.records import Experiment
@@ -28,7 +29,7 @@ def identified(rig: Rig, seed: int) -> Identification:
 
 def off(rig: Rig, seed: int) -> list[float]:
     """By how many of their standard errors the parameters are off."""
-    beam, _ = beam_of(rig, seed)
+    beam = setting_of(rig, seed).beam
     truth = {
         "beam.bending_stiffness": beam.bending_stiffness,
         "beam.kelvin_voigt_time": beam.kelvin_voigt_time,

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ from tests.identification.test_recovery import DEMO
 from vjm.errors import InsufficientDataError
 from vjm.experiment.checks import _impossible, cleaned
 from vjm.identification import Identification, identify
+from vjm.identification.trajectory_method import _StallRule
 from vjm.records import Link
 
 Array = NDArray[np.float64]
@@ -96,7 +98,7 @@ def test_a_clip_that_lasts_to_the_end_is_seen_as_a_misfit(hub_folder: Path, tmp_
         return table
 
     fit = fit_changed(hub_folder, tmp_path, change)
-    assert any("drive_large.csv" in text and "lacks something" in text for text in fit.warnings)
+    assert any("drive_large.csv" in text and "unmodelled dynamics" in text for text in fit.warnings)
 
 
 def test_every_second_frame_lost(hub_folder: Path, tmp_path: Path) -> None:
@@ -201,6 +203,9 @@ def test_without_torque_errors_other_stiffnesses_are_tried() -> None:
 # What is left out before anything is fitted
 
 
+LINK = Link("beam", "clamped", 1.0, 0.4, bending_stiffness=2.0, markers=(0.2, 0.4, 0.6, 0.8, 1.0))
+
+
 def straight(frames: int) -> Array:
     arcs = np.stack([np.linspace(0.2, 1.0, 5), np.zeros(5)], axis=-1)
     return np.repeat(arcs[None], frames, axis=0)
@@ -209,14 +214,14 @@ def straight(frames: int) -> Array:
 def test_a_single_culprit_goes_alone() -> None:
     markers = straight(3)
     markers[1, 2, 1] = 1.0
-    wrong = _impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
+    wrong = _impossible(markers, LINK, NOISE)
     assert np.argwhere(wrong).tolist() == [[1, 2]]
 
 
 def test_where_no_single_marker_explains_it_all_go() -> None:
     markers = straight(3)
     markers[1, [1, 3]] = markers[1, [3, 1]]
-    wrong = _impossible(markers, np.linspace(0.2, 1.0, 5), NOISE)
+    wrong = _impossible(markers, LINK, NOISE)
     assert wrong[1].all()
     assert not wrong[[0, 2]].any()
 
@@ -225,3 +230,15 @@ def test_what_is_right_stays_the_same_object() -> None:
     experiment = vjm.load_experiment(DEMO)
     for recording in experiment.recordings:
         assert cleaned(experiment.rig, recording) is recording
+
+
+def test_a_search_that_ends_far_from_the_recordings_is_no_crawl() -> None:
+    """A model that lacks a mass on the tip has its minimum at twenty times the noise; that is where the search ends."""
+    for costs, predicted, stopped in (
+        ([100.0, 20.2, 20.03, 20.01, 20.004, 20.001, 20.0], 1e-3, False),  # refines a minimum
+        ([100.0, 95.0, 91.0, 88.0, 85.0, 83.0, 81.0], 2.0, True),  # crawls
+        ([100.0, 99.0, 99.0, 99.0, 99.0, 99.0, 99.0], 1e-3, True),  # damped steps, each rejected, promise little
+        ([100.0, 60.0, 36.0, 22.0, 13.0, 8.0, 5.0], 2.0, False),  # gets there
+    ):
+        rule, points = _StallRule(), [SimpleNamespace(cost=cost, count=9, misfit=20.0) for cost in costs]
+        assert any(rule(point, predicted) for point in points) is stopped, costs  # type: ignore[arg-type]

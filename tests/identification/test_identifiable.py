@@ -25,7 +25,7 @@ def test_one_row_cannot_hold_a_length_beside_a_stiffness(tip_only: Check, kind: 
     found = {estimate.name: estimate for estimate in tip_only.identifiable[kind]}
     assert not found["beam.stiffness_1"].identifiable
     assert not found["beam.length_0"].identifiable
-    assert "together with" in found["beam.stiffness_1"].reason
+    assert "in combination with" in found["beam.stiffness_1"].reason
 
 
 def test_more_parameters_never_make_one_surer(tip_only: Check) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from vjm.experiment.spectrum import MeasuredModes, _white_noise, match, measure_modes
+from vjm.experiment.spectrum import MeasuredModes, match, measure_modes, white_noise
 
 
 def decay(t: np.ndarray, frequency: float, ratio: float, phase: float) -> np.ndarray:
@@ -81,5 +81,5 @@ def test_white_noise_under_motion(moving: float) -> None:
     t = np.arange(1500) / 100
     rng = np.random.default_rng(1)
     y = moving * decay(t, 2.2, 0.004, 0.1)[:, None] * np.ones(4) + 3e-4 * rng.normal(size=(1500, 4))
-    assert _white_noise(y) == pytest.approx(3e-4, rel=0.06)
-    assert np.isnan(_white_noise(y[:10]))
+    assert white_noise(y) == pytest.approx(3e-4, rel=0.06)
+    assert np.isnan(white_noise(y[:10]))

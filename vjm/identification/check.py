@@ -9,20 +9,23 @@ import numpy as np
 
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.errors import InsufficientDataError
+from vjm.errors import InsufficientDataError, VjmError
 from vjm.experiment.checks import overlapping_samples
+from vjm.identification.mistakes import find_mistakes
+from vjm.identification.overview import RecordingOverview, overviews_of
 from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
 from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_torque
 from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, TrainingData
+from vjm.identification.trajectory_fit import DIVERGED_MISFIT, TrajectoryFit
 from vjm.identification.uncertainty import Information
 from vjm.model.modes import modes
 from vjm.records import Array, Estimate, Experiment, Link, Recording, RecordingComparison, Result
+from vjm.text import counted, listed, millimetres, number, ratio
 
 # Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
 # fifth. What is certain but smaller needs no warning.
 _LARGE_RESIDUAL = 1.5  # RMS over noise, and mean square of weighted residuals
-_STRONG_CORRELATION = 0.2  # of neighbouring residuals
 _MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
 
 
@@ -36,7 +39,8 @@ class Check(Result):
     virtual_joints: tuple[int, ...]  # n of each link that `identify` would take; empty where nothing can be identified
     # For each parametrisation, the parameters and whether the training recordings determine them.
     identifiable: dict[str, tuple[Estimate, ...]]
-    problem: str = ""  # why nothing can be identified; empty where something can
+    problem: str = ""  # why nothing can be identified, a line for each reason; empty where something can
+    overviews: tuple[RecordingOverview, ...] = ()  # of the recordings, in the experiment's order
 
 
 def check(experiment: Experiment) -> Check:
@@ -45,18 +49,31 @@ def check(experiment: Experiment) -> Check:
     The standard errors are those that the recordings allow at the uniform link that fits them.
     """
     rig = experiment.rig
+    mistakes = find_mistakes(experiment)
+    doubts = [*experiment.warnings, *(str(mistake) for mistake in mistakes if not mistake.certain)]
+    if not experiment.with_role("holdout"):
+        doubts.append("no recording is held out, so that no prediction can be tested: give one the role 'holdout'")
+    problem = "\n".join(str(mistake) for mistake in mistakes if mistake.certain)
     joints = [link.virtual_joints or 6 for link in rig.links]  # enough for the slowest few frequencies
-    expected = modes(nominal_chain(rig, rig_layouts(rig, joints))).frequencies
+    try:
+        expected = modes(nominal_chain(rig, rig_layouts(rig, joints))).frequencies
+    except VjmError:
+        if not problem:
+            raise
+        expected = np.empty(0)  # of numbers that are absurd
+    overviews = overviews_of(experiment)
+    if problem:
+        return Check(experiment, tuple(doubts), expected, (), {}, problem, overviews)
     try:
         data = {kind: TrainingData.of(experiment, kind) for kind in PARAMETRISATIONS}
         identifiable = {kind: _identifiable(each) for kind, each in data.items()}
     except InsufficientDataError as error:
         problem = str(error)
         about_markers = [text for link in rig.links for text in _marker_warnings(link, link.virtual_joints)]
-        return Check(experiment, (*experiment.warnings, *about_markers, problem), expected, (), {}, problem)
-    warnings = (*experiment.warnings, *data_warnings(data["uniform"]))
+        return Check(experiment, (*doubts, *about_markers, problem), expected, (), {}, problem, overviews)
+    warnings = (*doubts, *data_warnings(data["uniform"]))
     choices = tuple(choice.joints for choice in data["uniform"].joints)
-    return Check(experiment, warnings, expected, choices, identifiable)
+    return Check(experiment, warnings, expected, choices, identifiable, overviews=overviews)
 
 
 def _identifiable(data: TrainingData) -> tuple[Estimate, ...]:
@@ -98,7 +115,7 @@ def estimates(
         if not visible[k]:
             reason = "the recordings do not respond to it"
         elif at_bound[k]:
-            reason = "at its bound: the data do not hold it away from there"
+            reason = "at its bound"
         elif not std[k] <= 0.5 * max(abs(values[k]), 1e-300):  # within two standard errors it may be zero
             reason = _uncertain(k, parametrisation, std[k] / max(abs(values[k]), 1e-300), correlation[k])
         if reason:
@@ -118,12 +135,12 @@ def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, co
     partner = int(np.argmax(others))
     reason = f"its standard error is {100 * relative_std:.0f} % of its value"
     if relative_std > 100:  # the number itself says nothing
-        reason = "the recordings see it only together with other parameters"
+        reason = "the recordings determine it only in combination with other parameters"
     if others[partner] > 0.9:  # the partner alone explains more than 80 % of the variance
         name = parametrisation.coordinates[partner].name
-        reason += f"; it moves together with {name} (correlation {correlation[partner]:+.2f})"
+        reason += f"; correlation {correlation[partner]:+.2f} with {name}"
     elif parametrisation.coordinates[k].group == "damping":
-        reason += "; the motion decays too little to show it"
+        reason += "; the motion decays too little"
     return reason
 
 
@@ -132,20 +149,20 @@ def _remedy(parametrisation: Parametrisation, k: int, x: Array) -> str:
     coordinate = parametrisation.coordinates[k]
     group, shared = coordinate.group, coordinate.index < 0
     if group == "hub":
-        return "a driven recording whose torque changes faster, so that the hub's own inertia takes more of it"
+        return "a driven recording whose torque changes faster, in which hub inertia matters more"
     if group not in ("stiffness", "damping"):
-        return "a recording with a known payload on the tip, or with another one, or one that excites higher modes"
+        return "a recording with another known payload, or one that excites higher modes"
     if group == "stiffness" and shared:
-        return "a recording in which the link bends farther beyond the camera's noise, or one with more markers on it"
+        return "a recording with larger deflection, or with more markers"
     mode = _mode_to_excite(parametrisation.chain(x), coordinate.link, coordinate.index)
     if group == "stiffness":
         return f"markers nearer to this joint, or a recording that excites {mode}, which bends it most"
-    more = "faster modes lose more in a period" if shared else "it bends this joint most"
-    return f"a longer free decay, or one that excites {mode}: {more}"
+    more = "whose amplitude falls by more in each period" if shared else "which bends this joint most"
+    return f"a longer free decay, or one that excites {mode}, {more}"
 
 
 def _mode_to_excite(chain: Chain, link: int, index: int) -> str:
-    """The one of the four slowest modes with most of its elastic energy in a joint; for a whole link, the second."""
+    """Name the one of the four slowest modes with most elastic energy in a joint; for a whole link, the second."""
     found = modes(chain, gravity=(0.0, 0.0))
     count = min(4, found.frequencies.size)  # faster ones are hard to excite
     energy = chain.stiffness[:, None] * found.shapes[:, :count] ** 2
@@ -165,19 +182,20 @@ def identification_notes(data: TrainingData, decisions: Sequence[str]) -> tuple[
     if not (torque or weight or payload):
         names = " and ".join(link.name for link in rig.links)
         notes.append(
-            "without torque, gravity or a known payload only stiffness relative to mass is seen: the bending stiffness "
-            f"of {names} is as right as the mass in the experiment file; "
-            "a recording with a known payload would tell both"
+            "without torque, gravity or a known payload only the ratio of stiffness to mass is observable: the bending "
+            f"stiffness of {names} is only as accurate as the given mass; a recording with a known payload would "
+            "separate the two"
         )
     return tuple(notes)
 
 
 def _joint_note(link: Link, order: int, choice: JointChoice, parameters: str) -> str:
-    plural = "s" if len(link.markers) > 1 else ""
-    modes = "only mode 1 is" if order == 1 else f"modes 1 to {order} are"
-    text = f"link {link.name}: {len(link.markers)} marker{plural}, {modes} seen; n = {choice.joints} virtual joints"
+    text = f"link {link.name}: {counted(len(link.markers), 'marker')}, {counted(order, 'shape function')}"
+    text += f", {counted(choice.joints, 'virtual joint')}"
     if parameters == "uniform":
-        text += f", whose natural frequencies are right to {100 * choice.error:.2g} %"
+        short = {1: "frequency of mode 1", 2: "frequencies of modes 1 and 2"}
+        modes = short.get(order, f"frequencies of modes 1 to {order}")
+        text += f" ({modes} accurate to {number(100 * choice.error, 2)} %)"
     return text
 
 
@@ -185,19 +203,21 @@ def data_warnings(data: TrainingData) -> list[str]:
     """Warn about the recordings, their repeats, the modes they show and the numbers of joints."""
     warnings = []
     for link, order, choice in zip(data.rig.links, data.shape.orders, data.joints, strict=True):
-        if order == 1:
-            warnings.append(_joint_note(link, order, choice, data.parameters))
-        if data.parameters == "uniform" and choice.error > 10 * FREQUENCY_TOLERANCE:
-            warnings.append(f"link {link.name}: n = {choice.joints} is too small for the modes seen; ask for more")
+        coarse = data.parameters == "uniform" and choice.error > 10 * FREQUENCY_TOLERANCE
+        if order == 1 or coarse:
+            remedy = "; --virtual-joints sets more" if coarse else ""
+            warnings.append(f"{_joint_note(link, order, choice, data.parameters)}{remedy}")
         warnings += _marker_warnings(link, choice.joints if choice.requested else None)
     for one in data.prepared:
         angles, name = one.angles, one.recording.file
         if angles.unsolved:
             frames = f"{angles.unsolved} of {len(angles.time)} frames"
-            warnings.append(f"{name}: {frames} give no angles and were left out")
+            warnings.append(f"{name}: {frames} have no solution for the joint angles and were left out")
         motion = float(np.max(np.nanstd(angles.q, axis=0) / np.sqrt(np.maximum(np.diag(angles.covariance), 1e-300))))
         if motion < 10.0:  # a stiffness is right to no better than some per cent
-            warnings.append(f"{name}: the arm moves only {motion:.1f} times its angles' noise; it can tell little")
+            warnings.append(
+                f"{name}: the motion is only {motion:.1f} × the noise of the joint angles; it determines little"
+            )
     fastest = max((float(m.frequencies[-1]) for m in data.modes if m.frequencies.size), default=0.0)
     for one in data.prepared:
         rate = 1 / float(np.median(np.diff(one.angles.time)))
@@ -220,6 +240,17 @@ def _marker_warnings(link: Link, joints: int | None) -> list[str]:
     ]
 
 
+def stopped_remedy(fit: TrajectoryFit | None) -> str:
+    """Say what to do about a search that stopped before its minimum; None: of torque errors."""
+    if fit is None or fit.misfit < DIVERGED_MISFIT:
+        return "the search stopped early: identify fewer parameters, or add recordings with more motion"
+    worst = max(fit.point.runs, key=lambda run: run.chi2 / max(run.expected_chi2, 1))
+    return (
+        f"residual {ratio(fit.misfit)} × noise, largest in {worst.observed.recording.file}: check each torque's unit, "
+        "sign, joint and sampling times, and the masses, lengths and payloads of the experiment file"
+    )
+
+
 def _repeat_warnings(data: TrainingData) -> list[str]:
     """Warn where recordings of one label do not repeat each other: are farther apart than three times their noise."""
     groups: dict[str, list[Recording]] = {}
@@ -233,18 +264,46 @@ def _repeat_warnings(data: TrainingData) -> list[str]:
             if distance > 3 * np.sqrt(2) * noise:
                 warnings.append(
                     f"{first.file} and {other.file} are labelled repeats of {label!r}, but their markers are "
-                    f"{1e3 * distance:.3g} mm rms apart, {distance / noise:.3g} times the noise: something changed "
-                    "between them"
+                    f"{millimetres(distance)} RMS apart, {ratio(distance / noise)} × noise: something changed between "
+                    "them"
                 )
     return warnings
 
 
 def _distance(one: Recording, other: Recording) -> float:
-    """RMS distance of the same coordinates at the same time after the start [m]."""
+    """Return the RMS distance of the same coordinates at the same time after the start [m]."""
     columns = zip(*(recording.markers.reshape(recording.time.size, -1).T for recording in (one, other)), strict=True)
     pairs = [overlapping_samples(one, other, *column) for column in columns]
     differences = np.concatenate([np.zeros(0), *(mine - theirs for mine, theirs in pairs)])
     return float(np.sqrt(np.mean(differences**2))) if differences.size else 0.0
+
+
+def failure_of(experiment: Experiment, recordings: Sequence[RecordingComparison]) -> str:
+    """Return why an identified model is not to be used, whatever its search says of itself; empty where it may be.
+
+    Args:
+        experiment: as it was read.
+        recordings: beside the model's simulations.
+    """
+    read = {recording.file: recording for recording in experiment.recordings}
+    rig = experiment.rig
+    names = [column for link in rig.links for column in link.marker_columns]
+    reasons = []
+    for item in recordings:
+        file, used = item.recording.file, item.recording
+        before, after = (np.isfinite(each.markers).any(axis=0).ravel().tolist() for each in (read[file], used))
+        lost = [name for name, was, is_ in zip(names, before, after, strict=True) if was and not is_]
+        if lost:
+            reasons.append(f"{file}: every value of {', '.join(lost)} was left out as impossible")
+        rms = None if item.simulated is None else item.simulated.marker_rms
+        if used.role == "holdout" and (rms is None or not np.isfinite(rms)):
+            reasons.append(f"{file}: held out, but the model could not be simulated over it")
+        # Exact data have hardly any noise; what is less than a millionth of the arm is none.
+        noise = max(item.noise[0], 1e-6 * sum(link.length for link in rig.links))
+        if rms is not None and rms > 100 * noise:  # as large as motions are: the model follows nothing
+            reasons.append(f"{file}: residual {ratio(rms / noise)} × noise")
+    more = f", and {len(reasons) - 1} more such" if len(reasons) > 1 else ""
+    return f"{reasons[0]}{more}; see the warnings, and what vjm check says" if reasons else ""
 
 
 def fit_warnings(
@@ -254,35 +313,38 @@ def fit_warnings(
     modes: Sequence[ModeComparison] = (),
 ) -> list[str]:
     """Warn where residuals are no noise, modes differ, recordings are not followed or parameters not determined."""
-    warnings = [
-        f"{test.file}: what the model leaves is {test.chi2**0.5:.3g} times the noise, and no noise (neighbouring "
-        f"residuals correlate by up to {test.correlation:.2g}): it lacks something; the standard errors allow for "
-        "that, the values may be off by more"
+    coloured = [
+        f"{test.file} ({ratio(test.chi2**0.5)} × noise, correlation up to {test.correlation:.2f})"
         for test in whiteness
-        if test.coloured and (test.correlation > _STRONG_CORRELATION or test.chi2 > _LARGE_RESIDUAL)
+        if test.coloured and (test.correlation > 0.2 or test.chi2 > _LARGE_RESIDUAL)
     ]
-    for number, mode in enumerate(modes, start=1):
+    warnings = []
+    if coloured:
+        warnings.append(
+            f"unmodelled dynamics: the residual of all sensors is correlated in {listed(coloured)}; standard errors "
+            "include the correlation, values may be off by more"
+        )
+    for k, mode in enumerate(modes, start=1):
         error = 0.0 if mode.frequency_measured is None else mode.frequency_model / mode.frequency_measured - 1
         if abs(error) > 0.02:  # 4 % of a stiffness
             warnings.append(
-                f"mode {number}: the model's {mode.frequency_model:.4g} Hz is {100 * abs(error):.2g} % "
-                f"{'above' if error > 0 else 'below'} the recordings' {mode.frequency_measured:.4g} Hz; "
-                "method torque+frequency holds it there"
+                f"mode {k}: {mode.frequency_model:.4g} Hz in the model, {100 * abs(error):.2g} % "
+                f"{'above' if error > 0 else 'below'} the measured {mode.frequency_measured:.4g} Hz; "
+                "method torque+frequency fits the measured one"
             )
     warnings += [f"{item.recording.file}: {item.problem}" for item in recordings if item.problem]
     warnings += [
-        f"{item.recording.file}: {item.left_out} marker coordinate{'s' if item.left_out > 1 else ''} left out: "
-        "impossible beside the other markers, clipped, or far from the frames around"
+        f"{item.recording.file}: {counted(item.left_out, 'marker coordinate')} left out: inconsistent with the other "
+        "markers, clipped, or outliers in time"
         for item in recordings
         if item.left_out
     ]
     for item in recordings:
         if item.simulated is not None and item.simulated.marker_rms > _LARGE_RESIDUAL * item.noise[0]:
-            rms = item.simulated.marker_rms
-            warnings.append(
-                f"{item.recording.file}: the model misses the markers by {1e3 * rms:.3g} mm rms, "
-                f"{rms / item.noise[0]:.3g} times their noise"
-            )
+            rms, nominal = item.simulated.marker_rms, None if item.reference is None else item.reference.marker_rms
+            better = "" if nominal is None or nominal > rms else f"; the nominal model's is {millimetres(nominal)}"
+            size = f"{millimetres(rms)} RMS, {ratio(rms / item.noise[0])} × noise"
+            warnings.append(f"{item.recording.file}: marker residual {size}{better}")
         if item.simulated is not None and item.simulated.status != "converged":
             warnings.append(f"{item.recording.file}: no initial state was found that follows the recording")
     missing = [estimate.name for estimate in parameters if not estimate.identifiable]

@@ -31,7 +31,7 @@ def compare(
         experiment: the recordings.
         model: of the same rig.
         covariance: (p, p) of the model's estimated parameters; None where unknown.
-        progress: told (text, done, total) while it runs.
+        progress: called with (text, done, total) while it runs.
 
     Raises:
         ShapeError: a model whose links are longer or shorter than the rig's.
@@ -52,20 +52,22 @@ def compare_recordings(
     others: Sequence[Model | None],
     progress: Progress | None = None,
     states: Mapping[str, Array] | None = None,
+    step_multiple: float = 1.0,
 ) -> tuple[RecordingComparison, ...]:
     """Simulate every recording open loop with a model and with two others: the nominal and the torque method's, if any.
 
     Coordinates that cannot be right, and outliers, are left out of the recordings and counted. Most likely initial
-    states (2 nv,) may be given, as far as they are known, by recording file.
+    states (2 nv,) may be given, as far as they are known, by recording file, and the multiple of the default step that
+    follows the recordings as far as their noise tells.
     """
     report, known, noise = progress or (lambda *_: None), states or {}, (model.marker_noise, model.encoder_noise)
     report("replaying recordings", 0, 2)
     measured = [Observations.of(experiment.rig, recording, noise) for recording in experiment.cleaned_recordings]
     starts = [known.get(one.recording.file) for one in measured]
-    measured, results = replay_without_outliers(partial(_replay, model, 1.0), measured, starts)
+    measured, results = replay_without_outliers(partial(_replay, model, step_multiple), measured, starts)
     report("replaying recordings", 2, 2)
     # Others miss by more than the error of steps twice as long.
-    replays = [other and replay_each(partial(_replay, other, 2.0), measured) for other in others]
+    replays = [other and replay_each(partial(_replay, other, 2 * step_multiple), measured) for other in others]
     columns = [[_simulated(result) for result in column or [""] * len(measured)] for column in (results, *replays)]
     return tuple(
         RecordingComparison(

@@ -14,21 +14,15 @@ from typing import Self
 
 import numpy as np
 
-from vjm.chain.curve import transfer_state
-from vjm.chain.layout import DEFAULT_LAYOUT, nominal_chain, rig_layouts
+from vjm.chain.layout import DEFAULT_LAYOUT, rig_layouts, starting_chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.torque_method import START_KELVIN_VOIGT
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
-from vjm.model.dynamics import mechanism_of
 from vjm.records import Array, Rig
-from vjm.simulation.arm import Arm
 from vjm.simulation.run import Run, simulate_runs
 
 _REFINEMENT = 3  # times as many joints: leaves a ninth of the error, which the extrapolation removes
 _EXTRAPOLATION = _REFINEMENT**2 / (_REFINEMENT**2 - 1)  # Richardson's, for an error of order 1/n^2
-_PASSES = 4  # corrections; each reduces the rest of the error by the error itself
-_CONVERGED = 1e-4  # relative decrease of chi^2 from one pass to the next, below a tenth of a typical noise of chi^2
 
 
 def parameter_shift(point: Point, rig: Rig) -> Array | None:
@@ -41,11 +35,11 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
         point: where the chain fits best.
         rig: the arm.
     """
-    here = with_offset(point, None)
+    here = _with_offset(point, None)
     try:
         predicted = _predictions(_finer(here, rig), here)
         offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
-        beside = with_offset(here, offset)
+        beside = _with_offset(here, offset)
         change: Array = beside.reduced()[0].best() - here.reduced()[0].best()
     except (SimulationDivergedError, InsufficientDataError):
         return None
@@ -60,30 +54,29 @@ class DiscretizationBias:
     shift: Array  # (p,) the beam's coordinates less the chain's
 
     @classmethod
-    def of(cls, point: Point, rig: Rig, rough: bool = False) -> Self | None:
+    def of(cls, point: Point, rig: Rig) -> Self | None:
         """Compare a fitted chain with a finer one; None where that cannot be simulated.
 
         Args:
             point: where the chain fits best.
             rig: the arm.
-            rough: compare them at the same parameters, which gives most of the offset, and no shift.
         """
-        start = with_offset(point, None)
+        start = _with_offset(point, None)
         finer = _finer(start, rig)
         best, chi2, here = None, np.inf, start
         try:
-            for remaining in reversed(range(1 if rough else _PASSES)):
+            for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
                 predicted = _predictions(finer, here)
                 previous, chi2 = chi2, sum(map(_chi2, here.runs, predicted))
-                if not chi2 < previous * (1 - _CONVERGED):
+                if not chi2 < previous * (1 - 1e-4):  # below a tenth of a typical noise of chi^2
                     break
                 best = predicted, here.x
                 if remaining:
                     offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
-                    shifted = with_offset(here, offset)
+                    shifted = _with_offset(here, offset)
                     states = [run.state for run in shifted.runs]
                     fit = fit_trajectory(shifted.problem, shifted.x, None, states, rough=True)
-                    here = with_offset(fit.point, None)
+                    here = _with_offset(fit.point, None)
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if best is None:
@@ -92,14 +85,14 @@ class DiscretizationBias:
         offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
         return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
-    def corrected(self, candidate: TrajectoryFit, rough: bool = False) -> TrajectoryFit:
-        """Fit a model again beside the bias; a rough fit is only a start for others."""
-        point = with_offset(candidate.point, self.offset)
-        fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs], rough=rough)
+    def corrected(self, candidate: TrajectoryFit) -> TrajectoryFit:
+        """Fit a model again beside the bias."""
+        point = _with_offset(candidate.point, self.offset)
+        fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs])
         return replace(fit, shift=self.shift)
 
 
-def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
+def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
     """Return the same simulations with offsets (N,) of their predictions, one for each recording; None: without."""
     runs = tuple(
         replace(run, observed=replace(run.observed, discretization_offset=own))
@@ -109,38 +102,20 @@ def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
 
 
 def _finer(point: Point, rig: Rig) -> TrajectoryProblem:
-    """The problem of a chain with more joints."""
+    """Return the problem of a chain with more joints."""
     coarse = point.problem.parametrisation
     joints = [_REFINEMENT * link.virtual_joints for link in coarse.template.links]
-    template = nominal_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT), START_KELVIN_VOIGT)
+    template = starting_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT))
     finer = Parametrisation(template, coarse.kind, coarse.hubs)
     return replace(point.problem, parametrisation=finer)
 
 
 def _predictions(finer: TrajectoryProblem, point: Point) -> list[Array]:
-    """Predictions of the finer chain for each recording [m, rad]."""
+    """Return the finer chain's predictions for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
-    states = [_transferred_with_momentum(run, arm) for run, arm in zip(point.runs, arms, strict=True)]
+    states = [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
     return [_predicted(run) for run in simulate_runs(arms, observed, None, states, point.problem.step_multiple)]
-
-
-def _transferred_with_momentum(run: Run, arm: Arm) -> Array:
-    """A run's initial state (2 nv,) in a finer chain, with the same momentum of its active joints.
-
-    Initial rates of fast modes differ from chain to chain; a joint that turns freely must not drift by the difference.
-    """
-    state = transfer_state(run.chain, arm.chain, run.state)
-    active = arm.chain.active
-    if not active.size:
-        return state
-    recording = run.observed.recording
-    (q, v), (finer_q, finer_v) = np.split(run.state, 2), np.split(state, 2)
-    mass = mechanism_of(run.chain, run.arm.inputs(recording).payload).mass_matrix(q[None])[0]
-    finer_mass = mechanism_of(arm.chain, arm.inputs(recording).payload).mass_matrix(finer_q[None])[0]
-    missing = (mass @ v)[run.chain.active] - (finer_mass @ finer_v)[active]
-    finer_v[active] += np.linalg.solve(finer_mass[np.ix_(active, active)], missing)
-    return np.concatenate([finer_q, finer_v])
 
 
 def _predicted(run: Run) -> Array:

@@ -12,9 +12,17 @@ from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.spectrum import match, mode_shapes
-from vjm.identification.check import data_warnings, estimates, fit_warnings, identification_notes
+from vjm.identification.check import (
+    data_warnings,
+    estimates,
+    failure_of,
+    fit_warnings,
+    identification_notes,
+    stopped_remedy,
+)
 from vjm.identification.comparison import compare_recordings
 from vjm.identification.discretization import parameter_shift
+from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
 from vjm.identification.torque_method import MODE_TOLERANCE, TorqueFit, fit_torque
@@ -26,7 +34,7 @@ from vjm.markers.angles import AngleMethod
 from vjm.markers.shape import FAMILIES, FamilyName
 from vjm.model.dynamics import objective
 from vjm.model.modes import modes
-from vjm.records import Array, Complex, Experiment, Progress, Rig
+from vjm.records import Array, Complex, Experiment, Progress, Rig, Stages
 from vjm.simulation.least_squares import LOSSES
 from vjm.simulation.model import Model
 
@@ -44,6 +52,7 @@ def identify(
     angles: AngleMethod | None = None,
     derivatives: DerivativeMethod = "smoothing",
     loss: LossName = "linear",
+    baselines: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify an arm's virtual-joint model from its training recordings.
@@ -62,11 +71,14 @@ def identify(
         derivatives: `smoothing` or, as in the paper, `interpolating`.
         loss: of the trajectories' residuals: `linear`, `huber`, `soft_l1` or `cauchy`. Single outliers are left out
             whatever the loss.
-        progress: told (text, done, total) while it runs.
+        baselines: simulate every recording with the nominal and the torque method's model as well, to be compared with;
+            without, an identification of a short recording takes a third less time.
+        progress: called with (text, done, total) while it runs.
 
     Raises:
         ChoiceError: an unknown method or option.
         ShapeError: a number of virtual joints below 1 or above 60.
+        MistakeError: recordings that a mistake explains far better than the experiment file does.
         InsufficientDataError: recordings that cannot determine the model.
         SimulationDivergedError: no start can be simulated.
     """
@@ -83,17 +95,22 @@ def identify(
             raise ChoiceError(option, given, choices)
     if virtual_joints is not None and not 1 <= virtual_joints <= 60:
         raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
+    likely = refuse_mistakes(experiment)
+    progress = Stages(progress, 0.25).inside  # share of the remaining progress that a fit takes: there are seven
     data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)
     if method != "trajectory":
         torque = fit_torque(data, data.parameters, method == "torque+frequency", progress)
-        return _result(experiment, method, data, torque, Information.of_torque_errors(torque), progress)
+        result = _result(experiment, method, data, torque, Information.of_torque_errors(torque), baselines, progress)
+        return replace(result, warnings=(*likely, *result.warnings))
     search, first = first_fit(data, loss, progress)
     fit, notes = search.enough_joints(first)
     information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
     uniform = fit.point.problem.parametrisation.kind == "uniform"
     shift = parameter_shift(fit.point, data.rig) if uniform else None
     data = replace(search.data, joints=search.joint_choices(fit))
-    return _result(experiment, method, data, fit, information, progress, notes, whiteness, search.torque, shift)
+    parts = notes, whiteness, search.torque, shift
+    result = _result(experiment, method, data, fit, information, baselines, progress, *parts)
+    return replace(result, warnings=(*likely, *result.warnings))
 
 
 def _result(
@@ -102,6 +119,7 @@ def _result(
     data: TrainingData,
     fit: TorqueFit | TrajectoryFit,
     information: Information,
+    baselines: bool,
     progress: Progress | None,
     notes: tuple[str, ...] = (),
     whiteness: tuple[Whiteness, ...] = (),
@@ -117,13 +135,15 @@ def _result(
     nominal = Model(nominal_chain(rig, chain.links), rig, *data.noise)
     torque_model = None if torque is None else Model(torque.chain, rig, *data.noise)
     states = {} if trajectory is None else {run.observed.recording.file: run.state for run in trajectory.point.runs}
-    recordings = compare_recordings(experiment, model, (nominal, torque_model), progress, states)
+    others = (nominal, torque_model) if baselines else (None, None)
+    step_multiple = 1.0 if trajectory is None else trajectory.point.problem.step_multiple
+    recordings = compare_recordings(experiment, model, others, progress, states, step_multiple)
     compared_modes = _compare_modes(chain, data)
     # The same weights for both models.
     objectives = [
         objective(data.weighted_errors(either, chain)) if data.prepared else None for either in (chain, nominal.chain)
     ]
-    remedy = "the search stopped early: ask for fewer parameters, or give recordings that move more"
+    failure = failure_of(experiment, recordings)
     return Identification(
         experiment=experiment,
         model=model,
@@ -141,8 +161,8 @@ def _result(
         whiteness=whiteness,
         torque_data=data.prepared_for(chain),
         recordings=recordings,
-        status="converged" if fit.converged else "not converged",
-        remedy="" if fit.converged else remedy,
+        status="failed" if failure else "converged" if fit.converged else "not converged",
+        remedy=failure or ("" if fit.converged else stopped_remedy(trajectory)),
         warnings=(
             *experiment.warnings,
             *data_warnings(data),
@@ -168,7 +188,7 @@ def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ..
 
 
 def _marker_deflections(chain: Chain, rig: Rig, angles: Array) -> Array:
-    """(m, k) lateral deflections of the markers in their link frames, for small joint angles (nv, m)."""
+    """Return lateral deflections (m, k) of the markers in their link frames, for small joint angles (nv, m)."""
     rows = []
     for link, own, part in zip(chain.links, rig.links, chain.passive_slices, strict=True):
         slope = curve_map(link, own.markers).jacobian(np.zeros(link.virtual_joints))
@@ -177,13 +197,13 @@ def _marker_deflections(chain: Chain, rig: Rig, angles: Array) -> Array:
 
 
 def _modal_assurance(model: Array, measured: Complex) -> float:
-    """MAC of two shapes (k,): one where they agree up to a factor, zero where they are orthogonal."""
+    """Return the MAC of two shapes (k,): one where they agree up to a factor, zero where they are orthogonal."""
     power = np.vdot(model, model).real * np.vdot(measured, measured).real
     return float(np.abs(np.vdot(model, measured)) ** 2 / max(power, 1e-300))
 
 
 def _measured_shape(data: TrainingData, frequency: float) -> Complex | None:
-    """(k,) deflection of all markers in the measured mode nearest to a frequency [Hz]; None where none is near.
+    """Return the deflection (k,) of all markers in the measured mode nearest to a frequency [Hz]; None if none is near.
 
     Of all recordings, and of free and forced motion, the one shape that explains most.
     """

@@ -12,7 +12,6 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 _SCALE_FRAMES = 31  # whose median absolute deviation, with an error of a sixth, is the residuals' standard deviation
-_OUTLYING = 8.0  # standard deviations: beyond any of a million normal values, and tails heavier than normal
 _MAX_SHARE = 0.02  # of a recording's values; more are no outliers but something the model lacks
 # Offsets of the frames that predict one by a polynomial: from before, from after, and from both sides.
 _PREDICTORS = ((-3, -2, -1), (-2, -1)), ((1, 2, 3), (1, 2)), ((-2, -1, 1, 2),)
@@ -33,7 +32,7 @@ def trimmed(run: Run) -> Observations:
 
 
 def _outliers(residual: Array, time: Array) -> Mask:
-    """(T, k, 2) True where a coordinate's weighted residual stands out; nowhere if too many do."""
+    """Return (T, k, 2) True where a coordinate's weighted residual stands out; nowhere if too many do."""
     wrong = np.zeros(residual.shape, dtype=np.bool_)
     for index in np.ndindex(residual.shape[1:]):
         values = residual[(slice(None), *index)]
@@ -45,7 +44,7 @@ def _outliers(residual: Array, time: Array) -> Mask:
 
 
 def _outlying(values: Array) -> Mask:
-    """True where a residual departs from the running median, by what the residuals around and most of all scatter."""
+    """Return True where a residual is far from the running median, by the scatter of those around it and of most."""
     distance = np.abs(values - median_filter(values, 15, mode="nearest"))
     typical = np.sort(np.abs(values))[: max(1, int((1 - _MAX_SHARE) * values.size))]
     outlying: Mask = distance > np.maximum(_threshold(distance), 5 * np.sqrt(np.mean(typical**2)))
@@ -53,17 +52,18 @@ def _outlying(values: Array) -> Mask:
 
 
 def _threshold(distance: Array) -> Array:
-    """Distance beyond which a value is outlying; 1.4826 makes a median absolute deviation a standard deviation."""
+    """Return the distance beyond which a value is outlying; 1.4826 median absolute deviations are a standard one."""
     scale = 1.4826 * median_filter(distance, _SCALE_FRAMES, mode="nearest")
-    threshold: Array = _OUTLYING * np.maximum(scale, 1.0)
+    # Eight standard deviations: beyond any of a million normal values, and tails heavier than normal.
+    threshold: Array = 8 * np.maximum(scale, 1.0)
     return threshold
 
 
 def _unpredicted(values: Array, time: Array) -> Mask:
-    """True where neither the frames before nor those after, nor both together, predict a residual.
+    """Return True where neither the frames before nor those after, nor both together, predict a residual.
 
-    However much a model misses smoothly. Of several frames close together, seven being as far as a wrong one disturbs
-    predictions, the worst is left out before the others are judged.
+    What a model misses smoothly they predict. Of several frames close together, the worst is left out before the others
+    are judged: a wrong one disturbs the predictions of seven.
     """
     wrong = np.zeros(values.size, dtype=np.bool_)
     for _ in range(3):
@@ -77,7 +77,7 @@ def _unpredicted(values: Array, time: Array) -> Mask:
 
 
 def _prediction_error(values: Array, time: Array) -> Array:
-    """(T,) distance of values from the nearest prediction by polynomials through the frames around them.
+    """Return the distance (T,) of values from the nearest prediction by polynomials through the frames around them.
 
     After a step, as of a marker that slips, that is by those after it. Zero where frames are on one side only.
     """
@@ -94,7 +94,7 @@ def _prediction_error(values: Array, time: Array) -> Array:
 
 
 def _lagrange_weights(nodes: Array, at: Array) -> Array:
-    """(R, m) weights of values at nodes (R, m) in the polynomial through them at (R,)."""
+    """Return the weights (R, m) of values at nodes (R, m) in the polynomial through them at (R,)."""
     differences = nodes[:, :, None] - nodes[:, None, :]
     distances = np.broadcast_to(at[:, None, None] - nodes[:, None, :], differences.shape)
     same = np.eye(nodes.shape[1], dtype=np.bool_)

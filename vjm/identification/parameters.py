@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import approx_fprime
 from scipy.special import expit, logit, softmax
 
-from vjm.chain.layout import layout_of_lengths
+from vjm.chain.layout import layout_of_lengths, section_inertia
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.records import Array, Mask
 
@@ -24,8 +24,6 @@ PARAMETRISATIONS: tuple[str, ...] = get_args(Parameters)
 
 _LINEAR = ("stiffness", "damping", "hub")  # groups in which the torque errors are linear
 _MAX_LOGARITHM = 12.0  # e^12 = 1.6e5: no ratio of lengths or masses of one link is larger, no fraction nearer to 0 or 1
-_DAMPING_UNIT = 1e-2  # s; scales the coordinate, of order one for Kelvin-Voigt times of metal to polymer
-_MIN_MAGNITUDE = 1e-2  # of a linear coordinate's unit; keeps the preference's width away from zero at zero damping
 # Widths of the preference for the template: relative for stiffness, damping and hub, in logarithms and logits for the
 # others. Recordings usually tell these to a few per cent; what they do not tell stays within a factor of two or so.
 _WIDTHS = {"stiffness": 0.5, "damping": 1.0, "hub": 1.0, "length": 0.5, "mass": 0.5, "center": 1.0, "inertia": 1.0}
@@ -102,7 +100,8 @@ class Parametrisation:
         """Centre and width (p,) of a weak preference for the template where the data are silent."""
         centre = self.start
         width = np.array([_WIDTHS[c.group] for c in self.coordinates])
-        return centre, np.where(self.linear, width * np.maximum(np.abs(centre), _MIN_MAGNITUDE), width)
+        # A hundredth of the unit keeps the width away from zero at zero damping.
+        return centre, np.where(self.linear, width * np.maximum(np.abs(centre), 1e-2), width)
 
     def scale(self, coordinate: _Coordinate) -> float:
         """Return the physical size of one unit of a linear coordinate."""
@@ -110,7 +109,8 @@ class Parametrisation:
         if coordinate.group == "hub":  # a hub without inertia: in units of the rigid link's own
             return link.hub_inertia or float(link.masses.sum() * link.length**2) / 3
         stiffness = link.bending_stiffness / (float(link.cells[coordinate.index]) if coordinate.index >= 0 else 1.0)
-        return stiffness if coordinate.group == "stiffness" else _DAMPING_UNIT * stiffness
+        # Coordinates are of order one for damping ratios of metal to polymer (3.5 %).
+        return stiffness if coordinate.group == "stiffness" else 0.02 * link.time_unit * stiffness
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,)."""
@@ -143,16 +143,19 @@ class Parametrisation:
         if group in ("length", "mass"):
             return float(np.log(value / getattr(link, _FIELDS[group])[-1]))
         length, center = float(link.lengths[j]), float(link.mass_centers[j])
-        largest = length if group == "center" else float(link.masses[j]) * center * (length - center)
+        largest = length
+        if group == "inertia":
+            value = value / float(link.masses[j]) - section_inertia(link.thickness)
+            largest = center * (length - center)
         return float(logit(np.clip(value / largest, 1e-5, 1 - 1e-5)))
 
     def _of_group(self, i: int, group: str, values: Array) -> tuple[list[int], Array]:
-        """Indices within link i, and values, of one group."""
+        """Return the indices within link i, and values, of one group."""
         rows = [k for k, c in enumerate(self.coordinates) if c.link == i and c.group == group]
         return [self.coordinates[k].index for k in rows], values[rows]
 
     def _link(self, i: int, link: LinkChain, values: Array) -> LinkChain:
-        """Link i at values (p,): linear coordinates in their physical units, the others as the optimiser has them."""
+        """Return link i at values (p,): linear coordinates in physical units, the others as the optimiser has them."""
         if self.kind in ("lengths", "full"):
             ratios = softmax(np.r_[self._of_group(i, "length", values)[1], 0.0])
             cuts = layout_of_lengths(link.length * ratios, link.distal)
@@ -163,7 +166,7 @@ class Parametrisation:
                 cells=cuts.cells,
                 masses=masses,
                 mass_centers=cuts.lengths / 2,
-                inertias=masses * cuts.lengths**2 / 12,
+                inertias=masses * (cuts.lengths**2 / 12 + section_inertia(link.thickness)),
             )
         if self.kind == "full":
             link = self._with_inertial(i, link, values)
@@ -174,7 +177,7 @@ class Parametrisation:
         return replace(link, stiffness=stiffness, damping=damping, hub_inertia=hub_inertia)
 
     def _with_inertial(self, i: int, link: LinkChain, values: Array) -> LinkChain:
-        """The link with masses, centres and inertias of its own; what does not move keeps its uniform share."""
+        """Return the link with masses, centres and inertias of its own; what does not move keeps its uniform share."""
         masses, centers = link.masses.copy(), link.lengths / 2
         indices, logits = self._of_group(i, "center", values)
         masses[indices] = masses[indices].sum() * softmax(np.r_[self._of_group(i, "mass", values)[1], 0.0])
@@ -182,12 +185,12 @@ class Parametrisation:
         fraction = np.full(link.lengths.size, 1 / 3)  # of the largest inertia that the centre allows: a uniform rod's
         indices, logits = self._of_group(i, "inertia", values)
         fraction[indices] = expit(logits)
-        inertias = fraction * masses * centers * (link.lengths - centers)
+        inertias = masses * (fraction * centers * (link.lengths - centers) + section_inertia(link.thickness))
         return replace(link, masses=masses, mass_centers=centers, inertias=inertias)
 
 
 def _value(link: LinkChain, coordinate: _Coordinate) -> float:
-    """Physical parameter of a link that a coordinate stands for, in its unit."""
+    """Return the physical parameter of a link that a coordinate stands for, in its unit."""
     if coordinate.group == "hub":
         return link.hub_inertia
     if coordinate.index < 0:

@@ -11,7 +11,7 @@ from vjm.errors import ChoiceError
 from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.markers.angles import ShapeSettings, estimate_angles
-from vjm.records import Array, Estimate, Experiment, Recording, RecordingComparison, SimulatedResult
+from vjm.records import Array, Estimate, Experiment, Recording, RecordingComparison, SimulatedResult, estimate_of
 from vjm.simulation.model import Model
 
 Method = Literal["torque", "torque+frequency", "trajectory"]
@@ -69,8 +69,9 @@ class Identification(Comparison):
         trajectory: the fit of whole trajectories; None for the torque methods.
         whiteness: of the trajectories' residuals, one a fitted recording.
         torque_data: the training recordings as the torque method sees them.
-        status: `converged` or `not converged`.
-        remedy: what to do when it has not converged; empty otherwise.
+        status: `converged`; `not converged`; or `failed`, if a sensor was left out whole, a held-out recording cannot
+            be compared, or residuals are a hundred times the noise.
+        remedy: what to do when it has not converged, and why it has failed; empty otherwise.
         notes: what was decided on the way, and why.
     """
 
@@ -85,7 +86,7 @@ class Identification(Comparison):
     trajectory: TrajectoryFit | None
     whiteness: tuple[Whiteness, ...]
     torque_data: tuple[PreparedRecording, ...]
-    status: Literal["converged", "not converged"]
+    status: Literal["converged", "not converged", "failed"]
     remedy: str
     notes: tuple[str, ...] = ()
 
@@ -95,10 +96,7 @@ class Identification(Comparison):
         Raises:
             ChoiceError: no parameter of that name; the message lists those there are.
         """
-        by_name = {estimate.name: estimate for estimate in self.parameters}
-        if name not in by_name:
-            raise ChoiceError("parameter", name, by_name)
-        return by_name[name]
+        return estimate_of(self.parameters, name)
 
     def phi(self, recording: Recording | str) -> tuple[Array, Array]:
         """Return the angles of all links' virtual joints in a recording, from the base outwards.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import approx_fprime, least_squares, lsq_linear
 
-from vjm.chain.layout import nominal_chain
+from vjm.chain.layout import starting_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.spectrum import match
@@ -16,7 +16,6 @@ from vjm.identification.training_data import TrainingData
 from vjm.model.modes import modes
 from vjm.records import Array, Progress
 
-START_KELVIN_VOIGT = 1e-3  # s; searches start here, within a decade or two of metals' and polymers'
 MODE_TOLERANCE = 0.15  # relative; consecutive bending modes are a factor of 2.8 or more apart, nominal values are not
 
 
@@ -79,7 +78,7 @@ class _TorqueProblem:
         return TorqueFit(self, x, np.asarray(jacobian), True)
 
     def _linear_solution(self) -> Array:
-        """Coordinates of uniform links under the template's weights, in which their torque errors are linear."""
+        """Solve for uniform links under the template's weights, in which their torque errors are linear."""
         parametrisation = self.parametrisation
 
         def vector(x: Array) -> Array:
@@ -148,8 +147,8 @@ def fit_torque(
         InsufficientDataError: no recording has what the method needs; or no measured frequency is the model's.
     """
     if not data.prepared:
-        raise InsufficientDataError("the torque method", data.problems[0], "record more complete frames")
-    start = nominal_chain(data.rig, data.cuts, START_KELVIN_VOIGT)
+        raise InsufficientDataError("the torque method", *data.problems[0].rsplit("; ", 1))  # with its remedy
+    start = starting_chain(data.rig, data.cuts)
     hubs = data.driven_hubs([one.recording for one in data.prepared])
     fit = _TorqueProblem(data, Parametrisation(start, "uniform", hubs)).fit(progress)
     problem = fit.rescaled()

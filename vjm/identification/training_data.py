@@ -24,7 +24,6 @@ DerivativeMethod = Literal["smoothing", "interpolating"]
 
 FREQUENCY_TOLERANCE = 1e-3  # relative; of the order to which a few seconds of recording show a frequency
 _MOST_JOINTS = 20  # tried; beside twice as many, frequencies count as exact: 16 times as exact at fourth order
-_VISIBLE = 1e-9  # of the angles' largest variance: directions below are rounding errors, which no shape function takes
 
 
 @dataclass(frozen=True, repr=False)
@@ -168,7 +167,7 @@ class TrainingData:
         return cls(rig, parameters, layout, cuts, joints, shape, derivatives, noise, recordings)._with_prepared()
 
     def _with_prepared(self) -> Self:
-        """The data with their recordings prepared, and the modes of those with the commonest payload.
+        """Return the data with recordings prepared, and the modes of those with the commonest payload.
 
         Frequencies are compared among recordings with the same payload only.
         """
@@ -214,7 +213,7 @@ class TrainingData:
 
 
 def _training_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """Training recordings in which the arm moves.
+    """Return the training recordings in which the arm moves.
 
     Where some recordings are in the `reference` condition the model is the reference's, and only they are fitted.
     """
@@ -237,14 +236,14 @@ def _training_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ..
 
 
 def _relative_motion(recording: Recording, noise: tuple[float, float]) -> float:
-    """Standard deviation of the coordinate that moves most, over its sensor's noise [m, rad]."""
+    """Return the standard deviation of the coordinate that moves most, over its sensor's noise [m, rad]."""
     markers = recording.markers.reshape(recording.time.size, -1)
     values = np.hstack([markers / noise[0], recording.theta / noise[1]])
     return float(np.nanstd(values[:, np.isfinite(values).sum(axis=0) > 1], axis=0).max(initial=0.0))
 
 
 def _choose_orders(rig: Rig, cuts: Sequence[Cuts], recordings: Sequence[Recording], family: str) -> tuple[int, ...]:
-    """For each link, the largest number of shape functions that a recording supports by cross-validation."""
+    """Return, for each link, the largest number of shape functions that a recording supports by cross-validation."""
     orders = [1] * len(rig.links)
     for i, link in enumerate(rig.links):
         if not link.markers:
@@ -258,7 +257,7 @@ def _choose_orders(rig: Rig, cuts: Sequence[Cuts], recordings: Sequence[Recordin
 
 
 def _choose_joints(link: Link, order: int, parameters: str, requested: int | None) -> JointChoice:
-    """The number of joints asked for, or right for the modes seen, or whose own parameters the markers can tell apart.
+    """Return the number of joints asked for, or right for the modes seen, or that the markers can tell apart.
 
     Fixed lengths need two joints more than there are modes to carry those modes well; free lengths need none.
     """
@@ -273,7 +272,7 @@ def _prepare(
     recording: Recording,
     before: PreparedRecording | None = None,
 ) -> PreparedRecording:
-    """Angles, derivatives and torques of one recording; with the shape functions and the filter of `before`."""
+    """Return angles, derivatives and torques of one recording; with the shape functions and the filter of `before`."""
     shapes = None if before is None else before.angles.shapes
     angles = estimate_angles(data.rig, cuts, recording, data.shape, *data.noise, shapes)
     measured = np.asarray(np.isfinite(angles.torque).any(axis=0))
@@ -308,7 +307,7 @@ def _prepare(
 
 
 def _rows(rig: Rig, cuts: Sequence[Cuts], angles: Angles, measured: Mask) -> Array:
-    """Passive rows along the shapes that the markers can show; active rows with a measured torque."""
+    """Return passive rows along the shapes that the markers can show; active rows with a measured torque."""
     columns, start, active = [], 0, 0
     size = len(angles.covariance)
     for link, cut in zip(rig.links, cuts, strict=True):
@@ -319,7 +318,7 @@ def _rows(rig: Rig, cuts: Sequence[Cuts], angles: Angles, measured: Mask) -> Arr
             start += 1
         part = slice(start, start + cut.cells.size)
         values, vectors = np.linalg.eigh(angles.covariance[part, part])
-        shown = values > _VISIBLE * values[-1]
+        shown = values > 1e-9 * values[-1]  # smaller variances are rounding errors, which no shape function takes
         visible = np.zeros((size, int(shown.sum())))
         visible[part] = vectors[:, shown]
         columns.append(visible)

@@ -23,20 +23,15 @@ from vjm.model.modes import modes
 from vjm.records import REFERENCE, Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
+from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, linearize
 from vjm.simulation.sensitivity import PerturbedArm
+from vjm.text import ratio
 
-# Predicted decreases of the cost below which a search ends, in units of the mean square residual. A decrease by d is
-# a step of sqrt(d) standard errors: 1e-3 is three hundredths of one, 0.5 the same for a cost that is not smooth.
-_NEGLIGIBLE = 1e-3
-_NEGLIGIBLE_NONSMOOTH = 0.5
-_NEGLIGIBLE_PART = 1e-2  # of the cost, while only a part of the recordings is fitted
-_FIRST_PERIODS = 3.0  # of the slowest mode: a frequency wrong by 15 % is then half a cycle late, as far as slopes lead
-_SHAPE_STEP = 1.0  # of a shape parameter's logarithm in one step: a factor e
-_LEAST_JOINT = 1e-3  # bound below which a joint of an effect's own would vanish, and the chain with it change its size
-_HORIZON_GROWTH = 3.0  # a frequency fitted to three periods is right to far less than the sixth part of a cycle
+DIVERGED_MISFIT = 10.0  # times the noise, by which a fit misses that has not found its way to the recordings
+_GROWTH = 3.0  # of recordings' parts: a frequency fitted to three periods is right to far less than a sixth of a cycle
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,7 +61,7 @@ class TrajectoryProblem(Record):
         """Build the chain at coordinates x (p,), without effects."""
         return self.parametrisation.chain(x[: len(self.parametrisation.coordinates)])
 
-    def present(self, x: Array) -> tuple[Effect, ...]:
+    def effects_at(self, x: Array) -> tuple[Effect, ...]:
         """Return the effects at coordinates x (p,)."""
         return tuple(effect.at(x[part]) for effect, part in zip(self.effects, self.parts, strict=True))
 
@@ -84,7 +79,7 @@ class TrajectoryProblem(Record):
         lower, upper = map(np.concatenate, bounds)
         for effect, part in zip(self.effects, self.parts, strict=True):
             if effect.adds_joint(self.parametrisation.template):
-                lower[part.start] = _LEAST_JOINT
+                lower[part.start] = 1e-3  # at zero the joint would vanish, and with it a coordinate of the chain
         return lower, upper
 
     @cached_property
@@ -92,7 +87,7 @@ class TrajectoryProblem(Record):
         """(p,) largest change of each coordinate in one step: shape parameters mean little while sizes are wrong."""
         steps = np.full(self.bounds[0].size, np.inf)
         for effect, part in zip(self.effects, self.parts, strict=True):
-            steps[part.start + effect.magnitude_count : part.stop] = _SHAPE_STEP
+            steps[part.start + effect.magnitude_count : part.stop] = 1.0  # of a logarithm: a factor e
         return steps
 
     @property
@@ -106,13 +101,24 @@ class TrajectoryProblem(Record):
         return replace(self, observed=tuple(parts))
 
     def first_horizon(self, x: Array) -> float:
-        """Return a few periods of the slowest vibration [s]: so short that a wrong frequency has not cost a cycle."""
+        """Return three periods of the slowest vibration [s]: so short that a wrong frequency has not cost a cycle.
+
+        A frequency wrong by 15 % is then half a cycle late, which is as far as slopes lead.
+        """
         chain = self.chain(x)
-        return _FIRST_PERIODS / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in self.observed)
+        return 3 / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in self.observed)
+
+    def durations(self, first: float) -> list[float]:
+        """Return durations [s] of the recordings' parts to fit one after another; the last is infinite, for all."""
+        durations = []
+        while first < self.longest / 1.5:  # or the whole would hardly be longer
+            durations.append(first)
+            first *= _GROWTH
+        return [*durations, np.inf]
 
     def arms(self, x: Array, recordings: Sequence[Recording] | None = None) -> tuple[Arm, ...]:
         """Return the arm that moves in each of some recordings, the problem's own when None, at coordinates x (p,)."""
-        chain, present = self.chain(x), self.present(x)
+        chain, present = self.chain(x), self.effects_at(x)
         reference, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
         wanted = [each.recording for each in self.observed] if recordings is None else recordings
         return tuple((reference if one.condition == REFERENCE else extended).in_recording(one) for one in wanted)
@@ -135,8 +141,8 @@ class TrajectoryProblem(Record):
         priors = [InitialStatePrior.of(arm, observed.recording, scale) for arm, observed, scale in each]
         return Point(self, x, tuple(simulate_or_rest(arms, self.observed, priors, states, known, self.step_multiple)))
 
-    def moved(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
-        """Return, for each recording, its arm with each coordinate moved a little, for forward differences."""
+    def perturbed_arms(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
+        """Return, for each recording, its arm with each coordinate moved a little: for difference quotients."""
         by_coordinate = []
         upper = self.bounds[1]
         for k, value in enumerate(x):
@@ -209,12 +215,12 @@ class Point(Record):
     @property
     def misfit(self) -> float:
         """RMS weighted residual: one where it is the noise."""
-        return float(np.sqrt(self.chi2 / self.expected_chi2))
+        return float(np.sqrt(self.chi2 / max(self.expected_chi2, 1.0)))
 
     @cached_property
     def linearizations(self) -> tuple[SquareRootInformation, ...]:
         """Each recording's linearised problem: its initial state first, then the coordinates."""
-        moved = self.problem.moved(self.x)
+        moved = self.problem.perturbed_arms(self.x)
         return tuple(run.linearized(own) for run, own in zip(self.runs, linearize(self.runs, moved), strict=True))
 
     def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
@@ -273,7 +279,7 @@ class TrajectoryFit(Record):
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """Effects, with the parameters at which the chain follows the recordings."""
-        return self.point.problem.present(self.point.x)
+        return self.point.problem.effects_at(self.point.x)
 
     @property
     def new_effects(self) -> tuple[Effect, ...]:
@@ -281,8 +287,8 @@ class TrajectoryFit(Record):
         return self.effects[self.point.problem.reference_effects :]
 
     @cached_property
-    def names(self) -> frozenset[Key]:
-        """Ids and places of the effects."""
+    def effect_keys(self) -> frozenset[Key]:
+        """Ids of the effects, each with its place."""
         return frozenset(effect.key for effect in self.effects)
 
 
@@ -300,7 +306,7 @@ def fit_trajectory(
     Args:
         problem: the measurements and the coordinates.
         start: (p,) coordinates to start from.
-        progress: told (text, done, total) now and then.
+        progress: called with (text, done, total) now and then.
         states: (2 nv,) initial states near the minimum; None: the search begins with the recordings' first periods.
         known_duration: how long `start` and `states` are known to follow the recordings [s].
         rough: whether the minimum is only a start for another search.
@@ -312,15 +318,18 @@ def fit_trajectory(
     """
     lower, upper = problem.bounds
     x = np.clip(start, lower + 1e-6, upper)
-    horizons = _horizons(problem, x, 0.0 if states is None else known_duration)
+    known = 0.0 if states is None else known_duration
+    durations = problem.durations(problem.first_horizon(x))
+    horizons = [*(duration for duration in durations[:-1] if duration > _GROWTH / 2 * known), np.inf]
     iterations = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1
 
-        def report(iteration: int, k: int = k) -> None:
+        def report(iteration: int, misfit: float, k: int = k) -> None:
             if progress is not None:
                 within = 1 - 0.7**iteration  # how many more there will be is not known
-                progress("fitting trajectories", int(100 * (k + within) / len(horizons)), 100)
+                text = f"fitting trajectories, residual {ratio(misfit)} × noise"
+                progress(text, int(100 * (k + within) / len(horizons)), 100)
 
         part = problem if last else problem.until(horizon)
         search = _TrajectorySearch(part.point(x, states), last and not rough, stop if last else None, report)
@@ -328,16 +337,6 @@ def fit_trajectory(
         iterations += len(search.decreases) + 1
         x, states = search.point.x, search.point.states
     return TrajectoryFit(search.point, search.status == "converged", iterations, search.predicted_decrease)
-
-
-def _horizons(problem: TrajectoryProblem, x: Array, known_duration: float) -> list[float]:
-    """Durations [s] of the recordings' parts to fit one after another, beyond what is known; the last is infinite."""
-    horizon, horizons = problem.first_horizon(x), []
-    while horizon < problem.longest / 1.5:  # or the whole would hardly be longer
-        if horizon > _HORIZON_GROWTH / 2 * known_duration:
-            horizons.append(horizon)
-        horizon *= _HORIZON_GROWTH
-    return [*horizons, np.inf]
 
 
 @dataclass(frozen=True)
@@ -363,7 +362,7 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
     Attributes:
         final: False if the minimum is only a start for another search.
         stop: ends the search, as of `fit_trajectory`.
-        report: told the number of the iteration.
+        report: told the number of the iteration and the RMS weighted residual.
         predicted_decrease: of the cost, by the last Gauss-Newton step; infinite after a damped one.
     """
 
@@ -372,7 +371,7 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
         point: Point,
         final: bool,
         stop: Callable[[Point, float], bool] | None,
-        report: Callable[[int], None],
+        report: Callable[[int, float], None],
     ) -> None:
         super().__init__(point)
         self.final, self.stop, self.report = final, stop, report
@@ -396,11 +395,12 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
 
     def stopping_rule(self) -> Status:
         """Converge where the predicted decrease is negligible; stop where `stop` says so."""
-        self.report(len(self.decreases))
+        self.report(len(self.decreases), self.point.misfit)
         self.predicted_decrease = np.inf if self.damping else self.step.predicted
-        negligible = _NEGLIGIBLE * self._mean_square
-        if not self.final:
-            negligible = max(negligible, _NEGLIGIBLE_PART * self.point.chi2)
+        # A decrease by d times the mean square is a step of sqrt(d) standard errors: three hundredths of one.
+        negligible = 1e-3 * self._mean_square
+        if not self.final:  # while a minimum is only a start, 1 % of the cost
+            negligible = max(negligible, 1e-2 * self.point.chi2)
         if self.step.predicted < negligible:
             return "converged"
         return "stopped" if self.stop is not None and self.stop(self.point, self.step.predicted) else "running"
@@ -408,7 +408,7 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
     def is_rough_minimum(self, trial: Point | None) -> bool:
         """Return True where a step fails that slopes promise little from: play and stiction make the cost rough."""
         rejected = trial is not None and not self.decreases[-1] > 0
-        return rejected and self.step_at(0.0).predicted < _NEGLIGIBLE_NONSMOOTH * self._mean_square
+        return rejected and self.step_at(0.0).predicted < 0.5 * self._mean_square  # a step of 0.7 standard errors
 
     @property
     def _mean_square(self) -> float:
@@ -417,7 +417,7 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
 
 
 def _bounded(problem: SquareRootInformation, point: Point) -> Array:
-    """Change of the coordinates (p,) that minimises a linearised problem within their bounds and largest steps."""
+    """Return the change (p,) of the coordinates that minimises a linearised problem within bounds and largest steps."""
     max_step = point.problem.max_step
     lower, upper = point.problem.bounds
     lower, upper = np.maximum(lower - point.x, -max_step), np.minimum(upper - point.x, max_step)
@@ -430,9 +430,11 @@ def _bounded(problem: SquareRootInformation, point: Point) -> Array:
 
 
 def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
-    """The point a step further; None where a simulation diverges or the arm finds no rest under its load."""
+    """Return the point a step further; None where samples do not show it, it diverges or finds no rest under its load."""
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
+        if _slowest_turns(point.problem, point.x + step.change) > max(1.0, _slowest_turns(point.problem, point.x)):
+            return None
         scales = [run.prior.scale for run in point.runs]
         trial = point.problem.simulated(point.x + step.change, states, point.states, scales)
     except (SimulationDivergedError, InsufficientDataError):
@@ -442,8 +444,22 @@ def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
     return trial
 
 
+def _slowest_turns(problem: TrajectoryProblem, x: Array) -> float:
+    """Return how often the arm's slowest mode swings from one sample to the next, at coordinates x (p,).
+
+    More than once, samples do not show it swing: a search that stiffens the arm further goes astray, where torques are
+    a millionth of what moved it, say, and its simulations take steps without end.
+    """
+    turns = []
+    for arm, observed in zip(problem.arms(x), problem.observed, strict=True):
+        recording = observed.recording
+        slowest, _ = locked_joint_frequencies(arm.chain, recording.payload)
+        turns.append(slowest * np.ptp(recording.time) / max(recording.time.size - 1, 1))
+    return float(max(turns))
+
+
 def _backtracked(point: Point, step: _TrajectoryStep, trial: Point) -> Point:
-    """The trial with nonsmooth recordings begun nearer to where they did before, if that follows them better.
+    """Return the trial with nonsmooth recordings begun nearer to where they were before, if that follows them better.
 
     The coordinates' part of a step is right for them, the part of an initial state of its own often not.
     """

@@ -8,26 +8,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from vjm.chain.curve import transfer_state
-from vjm.chain.layout import nominal_chain, rig_layouts
-from vjm.chain.virtual_links import Chain
+from vjm.chain.layout import rig_layouts, starting_chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.outliers import trimmed
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.torque_method import START_KELVIN_VOIGT, TorqueFit, fit_torque
+from vjm.identification.torque_method import TorqueFit, fit_torque
 from vjm.identification.training_data import JointChoice, TrainingData
-from vjm.identification.trajectory_fit import TrajectoryFit, TrajectoryProblem, fit_trajectory
+from vjm.identification.trajectory_fit import DIVERGED_MISFIT, Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import Loss
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, simulate_runs
+from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory, measured_torque
+from vjm.text import listed, number
 
-# A start is followed by others while its fit of the first periods misses by more than ten times the noise, or, where
-# the model itself lacks something, by more than 30 % of the motion: a fit of another cycle misses by about all of it.
-_DIVERGED_MISFIT = 10.0
-_DIVERGED_SHARE = 0.3
+VISIBLE_GAIN = 0.01  # of chi^2: 0.5 % of the RMS residual; a step that gains less only refines a minimum
 
 
 @dataclass(frozen=True)
@@ -57,29 +53,72 @@ class TrajectoryMethod:
             for k in range(most + 1)
         ]
 
-    def near(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
+    def fit_from(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
         """Fit uniform links with so many joints, from a fit with about as many."""
-        problem = self._problem(joints)
-        template = problem.parametrisation.template
-        states = [transfer_state(run.chain, template, run.state) for run in fit.point.runs]
-        chain = problem.parametrisation.chain(fit.point.x)
-        step_multiple = _largest_step_multiple(chain, problem.observed, states, fit.point.misfit**2)
+        return self._accurate(self._fit_from(joints, fit, self.rough))
+
+    def _fit_from(self, joints: Sequence[int], fit: TrajectoryFit, rough: bool) -> TrajectoryFit:
+        """Fit as `near` does, with the longest steps that tell how well the joints explain the recordings."""
+        problem, point = self._problem(joints), fit.point
+        arms = problem.arms(point.x)
+        states = [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
+        if self._searches_with_long_steps:
+            step_multiple = _search_multiple(point)
+        else:
+            step_multiple = _largest_step_multiple(arms, problem.observed, states, point.misfit**2)
         problem = replace(problem, step_multiple=step_multiple)
-        return fit_trajectory(problem, fit.point.x, self.progress, states, rough=self.rough)
+        return fit_trajectory(problem, point.x, self.progress, states, rough=rough, stop=_StallRule())
+
+    @property
+    def _searches_with_long_steps(self) -> bool:
+        """True if only the last fits take accurate steps: those that an elbow's swing needs are many times shorter."""
+        return any(link.joint == "revolute" for link in self.data.rig.links[1:])
+
+    def _accurate(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Return the fit with steps so short that halving them would move no estimate by a tenth of its standard error.
+
+        Steps are halved until what that moves says so, taken as if of third order: of fourth, errors fall faster. The
+        search is near its minimum each time, and takes a Gauss-Newton step or two.
+        """
+        rough = self._searches_with_long_steps
+        while rough and fit.point.problem.step_multiple > 1.0:
+            point, stop = fit.point, _StallRule()
+            problem = replace(point.problem, step_multiple=max(point.problem.step_multiple / 2, 1.0))
+            rough = self.rough or problem.step_multiple > 1.0
+            fit = fit_trajectory(problem, point.x, self.progress, point.states, rough=rough, stop=stop)
+            change = fit.point.x - point.x
+            moved = float(np.linalg.norm(fit.point.reduced()[0].R[:-1, :-1] @ change)) / (2**3 - 1)
+            halved = fit.point.runs[0].trajectory.step < point.runs[0].trajectory.step  # or another bound of it holds
+            if not fit.converged or (halved and moved < 0.1 * max(fit.point.misfit, 1.0)):
+                break
+        if not fit.converged or self.rough or not rough:
+            return fit
+        return fit_trajectory(fit.point.problem, fit.point.x, self.progress, fit.point.states, stop=_StallRule())
 
     def enough_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
         """Return the fit with the fewest joints that one joint more does not improve, and what that joint would do.
 
-        The search begins at `first`, of uniform links with the first of the candidate numbers of joints.
+        The search begins at `first`, of uniform links with the first of the candidate numbers of joints. It leaves out
+        numbers between which the discretisation error still falls fast.
         """
-        uniform, best = first, self._refined(first)
-        for joints in self.candidates()[1:]:
-            uniform = self.near(joints, uniform)
+        uniform, best, known = first, self._refined(first), [first]
+        candidates = self.candidates()
+        k = 0
+        while first.converged and k + 1 < len(candidates):
+            k = _next_candidate(candidates, k, known) if self._searches_with_long_steps else k + 1
+            uniform = self._fit_from(candidates[k], uniform, self.rough or self._searches_with_long_steps)
+            known.append(uniform)
             trial = self._refined(uniform)
-            if not _explains_more(best, trial):
-                return best, (_comparison(best, trial),)
+            if not _explains_more(best, trial):  # rough minima may be too far apart to tell
+                best, trial = self._final(best), self._final(trial)
+                if not _explains_more(best, trial):
+                    return best, (_comparison(best, trial),)
             best = trial
-        return best, ()
+        return self._final(best), ()
+
+    def _final(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Return the accurate fit of the parameters asked for; unless links are uniform it is that already."""
+        return self._accurate(fit) if self.data.parameters == "uniform" else fit
 
     def joint_choices(self, fit: TrajectoryFit) -> tuple[JointChoice, ...]:
         """Return a fit's numbers of joints with their discretisation errors."""
@@ -88,12 +127,12 @@ class TrajectoryMethod:
         return tuple(JointChoice.of(link, order, own.virtual_joints, requested) for link, order, own in links)
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
-        """The problem of uniform links with so many joints."""
+        """Return the problem of uniform links with so many joints."""
         cuts = rig_layouts(self.data.rig, joints, self.data.layout)
-        template = nominal_chain(self.data.rig, cuts, START_KELVIN_VOIGT)
+        template = starting_chain(self.data.rig, cuts)
         return TrajectoryProblem(Parametrisation(template, "uniform", self.hubs), self.observed)
 
-    def _far(self, joints: Sequence[int]) -> TrajectoryFit:
+    def _fit_without_start(self, joints: Sequence[int]) -> TrajectoryFit:
         """Fit uniform links with so many joints, from far away.
 
         The search begins with the recordings' first periods, at what the torque method found, held to the measured
@@ -106,17 +145,21 @@ class TrajectoryMethod:
                 starts.append(self.torque.with_frequencies().x)
             starts.append(self.torque.x)
         starts.append(nominal)
-        horizon = problem.first_horizon(starts[0])
+        horizon = _first_horizon(problem, starts)
+        if self._searches_with_long_steps:
+            problem = replace(problem, step_multiple=_first_multiple(problem.until(horizon), nominal))
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
         # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
         fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
-        return fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, horizon, self.rough)
+        start, stop = fit.point, _StallRule()
+        return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=self.rough, stop=stop)
 
     def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """The fit of the parameters asked for, which start from uniform links and prefer them where data are silent."""
+        """Fit the parameters asked for, from uniform links, which they prefer where data are silent."""
         if self.data.parameters == "uniform":
             return fit
+        fit = self._accurate(fit)
         parametrisation = Parametrisation(fit.point.chain, self.data.parameters, self.hubs)
         x, (centre, width) = parametrisation.start, parametrisation.preference
         for _ in range(8):  # the scale only falls, by 10 % or more
@@ -155,11 +198,11 @@ def first_fit(
     used = replace(data, problems=problems)
     search = TrajectoryMethod(used, observed, data.driven_hubs(recordings), torque, progress, rough)
     joints = search.candidates()[0]
-    fit = search._far(joints)
+    fit = search._fit_without_start(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)
     if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
-        fit = search.near(joints, fit)
+        fit = search.fit_from(joints, fit)
     return search, fit
 
 
@@ -179,7 +222,7 @@ def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple
 def _fit_first_periods(
     problem: TrajectoryProblem, starts: Sequence[Array], others: Sequence[Array], progress: Progress | None
 ) -> TrajectoryFit:
-    """The fit to the recordings' first periods that follows them best.
+    """Fit the recordings' first periods, and return the fit that follows them best.
 
     The first start (p,) is tried first, then all by how well they follow, then `others` where none leads anywhere.
     """
@@ -188,10 +231,10 @@ def _fit_first_periods(
         """Fit from the start that follows best; from the next ones too, until one misses by little."""
         best: TrajectoryFit | None = None
         for x in candidates:
-            if best is not None and best.point.misfit < _DIVERGED_MISFIT:
+            if best is not None and best.point.misfit < DIVERGED_MISFIT:
                 break
             with contextlib.suppress(SimulationDivergedError):
-                trial = fit_trajectory(problem, x, progress, rough=True)
+                trial = fit_trajectory(problem, x, progress, rough=True, stop=_StallRule())
                 best = trial if best is None or trial.point.misfit < best.point.misfit else best
         return best
 
@@ -203,22 +246,76 @@ def _fit_first_periods(
                 points.append(problem.point(x))
         return [point.x for point in sorted(points, key=lambda point: point.misfit) if np.isfinite(point.misfit)]
 
+    def better(fit: TrajectoryFit | None, candidates: Sequence[Array]) -> TrajectoryFit | None:
+        fits = [each for each in (fit, best_of(by_misfit(candidates))) if each is not None]
+        return min(fits, key=lambda each: each.point.misfit, default=None)
+
     fit = best_of(starts[:1])
-    if fit is None or fit.point.misfit > _DIVERGED_MISFIT:
-        fit = best_of(by_misfit(starts))
-    if fit is None or fit.point.misfit > max(_DIVERGED_MISFIT, _DIVERGED_SHARE * _motion(problem, starts[-1])):
-        fit = best_of(by_misfit([*starts, *others]))
+    if fit is None or fit.point.misfit > DIVERGED_MISFIT:
+        fit = better(fit, starts[1:])
+    # A model that lacks something may miss 30 % of the motion; a fit of another cycle misses about all of it.
+    if fit is None or fit.point.misfit > max(DIVERGED_MISFIT, 0.3 * _motion(problem, starts[-1])):
+        fit = better(fit, others)
     # Where nothing runs at all, let the search itself say what is wrong.
     return fit or fit_trajectory(problem, starts[-1], progress)
 
 
+def _first_horizon(problem: TrajectoryProblem, starts: Sequence[Array]) -> float:
+    """Return the first horizon [s] at the first start (p,) whose arm has a position of rest; softer ones hang down."""
+    for x in starts[:-1]:
+        with contextlib.suppress(InsufficientDataError):
+            return problem.first_horizon(x)
+    return problem.first_horizon(starts[-1])
+
+
 def _motion(problem: TrajectoryProblem, x: Array) -> float:
-    """RMS of what was measured about the arm's rest, in units of the noise."""
+    """Return the RMS of what was measured about the arm's rest, in units of the noise."""
     squares = 0.0
     for observed, arm in zip(problem.observed, problem.arms(x), strict=True):
         rest = InitialStatePrior.of(arm, observed.recording).rest[: arm.chain.size]
         squares += float(np.sum(observed.residual(arm, Trajectory.at_rest(observed.recording.time, rest)) ** 2))
-    return float(np.sqrt(squares / sum(observed.count for observed in problem.observed)))
+    return float(np.sqrt(squares / max(sum(observed.count for observed in problem.observed), 1)))
+
+
+class _StallRule:
+    """Rule that stops a search whose steps are small although it is far from the recordings.
+
+    Where slopes lead to the minimum each step takes most of the cost away: one that is half the cost after five trials
+    is none of these. Neither is it a search that ends at a minimum far away, as where the arm has a mass that the model
+    lacks: there every step lowers the cost, and the next one by next to nothing.
+    """
+
+    def __init__(self) -> None:
+        self.costs: list[float] = []
+        self.count = 0
+
+    def __call__(self, point: Point, predicted: float) -> bool:
+        """Return True for a point that five trials have not brought half the way."""
+        if point.count != self.count:  # longer parts of the recordings
+            self.costs, self.count = [], point.count
+        self.costs.append(point.cost)
+        recent = self.costs[-6:]
+        ends = predicted < VISIBLE_GAIN * point.cost and bool(np.all(np.diff(recent) < 0))
+        return point.misfit > DIVERGED_MISFIT and len(recent) > 5 and 2 * point.cost > recent[0] and not ends
+
+
+def _next_candidate(candidates: Sequence[tuple[int, ...]], k: int, fits: Sequence[TrajectoryFit]) -> int:
+    """Return the index of the numbers of joints to try after the k-th.
+
+    The error of a chain falls with a power of n, and so does what chi^2 is above the noise. By the power that the last
+    two fits show, numbers are left out as long as one joint more would still gain ten times what is visible.
+    """
+    if len(fits) < 2 or min(fit.misfit for fit in fits[-2:]) <= 1.0:
+        return k + 1
+    sizes = [float(np.mean(joints)) for joints in candidates]
+    n, m = (np.mean([link.virtual_joints for link in fit.point.chain.links]) for fit in fits[-2:])
+    before, here = (fit.misfit**2 - 1 for fit in fits[-2:])
+    power = np.log(before / here) / np.log(m / n)
+    for following in range(k + 1, len(candidates) - 1):
+        rest, less = (here * (sizes[each] / m) ** -power for each in (following, following + 1))
+        if rest - less < 10 * VISIBLE_GAIN * (1 + rest):
+            return following
+    return len(candidates) - 1
 
 
 def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
@@ -226,27 +323,57 @@ def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
     count = fewer.point.count
     gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
     added = more.point.x.size - fewer.point.x.size
-    return bool(gain > max(added * np.log(count), 0.01 * count))  # of chi^2: 0.5 % of the RMS residual
+    return bool(gain > max(added * np.log(count), VISIBLE_GAIN * count))
 
 
 def _comparison(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
-    """A sentence on what one virtual joint more would do."""
+    """Say what one virtual joint more would do."""
     gain = 1 - float(np.sqrt(more.point.chi2 / fewer.point.chi2))
-    note = f"one virtual joint more would make the residual {100 * max(gain, 0.0):.2g} % smaller"
+    reduction = f"reduce the residual by {number(100 * gain, 2)} %" if gain > 0 else "not reduce the residual"
+    note = f"one more virtual joint would {reduction}"
     one, two = (fit.point.problem.parametrisation for fit in (fewer, more))
     if one.kind != "uniform":
         return note
     values, others = one.physical(fewer.point.x), two.physical(more.point.x)
     shifts = np.abs(others / np.where(values > 0, values, np.inf) - (values > 0))
     named = zip(one.coordinates, shifts.tolist(), strict=True)
-    return f"{note} and move " + ", ".join(f"{c.name} by {100 * shift:.2g} %" for c, shift in named)
+    return f"{note}, and would change {listed([f'{c.name} by {number(100 * shift, 2)} %' for c, shift in named])}"
+
+
+def _first_multiple(problem: TrajectoryProblem, x: Array) -> float:
+    """Return the multiple of the default step for searches from x (p,), whose initial states are not known yet."""
+    arms = problem.arms(x)
+    states = [InitialStatePrior.of(arm, one.recording).rest for arm, one in zip(arms, problem.observed, strict=True)]
+    with contextlib.suppress(SimulationDivergedError):
+        return _search_multiple(problem.simulated(x, states, states, [1.0] * len(states)), 1.0)
+    return 1.0
+
+
+def _search_multiple(point: Point, mean_square: float | None = None) -> float:
+    """Return the largest multiple of the integrator's default step whose error is of no account beside the residuals.
+
+    The mean square of these may be given. Errors follow from steps half as long.
+    """
+    arms, observed, coarse, before = [run.arm for run in point.runs], point.problem.observed, list[Run](), 1.0
+    # 3 % of the RMS residual changes chi^2 by a thousandth: a tenth of what decides for one joint more.
+    largest = 0.03**2 * max(point.misfit**2 if mean_square is None else mean_square, 1.0) * point.count
+    for multiple in (16.0, 8.0, 4.0, 2.0, 1.0):
+        try:
+            fine = simulate_runs(arms, observed, None, point.states, multiple)
+        except SimulationDivergedError:
+            continue
+        pairs = [*zip(coarse, fine, strict=True)] if coarse else []
+        differences = [one.residual - two.residual for one, two in pairs if one.trajectory.step > two.trajectory.step]
+        if differences and sum(float(difference @ difference) for difference in differences) < largest:
+            return before
+        coarse, before = fine, multiple
+    return 1.0
 
 
 def _largest_step_multiple(
-    chain: Chain, observed: Sequence[Observations], states: Sequence[Array], mean_square: float
+    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array], mean_square: float
 ) -> float:
-    """Largest multiple of the integrator's default step that shifts no estimate by a tenth of its standard error."""
-    arms = [Arm(chain)] * len(observed)
+    """Return the largest multiple of the default step that shifts no estimate by a tenth of its standard error."""
     exact = simulate_runs(arms, observed, None, states, 1.0)
     for multiple in (4.0, 2.0):
         runs = simulate_runs(arms, observed, None, states, multiple)

@@ -16,11 +16,11 @@ from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, Simulatio
 from vjm.identification.records import Identification, Whiteness
 from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
-from vjm.records import Array, Mask, Progress
+from vjm.records import NOT_NOISE, Array, Mask, Progress
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, linearize
 
-_SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e-6 leave rounding errors only
+SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e-6 leave rounding errors only
 
 
 @dataclass(frozen=True)
@@ -57,17 +57,17 @@ class Information:
         """(p, p) covariance of the coordinates (sandwich); huge along directions that the data do not respond to."""
         scale = 1 / np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
         values, vectors = np.linalg.eigh(self.normal * np.outer(scale, scale))
-        silent = values <= _SINGULAR * values[-1]
+        silent = values <= SINGULAR * values[-1]
         inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
         unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
-        result: Array = inverse @ self.score_covariance @ inverse + unknown / _SINGULAR
+        result: Array = inverse @ self.score_covariance @ inverse + unknown / SINGULAR
         return result
 
     @property
     def visible(self) -> Mask:
         """(p,) True where the residuals respond to a coordinate at all."""
         response = np.sqrt(np.maximum(np.diag(self.normal), 0))
-        return response > _SINGULAR * max(float(response.max()), 1e-300)
+        return response > SINGULAR * max(float(response.max()), 1e-300)
 
 
 def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, tuple[Whiteness, ...]]:
@@ -81,7 +81,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     """
     point = fit.point
     count = point.x.size
-    moved = point.problem.moved(point.x)
+    moved = point.problem.perturbed_arms(point.x)
     whiteness = tuple(_whiteness(run) for run in point.runs)
     normal, plain = np.zeros((2, count, count))
     for linearized, white in zip(point.linearizations, whiteness, strict=True):
@@ -101,7 +101,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
 
 
 def _long_run_covariance(scores: Array, lags: int) -> Array:
-    """Sum of autocovariances up to a lag, with Bartlett weights."""
+    """Return the sum of autocovariances up to a lag, with Bartlett weights."""
     from statsmodels.stats.sandwich_covariance import S_hac_simple  # takes a second
 
     result: Array = S_hac_simple(scores, nlags=min(lags, len(scores) - 1))
@@ -120,7 +120,7 @@ def _correlation_length(series: Array) -> int:
 
 
 def _larger(one: Array, other: Array, normal: Array) -> Array:
-    """The larger of two score covariances, direction by direction."""
+    """Return the larger of two score covariances, direction by direction."""
     root = np.linalg.cholesky(normal + 1e-12 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(normal)))
     first, second = (np.linalg.solve(root, np.linalg.solve(root, each).T) for each in (one, other))
     values, vectors = np.linalg.eigh(first - second)
@@ -130,7 +130,7 @@ def _larger(one: Array, other: Array, normal: Array) -> Array:
 
 
 def _whiteness(run: Run) -> Whiteness:
-    """Box and Pierce's test over ten lags of all the sensors of a recording, at a false-alarm rate of 0.1 %.
+    """Apply Box and Pierce's test to ten lags of all sensors of a recording.
 
     Correlations are pooled over a sensor's coordinates, and values that were not measured count as zero.
     """
@@ -146,8 +146,8 @@ def _whiteness(run: Run) -> Whiteness:
         statistic, freedom = statistic + np.isfinite(series).sum() * float(np.sum(r**2)), freedom + lags
         largest = max(largest, float(np.abs(r).max()))
     count = max(run.expected_chi2, 1)
-    correlated = freedom > 0 and statistic > stats.chi2.isf(1e-3, freedom)
-    large = freedom > 0 and run.chi2 > stats.chi2.isf(1e-3, count)
+    correlated = freedom > 0 and statistic > stats.chi2.isf(NOT_NOISE, freedom)
+    large = freedom > 0 and run.chi2 > stats.chi2.isf(NOT_NOISE, count)
     return Whiteness(run.observed.recording.file, run.chi2 / count, largest, bool(correlated or large))
 
 
@@ -155,7 +155,7 @@ ErrorKind = Literal["noise", "blocks"]
 
 
 def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -> tuple[float, float]:
-    """Find the values of a parameter that the recordings do not reject, all others being fitted anew at each.
+    """Find the values of a parameter that the recordings do not reject, all others being fitted again at each.
 
     Unlike value +- standard errors it need not be symmetric, and knows of bounds. Where the residuals are no white
     noise, the likelihood is scaled as the standard errors are.
@@ -192,7 +192,7 @@ def _trajectory_fit(fit: Identification, what: str) -> TrajectoryFit:
 
 
 def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -> float:
-    """End of the interval, in the direction of a signed `std`: the root of the likelihood ratio reaches the quantile.
+    """Find the end of the interval in the direction of a signed `std`: where the likelihood's root meets the quantile.
 
     Infinite where it does not within 30 standard errors: then the recordings set no limit there.
     """
@@ -245,7 +245,7 @@ def bootstrap(
         executor: runs the fits; any `concurrent.futures.Executor`, such as a process pool's or
             `dask.distributed.Client.get_executor()`. None: one after another, here.
         seed: of the errors; the same seed gives the same samples on every executor.
-        progress: told (text, done, total) after every fit.
+        progress: called with (text, done, total) after every fit.
 
     Returns:
         (B, p) values of `fit.parameters` estimated from each sample, and (B, p) the standard errors that each fit
@@ -266,7 +266,7 @@ def bootstrap(
 def _resampled(
     point: Point, samples: int, kind: ErrorKind, executor: Executor | None, seed: int, progress: Progress | None = None
 ) -> tuple[Array, Array]:
-    """The bootstrap at any point, which need not be a minimum: with kind `noise`, data from a known truth."""
+    """Bootstrap at any point, which need not be a minimum: with kind `noise`, data from a known truth."""
     seeds = np.random.SeedSequence(seed).spawn(samples)
     bare = replace(point, runs=tuple(replace(run) for run in point.runs))  # without what can be worked out again
     run: Callable[..., object] = map if executor is None else executor.map
@@ -283,7 +283,7 @@ def _resampled(
 
 
 def _refit(point: Point, kind: ErrorKind, seed: np.random.SeedSequence) -> tuple[Array, Array] | None:
-    """Parameters (p,) estimated from one data set, and their standard errors; None where the fit fails."""
+    """Estimate parameters (p,) from one data set, with their standard errors; None where the fit fails."""
     rng = np.random.default_rng(seed)
     observed = tuple(_simulated(run, kind, rng) for run in point.runs)
     problem = replace(point.problem, observed=observed)
@@ -300,14 +300,14 @@ def _refit(point: Point, kind: ErrorKind, seed: np.random.SeedSequence) -> tuple
 
 
 def _simulated(run: Run, kind: ErrorKind, rng: np.random.Generator) -> Observations:
-    """The recording as the run would have made it, with new errors."""
+    """Return the recording as the run would have made it, with new errors."""
     observed = run.observed
     errors = rng.standard_normal(observed.count) if kind == "noise" else _block_errors(run, rng)
     return replace(observed, values=observed.predicted(run.arm, run.trajectory) + errors / observed.weights)
 
 
 def _block_errors(run: Run, rng: np.random.Generator) -> Array:
-    """The run's own weighted residuals (N,), blocks as long as they are correlated drawn with replacement."""
+    """Draw blocks of the run's weighted residuals (N,) with replacement, as long as these are correlated."""
     errors = []
     for series in run.residual_series():
         # Instants at which the sensor showed nothing are no part of a block.

@@ -1,0 +1,331 @@
+"""Mistakes that people make: each is named with its remedy before anything is fitted, and nothing else is."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pytest
+
+import vjm
+from tests.fine_beam.make_hub import write_hub_experiment
+from tests.simulation.integrators import simulate
+from vjm.chain.layout import layout, uniform_chain
+from vjm.chain.virtual_links import Chain
+from vjm.cli import main
+from vjm.diagnosis import diagnose
+from vjm.errors import MistakeError
+from vjm.experiment.conventions import Camera, Conventions, Units
+from vjm.identification import identify
+from vjm.identification.check import failure_of
+from vjm.identification.mistakes import find_mistakes
+from vjm.model.modes import linearise
+from vjm.records import Experiment, Link, Recording, RecordingComparison, Rig
+from vjm.simulation.arm import Arm
+
+DEMO = Path(vjm.__file__).parent / "demo" / "experiment.toml"
+WIDTH, THICKNESS = 0.035, 0.0015  # m
+QUICK = 10.0  # s
+Change = Callable[[Experiment], Experiment]
+
+
+@cache
+def hub() -> Experiment:
+    folder = Path(mkdtemp())
+    experiment = vjm.load_experiment(write_hub_experiment(folder, 1))
+    shutil.rmtree(folder)
+    (link,) = experiment.rig.links
+    modulus = 12 * link.bending_stiffness / (WIDTH * THICKNESS**3)
+    section = {"width": WIDTH, "thickness": THICKNESS, "youngs_modulus": modulus}
+    return replace(experiment, rig=replace(experiment.rig, links=(replace(link, **section),)))
+
+
+@cache
+def clamped() -> Experiment:
+    return vjm.load_experiment(DEMO)
+
+
+BOTH = (hub, clamped)
+
+
+def recordings(change: Callable[[Recording], Recording]) -> Change:
+    return lambda experiment: replace(experiment, recordings=tuple(map(change, experiment.recordings)))
+
+
+def markers(change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    return recordings(lambda one: replace(one, markers=change(one.markers.copy())))
+
+
+def factors(**by_key: float) -> Change:
+    def changed(experiment: Experiment) -> Experiment:
+        (link,) = experiment.rig.links
+        values = {key: np.multiply(getattr(link, key), factor).tolist() for key, factor in by_key.items()}
+        if not {"width", "thickness", "youngs_modulus"}.isdisjoint(values):
+            values["bending_stiffness"] = None
+        return replace(experiment, rig=replace(experiment.rig, links=(replace(link, **values),)))
+
+    return changed
+
+
+def sensors(**by_key: float) -> Change:
+    def changed(experiment: Experiment) -> Experiment:
+        values = {key: factor * getattr(experiment.rig, key) for key, factor in by_key.items()}
+        return replace(experiment, rig=replace(experiment.rig, **values))
+
+    return changed
+
+
+def exchanged(one: int, other: int) -> Change:
+    def change(places: np.ndarray) -> np.ndarray:
+        places[:, [one, other]] = places[:, [other, one]]
+        return places
+
+    return markers(change)
+
+
+def in_link_frame(one: Recording) -> Recording:
+    known = np.isfinite(one.theta[:, 0])
+    theta = np.interp(one.time, one.time[known], one.theta[known, 0])[:, None]
+    x, y = np.moveaxis(one.markers, 2, 0)
+    turned = np.cos(theta) * x + np.sin(theta) * y, np.cos(theta) * y - np.sin(theta) * x
+    return replace(one, markers=np.stack(turned, axis=-1))
+
+
+def turned_by(angle: float) -> np.ndarray:
+    """Matrix that turns rows of coordinates counterclockwise."""
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+
+
+def framed(frame: str) -> Change:
+    def changed(experiment: Experiment) -> Experiment:
+        links = tuple(replace(link, markers_frame=frame) for link in experiment.rig.links)
+        return replace(experiment, rig=replace(experiment.rig, links=links))
+
+    return changed
+
+
+CERTAIN = [  # name, rigs, mistake, words of the sentence
+    ("mm", BOTH, markers(lambda m: 1e3 * m), ["millimetres", '[units] length = "mm"', "times those of its key"]),
+    ("cm", BOTH, markers(lambda m: 1e2 * m), ["centimetres", '[units] length = "cm"']),
+    ("inch", BOTH, markers(lambda m: m / 0.0254), ["inches", '[units] length = "in"']),
+    ("length in mm", BOTH, factors(length=1e3), ["looks like mm", "'length' of [[link]] beam in metres, 1"]),
+    ("lengths in mm", BOTH, factors(length=1e3, markers=1e3), ["its lengths look like millimetres", "'markers'"]),
+    ("thickness in mm", BOTH, factors(thickness=1e3), ["'thickness' looks like mm", "in metres, 0.0015"]),
+    ("width in mm", BOTH, factors(width=1e3), ["'width' looks like mm", "in metres, 0.035"]),
+    ("section in mm", BOTH, factors(width=1e3, thickness=1e3), ["'width' looks like mm and 'thickness'"]),
+    ("E in GPa", BOTH, factors(youngs_modulus=1e-9), ["'youngs_modulus' looks like GPa", "in Pa"]),
+    ("mass in g", BOTH, factors(mass=1e3), ["'mass' looks like grams", "in kg, 0.44"]),
+    ("hub in kg cm^2", (hub,), factors(hub_inertia=1e4), ["'hub_inertia' looks like kg cm^2", "in kg m^2, 0.024"]),
+    ("ms", BOTH, recordings(lambda r: replace(r, time=1e3 * r.time)), ["milliseconds", '[units] time = "ms"']),
+    ("us", BOTH, recordings(lambda r: replace(r, time=1e6 * r.time)), ["microseconds", '[units] time = "us"']),
+    ("degrees", (hub,), recordings(lambda r: replace(r, theta=np.rad2deg(r.theta))), ['[units] angle = "deg"']),
+    ("reversed", BOTH, markers(lambda m: m[:, ::-1]), ["reversed", "from the base outwards", "[columns]"]),
+    ("swapped", BOTH, exchanged(1, 2), ["beam.m2 and beam.m3 exchanged", "swapped", "[columns]"]),
+    ("swapped ends", BOTH, exchanged(0, 4), ["beam.m1 and beam.m5 exchanged"]),
+    ("x for y", BOTH, markers(lambda m: m[..., ::-1]), ["x and y look swapped", '[camera] axes = ["y", "x"]']),
+    ("x flipped", BOTH, markers(lambda m: m * [-1, 1]), ["pointed the other way", '[camera] axes = ["-x", "y"]']),
+    ("y flipped", (hub,), markers(lambda m: m * [1, -1]), ["y points the other way", 'axes = ["x", "-y"]']),
+    ("origin", BOTH, markers(lambda m: np.add(m, (0.1, -0.05))), ["origin is another", "[camera] origin = [-0.1, 0.0"]),
+    ("link's frame", (hub,), recordings(in_link_frame), ["do not turn", 'markers_frame = "link" in [[link]] beam']),
+    ("base frame", (hub,), framed("link"), ["turn with beam.theta", 'markers_frame = "base" in [[link]] beam']),
+    (
+        "sign of theta",
+        (hub,),
+        recordings(lambda r: replace(r, theta=-r.theta)),
+        ["its sign is wrong; multiply", "'beam.theta' by -1"],
+    ),
+    (
+        "degrees, other sign",
+        (hub,),
+        recordings(lambda r: replace(r, theta=-np.rad2deg(r.theta))),
+        ["by -1, whose sign"],
+    ),
+    (
+        "zero of theta",
+        (hub,),
+        recordings(lambda r: replace(r, theta=r.theta - 0.5)),
+        ["ahead of", "add 0.5 rad to beam"],
+    ),
+    ("camera turned", BOTH, markers(lambda m: m @ turned_by(0.4)), ["degrees ahead of", "[camera] rotation = -0.4"]),
+    ("sign of torque", (hub,), recordings(lambda r: replace(r, tau=-r.tau)), ["its sign is wrong", "'beam.tau' by -1"]),
+    (
+        "N mm, other sign",
+        (hub,),
+        recordings(lambda r: replace(r, tau=-1e3 * r.tau)),
+        ['"N mm", and multiply the column'],
+    ),
+    ("N mm", (hub,), recordings(lambda r: replace(r, tau=1e3 * r.tau)), ["1000 times", 'torque = "N mm"']),
+    ("no torque", (hub,), recordings(lambda r: replace(r, tau=0 * r.tau)), ["zero throughout", 'input = "motion"']),
+    ("noise in km", BOTH, sensors(marker_noise=1e-3), ["'marker_noise' of [sensors]", "1000 times too small"]),
+    ("noise in mm", BOTH, sensors(marker_noise=1e3), ["'marker_noise' of [sensors]", "1000 times too large"]),
+    ("angles' noise", (hub,), sensors(encoder_noise=1e-3), ["'encoder_noise' of [sensors]", "too small"]),
+]
+CASES = [
+    pytest.param(rig, mistake, words, id=f"{name}, {rig.__name__}")
+    for name, rigs, mistake, words in CERTAIN
+    for rig in rigs
+]
+
+
+@pytest.mark.parametrize(("rig", "mistake", "words"), CASES)
+def test_a_mistake_is_named_and_refused(rig: Callable[[], Experiment], mistake: Change, words: list[str]) -> None:
+    experiment = mistake(rig())
+    began = time.perf_counter()
+    (found,) = find_mistakes(experiment)
+    assert found.certain, found.gain
+    for word in words:
+        assert word in str(found)
+    for run in (identify, diagnose):
+        with pytest.raises(MistakeError) as caught:  # an InputError: status 2
+            run(experiment)
+        assert caught.value.mistakes == (str(found),)
+    checked = vjm.check(experiment)
+    assert checked.problem == str(found)
+    assert checked.identifiable == {}
+    assert time.perf_counter() - began < QUICK  # of all four
+
+
+@pytest.mark.parametrize("rig", BOTH)
+@pytest.mark.parametrize("seen", ["as it is", "by other conventions"])
+def test_nothing_is_wrong_with_what_is_right(rig: Callable[[], Experiment], seen: str) -> None:
+    experiment = rig()
+    if seen != "as it is":
+        conventions = Conventions(Units("mm", "deg", "ms", "N mm"), Camera((1.0, 2.0), 0.3, ("-y", "z")))
+        experiment = replace(experiment, conventions=conventions)
+    assert find_mistakes(experiment) == ()
+    assert vjm.check(experiment).problem == ""
+
+
+def without_section(experiment: Experiment) -> Experiment:
+    """The link's EI alone is known, as where somebody measured it."""
+    (link,) = experiment.rig.links
+    plain = replace(link, width=None, thickness=None, youngs_modulus=None, bending_stiffness=link.bending_stiffness)
+    return replace(experiment, rig=replace(experiment.rig, links=(plain,)))
+
+
+def test_a_mass_in_grams_shows_in_the_torque_where_no_density_tells() -> None:
+    (found,) = find_mistakes(factors(mass=1e3)(without_section(hub())))
+    assert found.certain
+    assert "'mass' looks like grams; give it in kg, 0.44" in str(found)
+
+
+@pytest.mark.parametrize("wrong", [{"hub_inertia": 0.0}, {"hub_inertia": 10.0}, {"hub_inertia": 0.1}, {"mass": 5.0}])
+def test_numbers_that_are_known_badly_are_no_mistake_of_a_unit(wrong: dict[str, float]) -> None:
+    """A hub's inertia, that of the motor behind its gear, is a guess, or left out; it is identified."""
+    assert find_mistakes(factors(**wrong)(without_section(hub()))) == ()
+
+
+def test_one_recording_with_swapped_labels_is_the_one_named() -> None:
+    (found,) = find_mistakes(
+        replace(clamped(), recordings=(exchanged(1, 2)(clamped()).recordings[1], *clamped().recordings[2:]))
+    )
+    assert found.files == ("first_mode.csv",)
+
+
+def test_remedies_start_from_the_conventions_there_are() -> None:
+    changed = replace(clamped(), conventions=Conventions(Units(length="mm"), Camera((1.0, 2.0))))
+    (units,) = find_mistakes(markers(lambda m: 1e-3 * m)(changed))
+    assert 'look like metres; set [units] length = "m"' in str(units)
+    (origin,) = find_mistakes(markers(lambda m: np.add(m, (0.2, 0.0)))(changed))
+    assert "[camera] origin = [0.8" in str(origin)
+    changed = replace(clamped(), conventions=Conventions(camera=Camera(axes=("-z", "x"))))
+    (axes,) = find_mistakes(markers(lambda m: m[..., ::-1])(changed))
+    assert 'axes = ["x", "-z"]' in str(axes)
+    changed = replace(hub(), conventions=Conventions(Units(angle="deg"), Camera(rotation=0.1)))
+    (zero,) = find_mistakes(recordings(lambda r: replace(r, theta=r.theta + 0.5))(changed))
+    assert "behind where beam.theta has them" in str(zero)
+    assert "[camera] rotation = 0.6, or add -28.7 deg to beam.theta" in str(zero)
+    names = {"beam.theta": "Motor angle (deg)", "beam.tau": "Torque"}
+    changed = replace(hub(), conventions=Conventions(columns=names))
+    (theta,) = find_mistakes(recordings(lambda r: replace(r, theta=-r.theta))(changed))
+    assert "multiply the column 'Motor angle (deg)' by -1" in str(theta)
+    (torque,) = find_mistakes(recordings(lambda r: replace(r, tau=-r.tau))(changed))
+    assert "multiply the column 'Torque' by -1" in str(torque)
+
+
+def hanging(joint: str, gravity: tuple[float, float], stiffness: float) -> Experiment:
+    """Recordings of a chain that hangs in gravity, pushed or, where it is clamped, released."""
+    random = np.random.default_rng(0)
+    arcs = (0.1, 0.2, 0.3, 0.4, 0.5)
+    link = Link("beam", joint, 0.5, 0.2, stiffness, arcs, hub_inertia=0.01 if joint == "revolute" else 0.0)
+    rig = Rig("rig", (link,), gravity=gravity, marker_noise=3e-4)
+    chain = Chain("rig", (uniform_chain(link, layout(0.5, 4), kelvin_voigt=5e-4),), gravity=gravity)
+    instants, found = np.arange(0, 4, 0.005), []
+    for k in range(2):
+        wave = np.sin(2 * np.pi * (0.7 + 0.4 * k) * instants) + 0.5 * np.sin(2 * np.pi * 2.1 * instants)
+        torque = 0.1 * wave[:, None] if joint == "revolute" else np.zeros((instants.size, 0))
+        empty = np.full((instants.size, 5, 2), np.nan)
+        kind = "driven" if joint == "revolute" else "decay"
+        blank = Recording(instants, empty, 0 * torque, torque, kind=kind, file=f"r{k}.csv", gravity=gravity)
+        start = linearise(chain, 0.0, gravity)[3]
+        start = start if joint == "revolute" else start + 0.02 * np.linspace(1.0, 0.3, start.size)
+        motion = simulate(Arm(chain), rig, blank, start, np.zeros(chain.size))
+        places = np.full(motion.markers.shape, np.nan)
+        places[::2] = motion.markers[::2] + 3e-4 * random.standard_normal(motion.markers[::2].shape)
+        found.append(replace(blank, theta=motion.theta, markers=places))
+    return Experiment(rig, tuple(found))
+
+
+@pytest.mark.parametrize(
+    ("joint", "gravity", "stiffness", "certain"),
+    [("revolute", (9.81, 0.0), 2.0, True), ("clamped", (0.0, -9.81), 0.4, False)],
+)
+def test_gravity_that_was_not_declared(
+    joint: str, gravity: tuple[float, float], stiffness: float, certain: bool
+) -> None:
+    declared = hanging(joint, gravity, stiffness)
+    assert find_mistakes(declared) == ()
+    unknown = recordings(lambda r: replace(r, gravity=(0.0, 0.0)))(declared)
+    unknown = replace(unknown, rig=replace(declared.rig, gravity=(0.0, 0.0)))
+    (found,) = find_mistakes(unknown)
+    assert found.certain is certain
+    assert ("gravity = [9.81, " if certain else "gravity = [0.0, -9.81]") in str(found)
+    if not certain:
+        checked = vjm.check(unknown)
+        assert str(found) in checked.warnings
+        assert not checked.problem
+        assert identify(unknown, "torque", virtual_joints=2).warnings[0] == str(found)
+
+
+@pytest.mark.parametrize("rig", BOTH)
+def test_nothing_held_out_is_a_warning_of_the_check(rig: Callable[[], Experiment]) -> None:
+    wrong = markers(lambda m: 1e3 * m)(rig())  # whose check ends early, but warns all the same
+    train = recordings(lambda r: replace(r, role="train"))(wrong)
+    assert any("no recording is held out" in text for text in vjm.check(train).warnings)
+    assert not any("held out" in text for text in vjm.check(wrong).warnings)
+
+
+@pytest.mark.parametrize("rig", ["clamped", "hub"])
+def test_commands_end_with_status_2(rig: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "experiment.toml"
+    if rig == "hub":
+        write_hub_experiment(tmp_path, 1)
+        wrong, words = "mass = 440.0", "'mass' looks like grams"
+        file.write_text(file.read_text().replace("mass = 0.44\n", f"{wrong}\n"))
+    else:
+        for each in DEMO.parent.glob("*.*"):
+            shutil.copy(each, tmp_path)
+        wrong, words = "thickness = 1.5", "'thickness' looks like mm"
+        file.write_text(file.read_text().replace("thickness = 0.0015", wrong))
+    assert wrong in file.read_text()
+    for command in ("check", "identify", "diagnose"):
+        out, began = [] if command == "check" else ["-o", str(tmp_path / "out")], time.perf_counter()
+        assert main([command, str(file), *out]) == 2
+        assert time.perf_counter() - began < QUICK
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_model_that_follows_nothing_has_failed() -> None:
+    experiment = clamped()
+    blind = replace(experiment.recordings[1], markers=experiment.recordings[1].markers * [[[1, 1]] * 4 + [[np.nan, 1]]])
+    assert "beam.m5.x was left out" in failure_of(experiment, [RecordingComparison(blind, (3e-4, 1e-4), None)])
+    held_out = RecordingComparison(experiment.recordings[-1], (3e-4, 1e-4), None, problem="diverged")
+    assert "both_modes.csv: held out, but the model could not be simulated" in failure_of(experiment, [held_out])

@@ -1,0 +1,59 @@
+"""Mistakes that people make in experiments, found before anything is fitted: units, axes, signs, order, noise."""
+
+from __future__ import annotations
+
+from warnings import catch_warnings, simplefilter
+
+import numpy as np
+
+from vjm.errors import MistakeError
+from vjm.identification.mistakes.evidence import Mistake
+from vjm.identification.mistakes.geometry import (
+    distance_mistakes,
+    heading_mistakes,
+    headings,
+    length_mistake,
+    origin_mistakes,
+    sideways_mistakes,
+)
+from vjm.identification.mistakes.rig import noise_mistakes, rig_mistakes, sag_mistakes
+from vjm.identification.mistakes.torque import balances, torque_gains, torque_mistakes, torque_sign
+from vjm.records import Experiment
+
+
+def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
+    """Look for mistakes that explain the recordings far better than the experiment file does.
+
+    What rests on something that is wrong is not looked at: first the geometry, then the rest. Nothing is changed.
+    """
+    with np.errstate(all="ignore"), catch_warnings():  # of absurd numbers, which are what is looked for
+        simplefilter("ignore", RuntimeWarning)
+        lengths = [one for link in experiment.rig.links if (one := length_mistake(link))]
+        found = [*lengths, *distance_mistakes(experiment), *sideways_mistakes(experiment)]
+        wrong = {file for mistake in found for file in mistake.files}
+        if lengths or len(wrong) == len({recording.file for recording in experiment.recordings}):
+            return tuple(found)
+        turning = headings(experiment, tuple(wrong))
+        moments = [] if wrong else balances(experiment)
+        gains = torque_gains(experiment, moments)
+        turned = heading_mistakes(experiment, turning, torque_sign(gains))
+        moved = origin_mistakes(experiment, tuple(wrong))
+        if turned or moved or wrong:
+            return (*found, *turned, *moved, *noise_mistakes(experiment))
+        numbers = rig_mistakes(experiment)
+        if not any(mistake.certain for mistake in numbers):
+            torques = torque_mistakes(experiment, moments, gains)
+            numbers = torques if any(mistake.certain for mistake in torques) else [*numbers, *torques]
+        return (*numbers, *sag_mistakes(experiment), *noise_mistakes(experiment))
+
+
+def refuse_mistakes(experiment: Experiment) -> tuple[str, ...]:
+    """Raise a `MistakeError` if there is a mistake that is certain; else return those that are likely, as warnings."""
+    mistakes = find_mistakes(experiment)
+    certain = [str(mistake) for mistake in mistakes if mistake.certain]
+    if certain:
+        raise MistakeError(certain)
+    return tuple(str(mistake) for mistake in mistakes)
+
+
+__all__ = ["Mistake", "find_mistakes", "refuse_mistakes"]

@@ -1,0 +1,108 @@
+"""Mistakes in an experiment, and how sure the recordings are of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vjm.experiment.conventions import FACTORS
+from vjm.records import Array, Indices, Mask, Recording, Rig
+
+# Logarithms of how many times likelier the data are with the mistake than without: a mistake is certain where the data
+# alone would fool us once in a million experiments, as in vjm.experiment.spectrum, and likely at once in a thousand.
+CERTAIN, LIKELY = float(np.log(1e6)), float(np.log(1e3))
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake that explains the recordings far better than the experiment file does.
+
+    Attributes:
+        text: what is seen, what is likely wrong, and which key to change, in a sentence.
+        gain: logarithm of how many times likelier the recordings are with the mistake.
+        files: of the recordings that show it; empty where it is one of the rig.
+    """
+
+    text: str
+    gain: float
+    files: tuple[str, ...] = ()
+
+    @property
+    def certain(self) -> bool:
+        """True if nothing should be fitted before it is mended."""
+        return self.gain > CERTAIN
+
+    def __str__(self) -> str:
+        others = len(self.files) - 1
+        more = f" and {others} other recording{'s' if others > 1 else ''}" if others > 0 else ""
+        return f"{self.files[0]}{more}: {self.text}" if self.files else self.text
+
+
+def negated(column: str) -> str:
+    """Return the remedy of a wrong sign: no key of an experiment file turns one, an axis' apart."""
+    return f"multiply the column '{column}' by -1"
+
+
+def unit_factors(quantity: str, current: str) -> dict[str, float]:
+    """Return by unit what numbers read in the current unit are to be multiplied with if they are in that one."""
+    return {unit: size / FACTORS[quantity][current] for unit, size in FACTORS[quantity].items() if unit != current}
+
+
+def chosen_frames(recording: Recording) -> Indices:
+    """Return rows (F,) of a recording in which the camera saw something, at most 2000: more show no more mistakes."""
+    frames = recording.frames
+    kept: Indices = frames[np.unique(np.linspace(0, frames.size - 1, min(frames.size, 2000)).astype(np.intp))]
+    return kept
+
+
+def swings(signal: Array) -> int:
+    """Return how often a signal (N,) crosses its mean: so many independent pieces of evidence it holds at least."""
+    return int(np.count_nonzero(np.diff(np.sign(signal - signal.mean()))))
+
+
+def polar_angles(rig: Rig, markers: Array) -> tuple[Array, Array] | None:
+    """Return arc lengths (k,) and angles (F, k) from the base to the first link's markers [rad]; None if too few.
+
+    Angles are in the frame of the coordinates, NaN in frames without all of those markers that are seen in most.
+    """
+    arcs, points = _seen_markers(rig, markers)
+    if not arcs.size:
+        return None
+    angles = np.arctan2(points[..., 1], points[..., 0])
+    return arcs, angles
+
+
+def root_headings(rig: Rig, markers: Array) -> tuple[Array, float] | None:
+    """Return the heading (F,) of the first link at its base and its noise [rad]; None where too few markers are seen.
+
+    It is extrapolated from the directions between the three markers nearest to the base, for wherever the origin of
+    coordinates is they are the same; from fewer markers it holds the link's bending, from one the base's place too.
+    """
+    arcs, points = _seen_markers(rig, markers)
+    if not arcs.size:
+        return None
+    if arcs.size == 1:
+        points, arcs = np.concatenate([np.zeros_like(points), points], axis=1), np.array([0.0, *arcs])
+    steps = np.diff(points[:, :3], axis=1)
+    directions = np.arctan2(steps[..., 1], steps[..., 0])
+    noise = (rig.marker_noise or 1e-3 * rig.links[0].length) * np.sqrt(2.0) / np.diff(arcs[:3])
+    if arcs.size == 2:
+        return directions[:, 0], float(noise[0])
+    # A clamped link's slope grows with the arc length from zero on: linearly to begin with.
+    centers = (arcs[:2] + arcs[1:3]) / 2
+    share = centers[0] / (centers[1] - centers[0])
+    difference = np.angle(np.exp(1j * (directions[:, 1] - directions[:, 0])))
+    return directions[:, 0] - share * difference, float(np.hypot((1 + share) * noise[0], share * noise[1]))
+
+
+def _seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
+    """Return arc lengths (k,) and places (F, k, 2) of the first link's markers that most frames show."""
+    arcs, points = np.array(rig.links[0].markers), markers.copy()
+    if rig.links[0].markers_frame == "link":  # a lone y will do there
+        points[..., 0] = np.where(np.isfinite(points[..., 0]), points[..., 0], arcs)
+    seen: Mask = np.asarray(np.isfinite(points).all(axis=2))
+    used = seen.mean(axis=0) > 0.5 if seen.size else np.zeros(arcs.size, dtype=np.bool_)
+    complete: Mask = np.asarray(seen[:, used].all(axis=1))
+    points[~complete] = np.nan
+    return (arcs[used], points[:, used]) if complete.sum() >= 10 else (np.zeros(0), points[:, :0])

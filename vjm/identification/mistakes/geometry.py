@@ -1,0 +1,391 @@
+"""Mistakes in the geometry of recordings: units, order of markers, the camera's origin and axes, the joint's angle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import NamedTuple
+
+import numpy as np
+
+from vjm.experiment.conventions import FACTORS, Conventions
+from vjm.identification.mistakes.evidence import (
+    LIKELY,
+    Mistake,
+    chosen_frames,
+    negated,
+    root_headings,
+    swings,
+    unit_factors,
+)
+from vjm.identification.overview import angle_at
+from vjm.records import Array, Experiment, Indices, Link, Mask, Recording, Rig
+
+# What is off by less is a scale, a marker or a pose to be found by a diagnosis, and no mistake of another kind: the
+# slack of vjm.experiment.checks, and five times the everyday misalignment of a camera that somebody aligned.
+_RELATIVE, _SHARE = 0.04, 0.02  # of a distance, and of the link's length
+_ORIGIN = 0.005  # of the length: what the origin may be off, a few millimetres on an arm of a metre
+
+
+@dataclass(frozen=True)
+class _Heading:
+    """Turning of the first link's markers about the base, compared with its joint's angle in a recording.
+
+    Attributes:
+        file: the recording's.
+        slope: of the markers' heading over the joint's angle; one where all is right; None without an active joint.
+        gain: logarithm of how much likelier that slope is than the one expected.
+        offset: of the heading at angle zero [rad].
+        offset_std: what it may be without a mistake [rad].
+    """
+
+    file: str
+    slope: float | None
+    gain: float
+    offset: float
+    offset_std: float
+
+
+class _Hypothesis(NamedTuple):
+    """Mistake that distances between markers may come from; by default none."""
+
+    order: tuple[int, ...] = ()  # two markers that are exchanged, or all of them in reverse, numbered from 1
+    unit: str = ""  # that numbers are in
+    what: str = ""  # is in that unit: `recordings` or `rig`
+
+
+def distance_mistakes(experiment: Experiment) -> list[Mistake]:
+    """Return mistakes in the unit of length and the order of the markers, seen in distances, which no bending changes.
+
+    Each hypothesis, a unit and an order, predicts the distances between a link's markers and, of the first link, to the
+    base, unless that is elsewhere; they are compared by their likelihoods.
+    """
+    found: dict[tuple[int, _Hypothesis], list[tuple[str, float, float]]] = {}
+    for recording in experiment.recordings:
+        rows = chosen_frames(recording)
+        for index, own in enumerate(experiment.rig.marker_slices):
+            key, gain, scale = _best_hypothesis(experiment, index, recording.markers[rows, own])
+            if gain > LIKELY:
+                found.setdefault((index, key), []).append((recording.file, gain, scale))
+    mistakes = []
+    for (index, key), group in found.items():
+        files, gains, scales = zip(*group, strict=True)
+        text = _distance_text(experiment.rig.links[index], key, float(np.median(scales)))
+        mistakes.append(Mistake(text, sum(gains), files))
+    return mistakes
+
+
+def _best_hypothesis(experiment: Experiment, index: int, markers: Array) -> tuple[_Hypothesis, float, float]:
+    """Return the likeliest hypothesis of a link's markers (F, k, 2), its gain and how much too large distances are."""
+    link = experiment.rig.links[index]
+    based, arcs, count = index == 0, np.array([0.0, *link.markers]), len(link.markers)
+    points = np.concatenate([np.zeros((len(markers), 1, 2)), markers], axis=1)
+    first, second = np.triu_indices(arcs.size, 1)
+    distances = np.hypot(*np.moveaxis(points[:, first] - points[:, second], 2, 0))
+    usable = np.isfinite(distances).sum(axis=0) >= 10
+    inner = usable & (first > 0)
+    if not (usable if based else inner).any():
+        return _Hypothesis(), 0.0, 1.0
+    median = np.full(first.size, 1.0)
+    median[usable] = np.maximum(np.nanmedian(distances[:, usable], axis=0), 1e-300)
+    scales: dict[tuple[str, str], float] = {("", ""): 1.0}
+    units = unit_factors("length", experiment.conventions.units.length)
+    scales |= {(name, "recordings"): factor for name, factor in units.items()}
+    scales |= {(name, "rig"): 1 / factor for name, factor in unit_factors("length", "m").items()}
+    orders: list[tuple[int, ...]] = [(), *combinations(range(1, count + 1), 2)]
+    orders += [tuple(range(count, 0, -1))] if count > 2 else []
+    results: dict[_Hypothesis, float] = {}
+    for ((unit, what), factor), order in product(scales.items(), orders):
+        places = np.arange(arcs.size)
+        if len(order) == 2:
+            places[list(order)] = order[::-1]
+        elif order:
+            places[1:] = order
+        along = np.abs(arcs[places][first] - arcs[places][second])
+        deviation = np.log(median * factor / along) / np.hypot(_RELATIVE, _SHARE * link.length / along)
+        fits = [_fit(deviation, usable, first, second)] if based else []
+        if not based or (inner.any() and link.markers_frame == "base"):
+            elsewhere = 2 * np.log(1 / _ORIGIN) if based else 0.0  # two numbers that would have to be found
+            fits.append(_fit(deviation, inner, first, second) - elsewhere)
+        # A mistake has to make up for the number of those that were looked for.
+        cost = np.log(len(scales)) * bool(unit) + np.log(len(orders)) * bool(order)
+        prior = _size_prior(arcs[-1], unit if what == "rig" else "")
+        results[_Hypothesis(order, unit, what)] = max(fits) - cost + prior
+    best = max(results, key=lambda key: results[key])
+    shown = inner if inner.any() else usable
+    scale = float(np.median(median[shown] / np.abs(arcs[first] - arcs[second])[shown]))
+    return best, results[best] - results[_Hypothesis()], scale
+
+
+def _fit(deviation: Array, chosen: Mask, first: Indices, second: Indices) -> float:
+    """Return the log-likelihood of distances between pairs of points, which hold one distance a point."""
+    independent = np.unique([*first[chosen], *second[chosen]]).size - 1
+    return -0.5 * independent * float(np.mean(deviation[chosen] ** 2))
+
+
+def _size_prior(length: float, unit: str) -> float:
+    """Return the log-likelihood of a length [m] given in another unit: arms are half a metre long, give or take."""
+    metres = length * (unit_factors("length", "m")[unit] if unit else 1.0)
+    return -0.5 * float(np.log(metres / 0.5) / np.log(4.0)) ** 2
+
+
+def _distance_text(link: Link, key: _Hypothesis, scale: float) -> str:
+    order, unit, what = key
+    parts, remedies = [], []
+    if unit:
+        far = f"distances between the markers of {link.name} are {scale:.4g} times those of its key 'markers'"
+        names = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "m": "metres"}
+        parts.append(
+            f"{far}: {'the coordinates look' if what == 'recordings' else 'its lengths look'} like {names[unit]}"
+        )
+        remedies.append(
+            f'set [units] length = "{unit}"'
+            if what == "recordings"
+            else f"give 'markers' and all other lengths of [[link]] {link.name} in metres"
+        )
+    if len(order) == 2:
+        one, other = (f"{link.name}.m{k}" for k in order)
+        parts.append(f"distances fit 'markers' only with {one} and {other} exchanged: the two are swapped")
+        remedies.append(f'exchange them in the file or in [columns] ("{one}.x" and "{other}.x", and so on)')
+    elif order:
+        parts.append(f"distances fit 'markers' only with those of {link.name} counted from the tip: they are reversed")
+        remedies.append("number them from the base outwards, in the file or in [columns]")
+    return f"{'; '.join(parts)}; {'; '.join(remedies)}"
+
+
+def sideways_mistakes(experiment: Experiment) -> Iterator[Mistake]:
+    """Yield links whose markers, in the link's own frame and of y alone, are farther to the side than they can be."""
+    for link, own in zip(experiment.rig.links, experiment.rig.marker_slices, strict=True):
+        if link.markers_frame == "base":
+            continue
+        for recording in experiment.recordings:
+            markers = recording.markers[:, own]
+            if np.isfinite(markers[..., 0]).any() or not np.isfinite(markers[..., 1]).any():
+                continue
+            reach = float(np.nanmax(np.abs(markers[..., 1]) / np.array(link.markers)))
+            if reach > 1.0 + _RELATIVE + _SHARE:  # a link does not stretch
+                text = (
+                    f"markers of {link.name} are up to {reach:.3g} times as far beside it as along it: the "
+                    'coordinates look like millimetres; set [units] length = "mm"'
+                )
+                yield Mistake(text, np.inf, (recording.file,))
+                break
+
+
+def headings(experiment: Experiment, skipped: Sequence[str]) -> list[_Heading]:
+    """Compare the heading of the first link's markers at the base with the joint's angle, recording by recording.
+
+    Recordings whose distances already show a mistake are `skipped`. The slope is one of those that a mistake can make:
+    the other sign, another unit, or none at all where coordinates are in the link's frame.
+    """
+    rig = experiment.rig
+    if not rig.links[0].markers:
+        return []
+    units = unit_factors("angle", experiment.conventions.units.angle)
+    expected = 1.0 if rig.links[0].markers_frame == "base" else 0.0
+    slopes = [1.0, -1.0, 0.0, *(sign * factor for factor in units.values() for sign in (1, -1))]
+    if expected == 0.0:
+        slopes = [0.0, 1.0, -1.0]  # a unit of the angle does not show there
+    measured, likelihoods = [], []
+    for recording in experiment.recordings:
+        seen = None if recording.file in skipped else _seen_heading(rig, recording)
+        if seen is None:
+            continue
+        theta, heading, noise = seen
+        x, y = theta - theta.mean(), heading - heading.mean()
+        misfit = np.array([np.mean((y - slope * x) ** 2) for slope in slopes]) + noise**2
+        likelihoods.append(-0.5 * (swings(x) + 1) * np.log(misfit))
+        measured.append((recording, theta, heading))
+    if not measured:
+        return []
+    revolute = rig.links[0].joint == "revolute"
+    pooled = int(np.argmax(np.sum(likelihoods, axis=0)))
+    result = []
+    for (recording, theta, heading), own in zip(measured, likelihoods, strict=True):
+        best = int(np.argmax(own))
+        best = best if own[best] - own[pooled] > LIKELY else pooled
+        gain = float(own[best] - own[slopes.index(expected)])
+        slope = slopes[best] if revolute else None
+        offset = np.angle(np.mean(np.exp(1j * (heading - (slope or 0.0) * theta))))
+        bending = 0.3 if len(rig.links[0].markers) == 1 else 0.0  # rad; in a single marker's heading
+        result.append(_Heading(recording.file, slope, gain, float(offset), float(np.hypot(0.05, bending))))
+    return result
+
+
+def _seen_heading(rig: Rig, recording: Recording) -> tuple[Array, Array, float] | None:
+    """Return joint angle (F,), heading at the base (F,) and the noise of the latter [rad]; None if not seen."""
+    rows = chosen_frames(recording)
+    markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
+    seen = root_headings(rig, markers)
+    if seen is None:
+        return None
+    known = np.isfinite(seen[0])
+    return theta[known], np.unwrap(seen[0][known]), seen[1]
+
+
+def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mistake]:
+    """Return that the first link does not start at the origin: where its markers, and their direction, say it starts.
+
+    The marker nearest to the base is its own arc length away from there, in the link's direction: it bends least.
+    """
+    link, own = experiment.rig.links[0], experiment.rig.marker_slices[0]
+    group = []
+    for recording in experiment.recordings:
+        markers = recording.markers[chosen_frames(recording)][:, own]
+        seen = root_headings(experiment.rig, markers)
+        if recording.file in skipped or link.markers_frame == "link" or len(link.markers) < 2 or seen is None:
+            continue
+        nearest = int(np.argmax(np.isfinite(markers).all(axis=2).mean(axis=0) > 0.5))
+        start = markers[:, nearest] - link.markers[nearest] * np.stack([np.cos(seen[0]), np.sin(seen[0])], axis=1)
+        start = start[np.isfinite(start).all(axis=1)]
+        # The link bends while it moves, and little of that is evidence of where it starts.
+        spread = start.std(axis=0).max() / np.sqrt(swings(start[:, 1]) + 1)
+        allowed = float(np.hypot(_ORIGIN * link.length, spread))
+        offset = np.median(start, axis=0)
+        gain = 0.5 * float(np.sum((offset / allowed) ** 2)) - 2 * float(np.log(link.length / allowed))
+        if gain > LIKELY:
+            group.append((recording.file, gain, offset))
+    if not group:
+        return []
+    files, gains, offsets = zip(*group, strict=True)
+    x, y = np.median(offsets, axis=0)
+    camera = experiment.conventions.camera.origin
+    text = (
+        f"the markers show that {link.name} starts at ({x:.3g}, {y:.3g}) m, and not at the base's origin: the camera's "
+        f"origin is another; set [camera] origin = [{camera[0] - x:.3g}, {camera[1] - y:.3g}]"
+    )
+    return [Mistake(text, max(gains), files)]
+
+
+def heading_mistakes(experiment: Experiment, found: Sequence[_Heading], torque_sign: float | None) -> list[Mistake]:
+    """Return mistakes of axes, of the frame and of the joint's angle that the headings show.
+
+    Args:
+        experiment: the recordings.
+        found: what `headings` returned.
+        torque_sign: of the torque relative to the motion of the markers; None where it was not seen.
+    """
+    link = experiment.rig.links[0]
+    groups: dict[tuple[float | None, int | None], list[tuple[_Heading, float]]] = {}
+    total = {slope: sum(each.gain for each in found if each.slope == slope) for slope in {each.slope for each in found}}
+    expected = 1.0 if link.markers_frame == "base" else 0.0
+    for each in found:
+        if each.slope is not None and each.slope != expected and total[each.slope] > LIKELY:
+            turned = _quarter(each)[0] if abs(each.slope) == 1 and link.markers_frame == "base" else 0
+            groups.setdefault((each.slope, turned), []).append((each, total[each.slope]))
+        elif link.markers_frame == "base":
+            quarter, gain = _quarter(each)
+            if gain > LIKELY:
+                groups.setdefault((each.slope and 1.0, quarter), []).append((each, gain))
+    mistakes = []
+    for (slope, quarter), group in groups.items():
+        offset = float(np.angle(np.mean([np.exp(1j * each.offset) for each, _ in group])))
+        text = _heading_text(experiment, slope, quarter, offset, torque_sign)
+        mistakes.append(Mistake(text, max(gain for _, gain in group), tuple(each.file for each, _ in group)))
+    return mistakes
+
+
+def _quarter(heading: _Heading) -> tuple[int | None, float]:
+    """Return how many quarter turns explain an offset best (None: another angle), and the gain over no turn."""
+    deviations = np.angle(np.exp(1j * (heading.offset - np.arange(4) * np.pi / 2)))
+    fits = -0.5 * (deviations / heading.offset_std) ** 2 - np.array([0.0, 1.0, 1.0, 1.0]) * np.log(3.0)
+    other = -float(np.log(2 * np.pi / heading.offset_std))
+    best = int(np.argmax(fits))
+    return (None, other - float(fits[0])) if other > fits[best] else (best, float(fits[best] - fits[0]))
+
+
+def _heading_text(
+    experiment: Experiment, slope: float | None, quarter: int | None, offset: float, torque_sign: float | None
+) -> str:
+    link, conventions = experiment.rig.links[0], experiment.conventions
+    theta = conventions.name_in_files(f"{link.name}.theta")
+    if link.markers_frame == "link":
+        return (
+            f"the markers of {link.name} turn {'with' if slope == 1.0 else 'against'} {theta}, which they do not in "
+            'the link\'s own frame: the coordinates look like those of the base frame; set markers_frame = "base" in '
+            f"[[link]] {link.name}"
+        )
+    if slope == 0.0:
+        return (
+            f"the markers of {link.name} do not turn while {theta} does: the coordinates look like those of the link's "
+            f'own frame; set markers_frame = "link" in [[link]] {link.name}'
+        )
+    if slope is not None and abs(slope) != 1.0:
+        unit = next(
+            name for name, factor in unit_factors("angle", conventions.units.angle).items() if factor == abs(slope)
+        )
+        words = {"deg": "degrees", "rad": "radians"}[unit]
+        sign = f", and {negated(theta)}, whose sign is wrong too" if slope < 0 else ""
+        return (
+            f"the markers of {link.name} turn {abs(slope):.3g} times as far as {theta} says: it looks like {words}; "
+            f'set [units] angle = "{unit}"{sign}'
+        )
+    if slope == -1.0 and quarter == 0:
+        if torque_sign is not None:
+            if torque_sign > 0:
+                seen = f"{theta} falls while the markers, and the torque, turn the link the other way"
+                return f"{seen}: its sign is wrong; {negated(theta)}"
+            return _axes_text(
+                conventions, "the markers turn against both the angle and the torque: y points the other way", -1.0, 0
+            )
+        return (
+            f"the markers turn against {theta}: either its sign is wrong ({negated(theta)}), or an axis points the "
+            f"other way (set [camera] axes = {_axes(conventions, -1.0, 0)})"
+        )
+    if quarter is None:
+        side = "ahead of" if offset > 0 else "behind"
+        turned = f"the markers of {link.name} are {abs(np.rad2deg(offset)):.3g} degrees {side} where "
+        turned += f"{theta} has them" if slope is not None else "a link along x has them"
+        unit = conventions.units.angle
+        other = f", or add {offset / FACTORS['angle'][unit]:.3g} {unit} to {theta}" if slope is not None else ""
+        return (
+            f"{turned}: the camera's frame is turned; set [camera] rotation = "
+            f"{conventions.camera.rotation - offset:.3g}{other}"
+        )
+    direction = {1: "along +y", 2: "along -x", 3: "along -y"}[quarter] if quarter else "along +x"
+    likely = {1: "x and y look swapped", 2: "x looks as if it pointed the other way", 3: "x and y look swapped"}
+    seen = f"the link lies {direction} of the camera's frame where it should lie along +x: {likely.get(quarter, '')}"
+    # Of a clamped link nothing tells a swap from a turn; the former is the commoner mistake.
+    mirrored = -1.0 if slope is None else slope
+    if slope == 1.0:
+        seen = seen.partition(":")[0] + ": its frame is turned"
+    return _axes_text(conventions, seen, mirrored, quarter)
+
+
+def _axes_text(conventions: Conventions, seen: str, slope: float, quarter: int) -> str:
+    return f"{seen}; set [camera] axes = {_axes(conventions, slope, quarter)}"
+
+
+def _axes(conventions: Conventions, slope: float, quarter: int) -> str:
+    """Return the axes that undo a turn by some quarters, and a mirror image if the slope is negative."""
+    c, s = round(np.cos(quarter * np.pi / 2)), round(np.sin(quarter * np.pi / 2))
+    matrix = [[c, s], [s, -c]] if slope < 0 else [[c, s], [-s, c]]
+    axes = []
+    for row in matrix:
+        position = 0 if row[0] else 1
+        axis = conventions.camera.axes[position]
+        negative = (row[position] < 0) != axis.startswith("-")
+        axes.append(f'"{"-" if negative else ""}{axis[-1]}"')
+    return f"[{', '.join(axes)}]"
+
+
+def length_mistake(link: Link) -> Mistake | None:
+    """Return that a link's length is in another unit than its markers; None if they fit each other.
+
+    Somebody who measures a link's bending puts a marker on its outer half: a tenth of it is unlikely by itself.
+    """
+    share = link.markers[-1] / link.length if link.markers else 1.0
+    fits = {
+        unit: -0.5 * (np.log(share / factor) / np.log(2.0)) ** 2 for unit, factor in unit_factors("length", "m").items()
+    }
+    unit = max(fits, key=lambda name: fits[name])
+    gain = float(fits[unit] + 0.5 * (np.log(share) / np.log(2.0)) ** 2 - np.log(len(fits)))
+    if gain < LIKELY:
+        return None
+    metres = link.length * unit_factors("length", "m")[unit]
+    text = (
+        f"the outermost marker of {link.name} is {link.markers[-1]:.4g} m along a link {link.length:.4g} m long: the "
+        f"length looks like {unit}; give 'length' of [[link]] {link.name} in metres, {metres:.4g}"
+    )
+    return Mistake(text, gain)

@@ -1,0 +1,223 @@
+"""Mistakes in the rig's numbers, in the unit of time and in the sensors' noise.
+
+A number in the wrong unit is off by a known factor. Each such factor, and each pair of them, is a hypothesis; it is
+judged by what it makes of the slowest frequency, of the material and of the camera's rate. How far those may be off
+without a mistake is what is said beside the numbers; they cover what arms are made of and how they are filmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from vjm.chain.layout import nominal_chain, rig_layouts
+from vjm.errors import VjmError
+from vjm.experiment.spectrum import sensor_noise
+from vjm.identification.mistakes.evidence import CERTAIN, LIKELY, Mistake, unit_factors
+from vjm.identification.overview import seen_modes
+from vjm.model.modes import linearise, modes_of
+from vjm.records import Array, Experiment, Link
+
+# Medians and standard deviations of logarithms, of rigs that somebody might build (Ashby, Materials Selection in
+# Mechanical Design, for materials): silicone to steel and tungsten, foam to lead, gram to tonne.
+_DENSITY = 2700.0, np.log(3.0)  # kg/m^3
+_SPECIFIC_STIFFNESS = 3e6, np.log(20.0)  # m^2/s^2, E over density
+_MASS = 0.5, np.log(6.0)  # kg
+_RATE = 100.0, np.log(4.0)  # Hz, of cameras
+_FREQUENCY = np.log(1.5)  # of a ratio of frequencies: EI is known within a factor of two or so
+_SLENDERNESS = 0.3, np.log(1.5)  # of thickness over length, above which a link is hardly a beam
+_NOISE = np.log(2.7)  # of a noise that somebody wrote down over the one that the recordings have
+_CURVED = 0.01  # of the length: what a link may be off straight, or its camera off level by half a degree, at rest
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """Hypothesis: factors that mend the rig's numbers and time, what they mean, and what to do."""
+
+    name: str
+    text: str
+    remedy: str
+    width: float = 1.0
+    thickness: float = 1.0
+    modulus: float = 1.0
+    stiffness: float = 1.0  # of a bending stiffness that is given as such
+    mass: float = 1.0
+    time: float = 1.0
+
+
+def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
+    table, found = f"[[link]] {link.name}", []
+    given = {"width": link.width, "thickness": link.thickness}
+    for key, value in given.items():
+        for unit, factor in unit_factors("length", "m").items():
+            if value is not None and unit != "in":
+                text, remedy = f"'{key}' looks like {unit}", f"give '{key}' of {table} in metres, {value * factor:.4g}"
+                found.append(_Numbers(key, text, remedy, **{key: factor}))
+    if link.youngs_modulus is not None:
+        for unit, factor in (("GPa", 1e9), ("MPa", 1e6)):
+            value = link.youngs_modulus * factor
+            remedy = f"give 'youngs_modulus' of {table} in Pa, {value:.4g}"
+            found.append(_Numbers("modulus", f"'youngs_modulus' looks like {unit}", remedy, modulus=factor))
+    else:
+        remedy = f"give 'bending_stiffness' of {table} in N m^2, {link.bending_stiffness * 1e-6:.4g}"
+        found.append(_Numbers("modulus", "'bending_stiffness' looks like N mm^2", remedy, stiffness=1e-6))
+    remedy = f"give 'mass' of {table} in kg, {link.mass * 1e-3:.4g}"
+    found.append(_Numbers("mass", "'mass' looks like grams", remedy, mass=1e-3))
+    words = {"s": "seconds", "ms": "milliseconds", "us": "microseconds"}
+    for unit, factor in unit_factors("time", experiment.conventions.units.time).items():
+        text, remedy = f"times look like {words[unit]}", f'set [units] time = "{unit}"'
+        found.append(_Numbers("time", text, remedy, time=factor))
+    return found
+
+
+def rig_mistakes(experiment: Experiment) -> list[Mistake]:
+    """Return the numbers of the first link, or the unit of time, that are in the wrong unit."""
+    link = experiment.rig.links[0]
+    rates = [1 / float(np.median(np.diff(each.time[each.frames]))) for each in experiment.recordings]
+    rate = float(np.median(rates))
+    measured, nominal, file = _frequencies(experiment)
+    single = _hypotheses(experiment, link)
+    pairs = [(one, other) for one, other in combinations(single, 2) if one.name != other.name]
+
+    def likelihood(*assumed: _Numbers) -> float:
+        factors = {
+            key: float(np.prod([getattr(each, key) for each in assumed]))
+            for key in ("width", "thickness", "modulus", "stiffness", "mass", "time")
+        }
+        fit = -np.log(100.0) * len(assumed)  # one number in a hundred is in the wrong unit
+        fit += _material(link, factors) + _normal(rate / factors["time"], *_RATE)
+        if measured is not None:
+            bending = factors["width"] * factors["thickness"] ** 3 * factors["modulus"] * factors["stiffness"]
+            expected = nominal * np.sqrt(bending / factors["mass"])
+            seen = np.log(measured / factors["time"] / expected)
+            # A hub's own inertia does not scale with the link's mass: good to the factor that is allowed anyway.
+            costs = 2.0 * np.arange(
+                expected.size
+            )  # of supposing that the slowest mode seen is not the first, but so many on
+            fit += float(np.max(-0.5 * (seen / _FREQUENCY) ** 2 - costs))
+        return float(fit)
+
+    results: dict[tuple[_Numbers, ...], float] = {(): likelihood()} | {(each,): likelihood(each) for each in single}
+    results |= {pair: likelihood(*pair) for pair in pairs}
+    best = max(results, key=lambda key: results[key])
+    gain = results[best] - results[()]
+    if gain < LIKELY:
+        return []
+    return [Mistake(_rig_text(link, best, rate, measured, nominal, file), gain)]
+
+
+def _rig_text(
+    link: Link, best: Sequence[_Numbers], rate: float, measured: float | None, nominal: Array, file: str
+) -> str:
+    seen = []
+    if any(each.name == "time" for each in best):
+        seen.append(f"the camera would take {rate:.3g} frames/s")
+    elif None not in (link.width, link.thickness):
+        volume = link.length * (link.width or 1.0) * (link.thickness or 1.0)
+        seen.append(f"{link.name} would have {link.mass / volume:.3g} kg/m^3")
+    if measured is not None:
+        seen.append(f"its first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz")
+    what = " and ".join(each.text for each in best)
+    return f"{', '.join(seen) or link.name}: {what}; {'; '.join(each.remedy for each in best)}"
+
+
+def _normal(value: float, median: float, std: float) -> float:
+    return -0.5 * float(np.log(value / median) / std) ** 2
+
+
+def _material(link: Link, factors: dict[str, float]) -> float:
+    """Return the log-likelihood of a link's mass and, as far as its section is known, of its material and shape."""
+    mass = link.mass * factors["mass"]
+    fit = _normal(mass, *_MASS)
+    if link.width is None or link.thickness is None or link.youngs_modulus is None:
+        return fit
+    width, thickness = link.width * factors["width"], link.thickness * factors["thickness"]
+    density = mass / (link.length * width * thickness)
+    fit += _normal(density, *_DENSITY)
+    fit += _normal(link.youngs_modulus * factors["modulus"] / density, *_SPECIFIC_STIFFNESS)
+    for size in (width, thickness):
+        share = size / link.length
+        fit += _normal(share, *_SLENDERNESS) if share > _SLENDERNESS[0] else 0.0
+    return fit
+
+
+def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
+    """Return the slowest frequency that a recording of a single link shows [Hz], the nominal ones, and its file."""
+    rig = experiment.rig
+    if len(rig.links) > 1 or not rig.links[0].markers:
+        return None, np.zeros(0), ""
+    moving = [each for each in experiment.recordings if each.kind in ("driven", "decay") and each.input == "torque"]
+    order = sorted(moving, key=lambda each: (each.kind != "decay", each.role != "train"))
+    for recording in order[:2]:
+        seen = seen_modes(rig, recording, 1)
+        if not seen.size:
+            continue
+        chain = nominal_chain(rig, rig_layouts(rig, [6]))
+        try:
+            M, D, K, _ = linearise(chain, recording.payload)
+        except VjmError:  # a link that buckles under its weight
+            return None, np.zeros(0), ""
+        found = modes_of(M, D, K).frequencies[:4]
+        return (float(seen[0]), found, recording.file) if found.size else (None, found, "")
+    return None, np.zeros(0), ""
+
+
+def noise_mistakes(experiment: Experiment) -> list[Mistake]:
+    """Return sensors whose declared noise is a thousand times that of the recordings, or a thousandth."""
+    rig, mistakes = experiment.rig, []
+    declared = {"marker_noise": (rig.marker_noise, "m"), "encoder_noise": (rig.encoder_noise, "rad")}
+    measured = sensor_noise(replace(rig, marker_noise=None, encoder_noise=None), experiment.recordings)
+    for (key, (value, unit)), found in zip(declared.items(), measured, strict=True):
+        if value is None or (key == "encoder_noise" and not rig.active_links):
+            continue
+        ratio = np.log(found / value)
+        fits = {factor: -0.5 * ((ratio - np.log(factor)) / _NOISE) ** 2 for factor in (1.0, 1e3, 1e-3)}
+        best = max(fits, key=lambda factor: fits[factor])
+        gain = float(fits[best] - fits[1.0])
+        if gain > LIKELY:
+            words = "small" if best > 1 else "large"
+            text = (
+                f"'{key}' of [sensors] is {value:.3g} {unit}, and the recordings' own noise is {found:.2g} {unit}: it "
+                f"is about 1000 times too {words}; give it in {unit}, or leave it out"
+            )
+            # Recordings that somebody smoothed have less noise than their sensor, which is no mistake of the file; but
+            # what hides every motion, or neighbouring markers from each other, has to go.
+            signals = [each.markers if key == "marker_noise" else each.theta for each in experiment.recordings]
+            hidden = all(np.nanstd(signal, axis=0).max() < value for signal in signals)
+            arcs = np.array([0.0, *rig.links[0].markers])
+            hidden = hidden or (key == "marker_noise" and value > np.diff(arcs).min(initial=np.inf))
+            mistakes.append(Mistake(text, gain if best > 1 or hidden else min(gain, CERTAIN)))
+    return mistakes
+
+
+def sag_mistakes(experiment: Experiment) -> list[Mistake]:
+    """Return that a clamped link rests as it would under its own weight, although no gravity is declared."""
+    rig = experiment.rig
+    link = rig.links[0]
+    chosen = [each for each in experiment.recordings if each.kind in ("quiet", "decay") and not any(each.gravity)]
+    if len(rig.links) > 1 or link.joint != "clamped" or link.markers_frame != "base" or not chosen or not link.markers:
+        return []
+    # Half of a decay is over by then; what is left of the motion is on both sides of the rest.
+    rest = [np.nanmedian(each.markers[each.frames[each.frames.size // 2 :], -1, 1]) for each in chosen]
+    sag = link.mass * 9.81 * link.length**3 / (8 * link.bending_stiffness)  # Euler-Bernoulli, uniform load
+    known = [value for value in rest if np.isfinite(value)]
+    sag = min(sag, 0.5 * link.length)  # no longer proportional
+    if not known or sag < _CURVED * link.length:
+        return []
+    ratio = abs(float(np.median(known))) / sag
+    expected = (link.markers[-1] / link.length) ** 2  # of the tip's, nearly
+    without = -0.5 * (ratio * sag / (_CURVED * link.length)) ** 2
+    within = -0.5 * (np.log(max(ratio, 1e-300) / expected) / np.log(1.5)) ** 2 - np.log(2.0)
+    gain = float(within - without)
+    if gain < LIKELY:
+        return []
+    down = "-9.81" if np.median(known) < 0 else "9.81"
+    text = (
+        f"the outermost marker of {link.name} rests {1e3 * abs(float(np.median(known))):.3g} mm beside the clamp's "
+        f"direction, about as far as its own weight would bend it, and no gravity is declared; if the plane is "
+        f"vertical, set [base] gravity = [0.0, {down}]"
+    )
+    return [Mistake(text, min(gain, CERTAIN), tuple(each.file for each in chosen))]
