@@ -25,6 +25,12 @@ LINK = Link("beam", "revolute", 1.0, 0.44, 1.97, (0.2, 0.4, 0.6, 0.8, 1.0), hub_
 RIG = Rig("rig", (LINK,), marker_noise=NOISE[0], encoder_noise=NOISE[1])
 
 
+def first_seconds(recording: Recording, duration: float) -> Recording:
+    """A recording's beginning, of a duration in s."""
+    first = recording.time <= recording.time[0] + duration
+    return replace(recording, **{name: getattr(recording, name)[first] for name in ("time", "markers", "theta", "tau")})
+
+
 def chain_of(joints: int = 3) -> Chain:
     return Chain("rig", (uniform_chain(LINK, layout(1.0, joints), kelvin_voigt=5e-4),))
 

@@ -42,10 +42,10 @@ def model(effects: tuple[Any, ...], chi2: float) -> Any:
     """A fit of effects that are one coordinate each, whose residuals have a mean square of chi2 / 1000."""
     x = np.concatenate([np.zeros(0), *(effect.coordinates for effect in effects)])
     parts = tuple(slice(k, k + 1) for k in range(len(effects)))
-    problem = SimpleNamespace(present=lambda x: effects, parts=parts, reference_effects=0)
+    problem = SimpleNamespace(effects_at=lambda x: effects, parts=parts, reference_effects=0)
     return SimpleNamespace(
         effects=effects,
-        names=frozenset(effect.key for effect in effects),
+        effect_keys=frozenset(effect.key for effect in effects),
         estimate=x,
         point=SimpleNamespace(problem=problem),
         chi2=chi2,
@@ -60,13 +60,13 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     start = model((), 50_000.0)
     tried = {frozenset({offset.key}): model((offset,), 9000.0)}
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: {8000.0: 1e-9, 29_000.0: 0.5}[decrease])
-    search = SimpleNamespace(start=start, without=lambda best, effect, fits: model((payload,), 30_000.0))
-    result = SimpleNamespace(best=best, first=family, p_values={payload.key: 1e-3, offset.key: 1e-5}, fits=tried)
+    search = SimpleNamespace(start=start, refit_without=lambda best, effect, fits: model((payload,), 30_000.0))
+    result = SimpleNamespace(best=best, first_tests=family, p_values={payload.key: 1e-3, offset.key: 1e-5}, fits=tried)
     others = {payload.key: (alternative,)}
     causes = estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(2))
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]
     assert [cause.alternatives for cause in causes] == [(), (alternative,)]
-    assert causes[1].evidence.startswith("without it the model misses the training recordings by 3 times ")
-    assert ("missing before the change" in causes[1].evidence) == (reference_misfit > 1)
+    assert causes[1].evidence.startswith("training residual falls from 3.00 to ")
+    assert ("residual before the change" in causes[1].evidence) == (reference_misfit > 1)

@@ -12,7 +12,7 @@ import pytest
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import refit
-from vjm.diagnosis.cross_validation import is_determined, prediction_errors, predicts
+from vjm.diagnosis.cross_validation import _prediction_errors, is_determined, predicts_better
 from vjm.effects import BaseCompliance, Effect, JointSpring, TorqueOffset
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.records import Recording
@@ -45,11 +45,11 @@ def test_each_group_is_predicted_by_the_best_parameters_of_the_others(seed: int,
             np.vstack([jacobians[k] for k in others]), np.concatenate([residuals[k] for k in others]), rcond=None
         )[0]
         expected.append(sum(float(np.sum((residuals[k] - jacobians[k] @ x) ** 2)) for k in left_out))
-    assert prediction_errors(cast(TrajectoryFit, linear(jacobians, residuals, repeats))) == pytest.approx(expected)
+    assert _prediction_errors(cast(TrajectoryFit, linear(jacobians, residuals, repeats))) == pytest.approx(expected)
 
 
 def test_one_recording_alone_predicts_nothing() -> None:
-    assert np.isnan(prediction_errors(linear([np.eye(2)], [np.ones(2)], [None]))).all()
+    assert np.isnan(_prediction_errors(linear([np.eye(2)], [np.ones(2)], [None]))).all()
 
 
 def several(effects: Sequence[Effect], seed: int) -> list[Recording]:
@@ -72,8 +72,8 @@ def test_an_effect_that_is_there_is_determined_and_predicts(seed: int) -> None:
     truth = JointSpring(link=0, stiffness=0.01)
     without, found = fits_with(truth, several([truth, truth], seed))
     assert is_determined(found, found.effects[0], 0.01)
-    assert found.chi2 < prediction_errors(found).sum() < prediction_errors(without).sum()
-    assert predicts(found, without)
+    assert found.chi2 < _prediction_errors(found).sum() < _prediction_errors(without).sum()
+    assert predicts_better(found, without)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -82,7 +82,7 @@ def test_an_effect_that_differs_from_recording_to_recording_does_not_predict(see
     offsets = [TorqueOffset(link=0, column=0, offset=value) for value in (6e-4, -5e-4)]
     without, found = fits_with(offsets[0], several(offsets, seed))
     assert without.chi2 - found.chi2 > 100
-    assert not predicts(found, without)
+    assert not predicts_better(found, without)
 
 
 def test_an_effect_that_one_recording_shows_is_not_judged_by_the_others() -> None:
@@ -91,10 +91,10 @@ def test_an_effect_that_one_recording_shows_is_not_judged_by_the_others() -> Non
     recordings = recorded(Arm.of(chain_of(), (truth,)), 1)
     quiet = [replace(one, condition="reference") for one in recorded(Arm.of(chain_of()), 2)]
     without, found = fits_with(truth, [recordings[1], *(replace(one, file=f"r_{one.file}") for one in quiet)])
-    errors = prediction_errors(found)
+    errors = _prediction_errors(found)
     assert np.isnan(errors[0])
     assert np.isfinite(errors[1:]).all()
-    assert predicts(found, without)
+    assert predicts_better(found, without)
 
 
 def test_a_size_within_its_error_is_not_determined() -> None:

@@ -42,7 +42,7 @@ def fitted(jitter: float, correlation: float = 0.0) -> tuple[TrajectoryFit, Scre
 def test_jitter_is_found_with_its_standard_error(correlation: float) -> None:
     before, screen = fitted(JITTER, correlation)
     assert before.misfit > 1.2
-    after = refit(before, (screen.effects[0].at(screen.guess([0])),), StoppingRule())
+    after = refit(before, (screen.effects[0].at(screen.best_sizes([0])),), StoppingRule())
     assert after is not None
     (found,) = after.effects
     std = float(np.sqrt(information_of(after).covariance[-1, -1]))

@@ -38,7 +38,7 @@ def test_what_a_recording_is_worth_is_known_before_it_is_made(seed: int) -> None
     small = drives(CUBIC, seed)[:1]
     best, other = fitted(small, CUBIC, DRIFT)
     proposed = propose_recordings(best, [other])
-    (twice,) = [each.difference for each in proposed if "twice its size" in each.text]
+    (twice,) = [each.difference for each in proposed if "twice the amplitude" in each.text]
     assert twice == max(each.difference for each in proposed)
     assert proposed[0].difference == twice
     (large,) = (replace(each, file="large.csv") for each in drives(CUBIC, seed + 100, factor=2.0)[:1])

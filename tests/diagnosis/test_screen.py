@@ -136,7 +136,7 @@ def test_the_size_of_what_is_there_is_guessed(effect: Effect) -> None:
     size = 0.1
     point = point_of(chain, (), recorded(Arm.of(chain, (sized(variant, size),)), 2, noise=FINE), FINE)
     seen = Screen.of(point, (), [variant])
-    assert (np.abs(seen.guess([0]) - size) < 4 * seen.std(0) + 0.15 * size).all()
+    assert (np.abs(seen.best_sizes([0]) - size) < 4 * seen.std(0) + 0.15 * size).all()
 
 
 def test_the_size_of_dry_friction_is_guessed() -> None:
@@ -146,7 +146,7 @@ def test_the_size_of_dry_friction_is_guessed() -> None:
         point = point_of(chain, (), recorded(Arm.of(chain, (sized(variants[0], size),)), seed, noise=FINE), FINE)
         seen = Screen.of(point, (), variants)
         assert np.argmax(seen.statistics) == 0
-        assert seen.guess([0]) == pytest.approx(size, rel=0.3)
+        assert seen.best_sizes([0]) == pytest.approx(size, rel=0.3)
 
 
 def noise_alone(correlation: float, assumed: float) -> list[float]:

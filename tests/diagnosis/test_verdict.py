@@ -170,7 +170,7 @@ def test_a_cause_of_no_use_is_no_cause() -> None:
     diagnosis = conclude(findings(**SMALL, reference=base, next_best=(CubicStiffness(link=0),)))
     assert diagnosis.causes == diagnosis.next_best == ()
     assert diagnosis.model is base
-    assert any("tip_payload would explain a little" in warning for warning in diagnosis.warnings)
+    assert any("Tip payload: a small gain" in warning for warning in diagnosis.warnings)
     assert diagnosis.gain is not None
     assert diagnosis.gain.reduction == 0.0
     assert diagnosis.gain.interval == (0.0, 0.0)
@@ -188,15 +188,15 @@ def test_what_remains_is_described() -> None:
     repeats = RepeatComparison(3.0, 1.0, NOISE[0])
     found = findings(residuals=CERTAIN, resemblance="most like a spring", repeats=repeats, needed=(CubicStiffness(),))
     described = conclude(found).remaining.description
-    assert described.split("; ")[0] == "most of it in the markers of a.csv, between 0.5 and 2 Hz"
-    for part in ("most like a spring", "100 % of it is the same in recordings", "cubic_stiffness, would explain"):
+    assert described.split("; ")[0] == "largest in the markers of a.csv, 0.500 to 2.00 Hz"
+    for part in ("most like a spring", "100 % of it recurs in repeated", "cubic stiffness would explain"):
         assert part in described
-    assert "repeat each other differ by 0.3 mm" in conclude(found).noise
+    assert "repeated recordings differ by 0.30 mm" in conclude(found).noise
     other = replace(repeats, common=1.0, individual=2.0)
     assert "100 % of it differs between" in conclude(replace(found, repeats=other)).remaining.description
     assert conclude(findings()).remaining.description == ""
     before = conclude(findings(**misfits(4.0))).remaining.description
-    assert "missed by 4 times the noise; the reference ones were by 3" in before
+    assert "residual 4.00 × noise in the changed recordings, 3.00 × noise in the reference" in before
 
 
 @pytest.mark.parametrize(("evidence", "expected"), [(31.0, "repeat a.csv"), (29.0, "record ")])
@@ -204,14 +204,14 @@ def test_the_next_experiment_is_one_that_would_distinguish(evidence: float, expe
     twins = cause(CameraRotation(angle=0.01), EncoderOffset(link=0, offset=0.01))
     text = conclude(findings(causes=(twins,), proposals=(Proposal("repeat a.csv", evidence),))).next_experiment
     assert text is not None
-    assert text.startswith(f"to tell camera_rotation from encoder_offset: {expected}")
+    assert text.startswith(f"to distinguish camera rotation from encoder offset: {expected}")
 
 
 def test_where_something_is_unknown_a_quiet_recording_comes_first() -> None:
     found = findings(needed=(CubicStiffness(link=0),))
     assert 'kind = "quiet"' in str(conclude(found).next_experiment)
     rest = Experiment(RIG, (*found.experiment.recordings, recording("rest.csv", "train", kind="quiet")))
-    assert "half and at twice" in str(conclude(replace(found, experiment=rest)).next_experiment)
+    assert "half and twice" in str(conclude(replace(found, experiment=rest)).next_experiment)
     assert conclude(findings()).next_experiment is None
 
 
@@ -286,10 +286,10 @@ def test_blocks_are_as_long_as_theory_says() -> None:
     [
         (lambda a, b, c: (a, b), "no recording is held out"),
         (lambda a, b, c: (a, c), "only one training recording moves"),
-        (lambda a, b, c: (a, b, replace(c, condition="reference")), "held out only"),
+        (lambda a, b, c: (a, b, replace(c, condition="reference")), "are held out: none is left"),
         (lambda a, b, c: (replace(a, condition="reference"), c), "every training recording"),
         (lambda a, b, c: (replace(a, repeat="x"), replace(b, repeat="x", condition="reference"), c), 'repeats "x"'),
-        (lambda a, b, c: (a, b, seen_in(29)), "next to no marker"),
+        (lambda a, b, c: (a, b, seen_in(29)), "almost no frames with markers"),
     ],
 )
 def test_recordings_that_support_no_statement_are_told_why(change: Callable[..., Any], reason: str) -> None:

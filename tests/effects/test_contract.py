@@ -34,6 +34,18 @@ def test_coordinate_one_is_a_typical_magnitude(effect: Effect) -> None:
             assert present.values[parameter.name] - off == pytest.approx(parameter.typical_magnitude)
 
 
+@every_present
+def test_a_size_at_its_bound_is_told(effect: Effect) -> None:
+    present = typical_magnitude(effect)
+    assert not present.at_bound
+    for parameter in present.parameters:
+        if parameter.shape_parameter or parameter.integer:
+            continue
+        for value in (parameter.lower, parameter.upper):
+            if np.isfinite(value) and value != parameter.null:
+                assert replace(present, **{parameter.name: value}).at_bound
+
+
 POWERS = {  # of length, mass and time
     "": (0, 0, 0),
     "rad": (0, 0, 0),

@@ -48,7 +48,8 @@ def energy(motion: Motion) -> Array:
         moved = 0.5 * motion.beam.physics.base_compliance_mass * motion.rates[:, -1] ** 2
     masses = np.append(motion.beam.line * basis.weights, motion.beam.tip_masses[0])
     kinetic = 0.5 * np.sum(velocity**2, axis=-1) @ masses
-    shares = [0.5 if motion.beam.motor else 1.0] * (int(motion.beam.revolute) + int(motion.beam.motor))
+    share = motion.beam.physics.motor_share
+    shares = [share, 1.0 - share] if motion.beam.motor else [1.0] * int(motion.beam.revolute)
     hubs = 0.5 * beam.hub_inertia * motion.rates[:, : len(shares)] ** 2 @ np.array(shares)
     elastic = 0.5 * np.sum(motion.coordinates @ motion.beam.stiffness * motion.coordinates, axis=-1)
     return np.asarray(kinetic + hubs + moved + elastic)

@@ -96,8 +96,8 @@ class Extended:
         beyond = carried @ basis.cumulative + tips * basis.weights
         self._hub: Array = np.zeros((self.size, self.size))
         if self.revolute:
-            share = 0.5 if self.motor else 1.0
-            for k in range(1 + int(self.motor)):
+            motor = self.physics.motor_share
+            for k, share in enumerate((motor, 1.0 - motor) if self.motor else (1.0,)):
                 self._hub[k, k] = share * self.beam.hub_inertia
         self.mass: Array = self.heading.T @ kernels @ self.heading + self._hub
         if self.physics.has_table:

@@ -32,8 +32,10 @@ class Physics:
         joint_spring_stiffness: pulls the joint to angle 0, N m/rad.
         torque_gain_gain: true over recorded torque.
         torque_offset_offset: true less recorded torque, N m.
-        gear_elasticity_stiffness: between motor and hub, each half of the hub's inertia, N m/rad.
-        backlash_gap: whole dead zone between motor and hub, rad.
+        gear_elasticity_stiffness, gear_elasticity_motor_share: between motor and hub, N m/rad; the motor's part of the
+            hub's inertia.
+        backlash_gap, backlash_motor_share: whole dead zone between motor and hub, rad; as of the gear, which counts
+            where there are both.
         clamp_compliance_compliance: turn of the link's root over its bending moment, rad/(N m).
         base_compliance_stiffness, base_compliance_mass, base_compliance_direction, base_compliance_damping_ratio: of a
             table that slides under the base, from where its load holds it; N/m, kg, rad, and of the table by itself.
@@ -64,7 +66,9 @@ class Physics:
     torque_gain_gain: float = 1.0
     torque_offset_offset: float = 0.0
     gear_elasticity_stiffness: float = inf
+    gear_elasticity_motor_share: float = 0.5
     backlash_gap: float = 0.0
+    backlash_motor_share: float = 0.5
     clamp_compliance_compliance: float = 0.0
     base_compliance_stiffness: float = inf
     base_compliance_mass: float = 5.0
@@ -97,6 +101,12 @@ class Physics:
     def has_motor(self) -> bool:
         """Whether motor and hub turn apart."""
         return isfinite(self.gear_elasticity_stiffness) or self.backlash_gap > 0.0
+
+    @property
+    def motor_share(self) -> float:
+        """The motor's part of the hub's inertia, where they turn apart."""
+        elastic = isfinite(self.gear_elasticity_stiffness)
+        return self.gear_elasticity_motor_share if elastic else self.backlash_motor_share
 
     @property
     def has_table(self) -> bool:
@@ -145,7 +155,7 @@ def transmission_torque(physics: Physics, hub_inertia: float, twist: Array, twis
     elastic = isfinite(physics.gear_elasticity_stiffness)
     stiffness = physics.gear_elasticity_stiffness if elastic else FLANK_STIFFNESS
     ratio = 0.1 * FLANK_DAMPING_RATIO if elastic else FLANK_DAMPING_RATIO
-    damping = 2.0 * ratio * np.sqrt(stiffness * 0.5 * hub_inertia)
+    damping = 2.0 * ratio * np.sqrt(stiffness * physics.motor_share * hub_inertia)
     side = np.sign(twist)
     depth = np.maximum(np.abs(twist) - 0.5 * physics.backlash_gap, 0.0)
     push = stiffness * depth + damping * side * twist_rate * np.minimum(depth / FLANK_DEPTH, 1.0)

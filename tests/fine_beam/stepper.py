@@ -115,7 +115,7 @@ class Stepper:
 
     def _inertia(self) -> float:
         """Roughly what the joint's torque accelerates within one step, kg m^2."""
-        share = 0.5 if self._beam.motor else 1.0
+        share = self._beam.physics.motor_share if self._beam.motor else 1.0
         return share * self._beam.beam.hub_inertia + 0.002 * self._beam.beam.mass * self._beam.beam.length**2
 
     def _advance(

@@ -109,6 +109,14 @@ def test_dry_friction_takes_its_share_of_every_swing_and_then_sticks() -> None:
     assert np.ptp(theta[-250:]) < 2e-6
 
 
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_the_motor_has_its_share_of_the_inertia(share: float) -> None:
+    physics = Physics(gear_elasticity_stiffness=60.0, gear_elasticity_motor_share=share)
+    motor = share * RIGID.hub_inertia
+    expected = np.sqrt(60.0 * (1.0 / motor + 1.0 / (INERTIA - motor)))
+    assert Extended(RIGID, physics, NONE).modes()[0][0] == pytest.approx(expected, rel=1e-3)
+
+
 def test_elastic_gear_of_a_rigid_arm() -> None:
     beam = Extended(RIGID, Physics(gear_elasticity_stiffness=60.0), NONE)
     expected = np.sqrt(60.0 * (1.0 / 0.01 + 1.0 / (INERTIA - 0.01)))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.hidden.plans import Rig
 from tests.hidden.rigs import PLAIN, Conditions, Truth, write_hidden
+from tests.hidden.settings import Rig
 from tests.hidden.severities import draw
 
 Plant = Callable[..., tuple[Path, Truth]]

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.fine_beam import RecordingEntry
+from tests.hidden.settings import Setting
 
 Array = NDArray[np.float64]
 Torque = Callable[[Array], Array]
-Rig: TypeAlias = Literal["hub", "clamped"]
 
-DURATION = 5.0  # s, of every recording
 KNOWN_PAYLOAD = 0.05  # kg, in one recording of the hub-driven rig
 
 
@@ -34,25 +32,25 @@ class Plan:
     tip_amplitudes: tuple[float, ...] = ()
 
 
-def plans_of(rig: Rig, seed: int, reference: bool) -> list[Plan]:
-    """The recordings of a rig; with two more in which nothing is hidden, under `reference`."""
+def plans_of(setting: Setting, seed: int, reference: bool) -> list[Plan]:
+    """The recordings of a setting; with two more in which nothing is hidden, under `reference`."""
     random = np.random.default_rng([seed, 1])
-    return _hub_plans(random, reference) if rig == "hub" else _clamped_plans(random, reference)
+    return (_hub_plans if setting.turns else _clamped_plans)(setting, random, reference)
 
 
-def _hub_plans(random: np.random.Generator, reference: bool) -> list[Plan]:
-    small = _sines(random, (0.06, 0.03, 0.02), (0.9, 2.3, 6.1))
-    large = _sines(random, (0.24, 0.08, 0.05), (0.8, 2.7, 5.3))
-    loaded = _sines(random, (0.08, 0.04, 0.02), (0.8, 2.1, 5.6))
-    other = _sines(random, (0.11, 0.07, 0.03), (0.55, 1.7, 3.9))
+def _hub_plans(setting: Setting, random: np.random.Generator, reference: bool) -> list[Plan]:
+    small = _sines(setting, random, (0.06, 0.03, 0.02), (0.9, 2.3, 6.1))
+    large = _sines(setting, random, (0.24, 0.08, 0.05), (0.8, 2.7, 5.3))
+    loaded = _sines(setting, random, (0.08, 0.04, 0.02), (0.8, 2.1, 5.6))
+    other = _sines(setting, random, (0.11, 0.07, 0.03), (0.55, 1.7, 3.9))
     plans = [
         Plan(RecordingEntry("quiet.csv", "quiet", "train")),
         Plan(RecordingEntry("drive_small_1.csv", "driven", "train", repeat="drive_small"), small),
         Plan(RecordingEntry("drive_small_2.csv", "driven", "train", repeat="drive_small"), small),
         Plan(RecordingEntry("drive_large.csv", "driven", "train"), large),
-        Plan(RecordingEntry("chirp.csv", "driven", "train"), _chirp(random)),
+        Plan(RecordingEntry("chirp.csv", "driven", "train"), _chirp(setting, random)),
         Plan(RecordingEntry("drive_payload.csv", "driven", "train", payload=KNOWN_PAYLOAD), loaded),
-        Plan(RecordingEntry("slew.csv", "driven", "holdout"), _slew(random)),
+        Plan(RecordingEntry("slew.csv", "driven", "holdout"), _slew(setting, random)),
         Plan(RecordingEntry("drive_other.csv", "driven", "holdout"), other),
     ]
     if reference:
@@ -63,9 +61,9 @@ def _hub_plans(random: np.random.Generator, reference: bool) -> list[Plan]:
     return plans
 
 
-def _clamped_plans(random: np.random.Generator, reference: bool) -> list[Plan]:
+def _clamped_plans(setting: Setting, random: np.random.Generator, reference: bool) -> list[Plan]:
     def decay(file: str, role: str, *amplitudes: float, condition: str | None = None) -> Plan:
-        drawn = tuple(float(size * random.uniform(0.85, 1.15)) for size in amplitudes)
+        drawn = tuple(float(setting.drive * size * random.uniform(0.85, 1.15)) for size in amplitudes)
         return Plan(RecordingEntry(file, "decay", role, condition=condition), None, drawn)
 
     plans = [
@@ -84,10 +82,10 @@ def _clamped_plans(random: np.random.Generator, reference: bool) -> list[Plan]:
     return plans
 
 
-def _sines(random: np.random.Generator, sizes: tuple[float, ...], rates: tuple[float, ...]) -> Torque:
+def _sines(setting: Setting, random: np.random.Generator, sizes: tuple[float, ...], rates: tuple[float, ...]) -> Torque:
     """A sum of sines (N m, Hz) that fades in within a quarter of a second."""
-    amplitudes = np.array(sizes) * random.uniform(0.85, 1.15, len(sizes))
-    pulsations = 2.0 * np.pi * np.array(rates) * random.uniform(0.92, 1.08, len(rates))
+    amplitudes = setting.drive * np.array(sizes) * random.uniform(0.85, 1.15, len(sizes))
+    pulsations = 2.0 * np.pi * setting.speed * np.array(rates) * random.uniform(0.92, 1.08, len(rates))
     # The slowest wave starts near zero, which keeps the arm from turning round and round.
     phases = np.append(random.uniform(0.2, 0.6), random.uniform(0.0, 2.0 * np.pi, len(sizes) - 1))
 
@@ -98,20 +96,22 @@ def _sines(random: np.random.Generator, sizes: tuple[float, ...], rates: tuple[f
     return torque
 
 
-def _chirp(random: np.random.Generator) -> Torque:
+def _chirp(setting: Setting, random: np.random.Generator) -> Torque:
     """From slow to fast, through the first three modes."""
     size, slow, fast = 0.09 * random.uniform(0.85, 1.15), 0.4 * random.uniform(0.9, 1.1), 14.0
+    size, slow, fast = setting.drive * size, setting.speed * slow, setting.speed * fast
 
     def torque(time: Array) -> Array:
-        phase = 2.0 * np.pi * (slow * time + 0.5 * (fast - slow) / DURATION * time**2)
+        phase = 2.0 * np.pi * (slow * time + 0.5 * (fast - slow) / setting.duration * time**2)
         return np.asarray(size * np.sin(phase) * (time > 0.0))
 
     return torque
 
 
-def _slew(random: np.random.Generator) -> Torque:
+def _slew(setting: Setting, random: np.random.Generator) -> Torque:
     """There and back with corners, twice, then free."""
-    size, rate = 0.15 * random.uniform(0.85, 1.15), 0.45 * random.uniform(0.95, 1.05)
+    size, rate = setting.drive * 0.15 * random.uniform(0.85, 1.15), 0.45 * random.uniform(0.95, 1.05)
+    rate *= setting.speed
 
     def torque(time: Array) -> Array:
         return np.asarray(size * np.sign(np.sin(2.0 * np.pi * rate * time)) * (time > 0.0) * (time < 2.0 / rate))

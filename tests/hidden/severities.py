@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.hidden.plans import Rig
+from tests.hidden.settings import Rig, Units, setting_of
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,44 @@ CLAMPED_FACTORS: Mapping[str, float] = {
     "stiffness_drift": 2.0,
 }
 
+# Powers of length, mass and time in the units of parameters that have any.
+POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
+    ("tip_payload", "mass"): (0, 1, 0),
+    ("in_plane_gravity", "gx"): (1, 0, -2),
+    ("in_plane_gravity", "gy"): (1, 0, -2),
+    ("coulomb_friction", "torque"): (2, 1, -2),
+    ("stribeck", "torque"): (2, 1, -2),
+    ("stribeck", "speed"): (0, 0, -1),
+    ("viscous_friction", "coefficient"): (2, 1, -1),
+    ("joint_spring", "stiffness"): (2, 1, -2),
+    ("torque_offset", "offset"): (2, 1, -2),
+    ("torque_saturation", "limit"): (2, 1, -2),
+    ("cogging", "amplitude"): (2, 1, -2),
+    ("actuator_lag", "time_constant"): (0, 0, 1),
+    ("gear_elasticity", "stiffness"): (2, 1, -2),
+    ("clamp_compliance", "compliance"): (-2, -1, 2),
+    ("base_compliance", "stiffness"): (0, 1, -2),
+    ("base_compliance", "mass"): (0, 1, 0),
+    ("linear_drag", "coefficient"): (-1, 1, -1),
+    ("quadratic_drag", "coefficient"): (-2, 1, 0),
+    ("viscoelastic_creep", "time_constant"): (0, 0, 1),
+    ("cubic_stiffness", "coefficient"): (2, 0, 0),
+    ("stiffness_drift", "rate"): (0, 0, -1),
+    ("rest_curvature", "curvature"): (-1, 0, 0),
+    ("external_tone", "amplitude"): (1, 1, -2),
+    ("external_tone", "frequency"): (0, 0, -1),
+    ("time_offset", "delay"): (0, 0, 1),
+    ("lens_distortion", "k1"): (-2, 0, 0),
+    ("rolling_shutter", "readout"): (-1, 0, 1),
+    ("timestamp_jitter", "jitter"): (0, 0, 1),
+    ("marker_offset", "along"): (1, 0, 0),
+    ("marker_offset", "across"): (1, 0, 0),
+    ("camera_translation", "dx"): (1, 0, 0),
+    ("camera_translation", "dy"): (1, 0, 0),
+    ("camera_vibration", "amplitude"): (1, 0, 0),
+    ("camera_vibration", "frequency"): (0, 0, -1),
+}
+
 EFFECTS: tuple[str, ...] = ("in_plane_gravity", *SIZES, "camera_translation")
 _ACTUATOR = ("torque_gain", "torque_offset", "actuator_lag", "torque_saturation", "cogging")
 _JOINT = ("coulomb_friction", "stribeck", "viscous_friction", "joint_spring", *_ACTUATOR)
@@ -98,7 +136,7 @@ ONLY_WITH_HUB = (*_JOINT, "gear_elasticity", "backlash", "time_offset", "clock_s
 
 # What no recording of the rig, or next to none, can tell apart.
 _ALWAYS = (("camera_rotation", "rest_curvature", "encoder_offset"),)
-TWINS: Mapping[Rig, tuple[tuple[str, ...], ...]] = {
+TWINS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "hub": _ALWAYS,
     "clamped": (
         ("camera_rotation", "rest_curvature", "in_plane_gravity"),
@@ -108,20 +146,25 @@ TWINS: Mapping[Rig, tuple[tuple[str, ...], ...]] = {
 }
 
 
+def kind_of(rig: Rig) -> str:
+    """Whether a rig is one with a hub or a clamped one."""
+    return "clamped" if rig in ("clamped", "clamped_arm") else "hub"
+
+
 def effects_of(rig: Rig) -> tuple[str, ...]:
     """Effects that recordings of a rig can show."""
-    return EFFECTS if rig == "hub" else tuple(each for each in EFFECTS if each not in ONLY_WITH_HUB)
+    return EFFECTS if kind_of(rig) == "hub" else tuple(each for each in EFFECTS if each not in ONLY_WITH_HUB)
 
 
 def twins(rig: Rig, effect: str) -> frozenset[str]:
     """An effect and what is known to look like it on a rig."""
-    return frozenset({effect}.union(*(each for each in TWINS[rig] if effect in each)))
+    return frozenset({effect}.union(*(each for each in TWINS[kind_of(rig)] if effect in each)))
 
 
 def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Planted:
     """An effect near its everyday size on a rig, on a side drawn from the seed; `multiple` times as large."""
     random = np.random.default_rng([seed, 2, EFFECTS.index(effect)])
-    typical_magnitude = CLAMPED_FACTORS.get(effect, 1.0) if rig == "clamped" else 1.0
+    typical_magnitude = CLAMPED_FACTORS.get(effect, 1.0) if kind_of(rig) == "clamped" else 1.0
     factor = multiple * typical_magnitude * 0.7 * 2.0 ** random.uniform()
     if effect in VECTORS:
         names, length = VECTORS[effect]
@@ -129,10 +172,16 @@ def draw(effect: str, seed: int, rig: Rig = "hub", multiple: float = 1.0) -> Pla
         components = float(size * np.cos(angle)), float(size * np.sin(angle))
         return Planted(effect, dict(zip(names, components, strict=True)))
     values = {name: _value(size, factor, random) for name, size in SIZES[effect].items()}
-    inner = _inner(effect, random)
-    if effect == "base_compliance" and rig == "clamped":  # which hardly pushes a table along the link
+    inner = _inner(effect, random, len(setting_of(rig, seed).markers))
+    if effect == "base_compliance" and kind_of(rig) == "clamped":  # which hardly pushes a table along the link
         inner["direction"] = 0.25 * np.pi + 0.5 * inner["direction"]
     return Planted(effect, values | inner)
+
+
+def written(planted: Planted, units: Units) -> Planted:
+    """An effect in the units in which its recordings are written."""
+    powers = {name: POWERS.get((planted.effect, name), (0, 0, 0)) for name in planted.parameters}
+    return Planted(planted.effect, {name: units.of(*powers[name]) * x for name, x in planted.parameters.items()})
 
 
 def of_size(effect: str, seed: int, smallest: Mapping[str, float], multiple: float) -> Planted:
@@ -181,10 +230,12 @@ def _scaled(size: Size | None, value: float, factor: float) -> float:
     return value / factor if size.reciprocal else size.null + factor * (value - size.null)
 
 
-def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
+def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, float]:
     """Parameters that say how an effect is, not how large."""
     spread = float(2.0 ** random.uniform(-0.7, 0.7))
     match effect:
+        case "gear_elasticity" | "backlash":
+            return {"motor_share": random.uniform(0.2, 0.8)}
         case "viscoelastic_creep":
             return {"time_constant": 0.1 * spread}
         case "hysteresis":
@@ -206,7 +257,7 @@ def _inner(effect: str, random: np.random.Generator) -> dict[str, float]:
         case "timestamp_jitter":
             return {"seed": float(random.integers(2**31))}
         case "marker_offset":
-            return {"marker": float(random.integers(1, 6))}
+            return {"marker": float(random.integers(1, markers + 1))}
         case "base_compliance":
             damping = 0.03 * float(2.0 ** random.uniform(-0.7, 0.7))
             return {"mass": 4.0 * spread, "direction": random.uniform(0.0, np.pi), "damping_ratio": damping}

@@ -10,7 +10,7 @@ from tests.hidden.conftest import Plant
 from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.screen import Screen
 from vjm.effects import CubicStiffness
-from vjm.identification.discretization import with_offset
+from vjm.identification.discretization import _with_offset
 from vjm.identification.trajectory_fit import Point
 
 
@@ -25,12 +25,12 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     experiment = vjm.load_experiment(file)
     base = fit_baseline(experiment)
     assert base.fit.shift is not None
-    plain = with_offset(base.fit.point, None)
+    plain = _with_offset(base.fit.point, None)
     assert plain.misfit > 1.05
     assert cubic(plain) > 50
     assert base.fit.point.misfit < 1.005
     assert cubic(base.fit.point) < 4
     found = base.fit.estimate
     physical = base.fit.point.problem.parametrisation.physical(found)
-    assert physical[0] == pytest.approx(truth.beam.bending_stiffness, rel=3e-4)
-    assert physical[2] == pytest.approx(truth.beam.hub_inertia, rel=3e-4)
+    assert physical[0] == pytest.approx(truth.setting.beam.bending_stiffness, rel=3e-4)
+    assert physical[2] == pytest.approx(truth.setting.beam.hub_inertia, rel=3e-4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ import pytest
 from numpy.typing import NDArray
 
 import vjm
+from tests.hidden import rigs
 from tests.hidden.conftest import Plant
-from tests.hidden.plans import Rig
-from tests.hidden.rigs import CAMERA, Conditions, beam_of, perform
+from tests.hidden.rigs import Conditions, perform, write_hidden
+from tests.hidden.settings import CAMERA, Rig, Units, setting_of
 from tests.hidden.severities import (
     EFFECTS,
     ONLY_WITH_HUB,
+    POWERS,
     SIZES,
     VECTORS,
     Planted,
@@ -26,6 +29,8 @@ from tests.hidden.severities import (
     twins,
 )
 from tests.hidden.visibility import sigmas
+from tests.scaling import scaled
+from vjm.effects import BUILTIN
 
 Array = NDArray[np.float64]
 
@@ -53,7 +58,7 @@ def test_the_files_do_not_tell_the_truth(plant: Plant) -> None:
     (link,) = tables["link"]
     assert "payload" not in link
     assert [entry.get("payload") for entry in tables["recording"]] == [None] * 5 + [0.05] + [None] * 2
-    assert link["bending_stiffness"] != pytest.approx(truth.beam.bending_stiffness, rel=1e-6)
+    assert link["bending_stiffness"] != pytest.approx(truth.setting.beam.bending_stiffness, rel=1e-6)
     assert sorted(path.name for path in file.parent.iterdir()) == sorted([*truth.noise_rms, "experiment.toml"])
     words = "".join(path.read_text() for path in file.parent.iterdir() if path.suffix == ".toml")
     assert not any(effect in words for effect in EFFECTS)
@@ -115,6 +120,52 @@ def test_repeats_are_one_motion_and_quiet_recordings_are_quiet(rig: Rig) -> None
         np.testing.assert_array_equal(shown["drive_small_1.csv"].markers, shown["drive_small_2.csv"].markers)
 
 
+@pytest.mark.parametrize("rig", ["arm", "clamped_arm"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_arm_of_any_size_is_written_in_its_own_units(
+    rig: Rig, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same as a metre's arm, scaled by what knows nothing of how arms are written."""
+    effect = draw("tip_payload", seed, rig)
+    truth = write_hidden(tmp_path / "own", rig, [effect], seed)
+    units = truth.setting.units
+    monkeypatch.setattr(rigs, "setting_of", lambda *drawn: replace(setting_of(*drawn), units=Units()))
+    plain = write_hidden(tmp_path / "metre", rig, [effect], seed)
+    own, metre = (vjm.load_experiment(tmp_path / name / "experiment.toml") for name in ("own", "metre"))
+    expected = scaled(metre, units.length, units.mass, units.time)
+    (link,), (wanted,) = own.rig.links, expected.rig.links
+    for name in ("length", "mass", "bending_stiffness", "hub_inertia", "markers"):
+        np.testing.assert_allclose(getattr(link, name), getattr(wanted, name), rtol=1e-9)
+    assert own.rig.marker_noise == pytest.approx(expected.rig.marker_noise)
+    assert truth.effects[0].parameters["mass"] == pytest.approx(units.mass * plain.effects[0].parameters["mass"])
+    for one, other in zip(own.recordings, expected.recordings, strict=True):
+        assert one.payload == pytest.approx(other.payload)
+        np.testing.assert_allclose(one.time, other.time, rtol=1e-7, atol=1e-8)
+        np.testing.assert_allclose(one.markers, other.markers, atol=2e-6 * units.length)
+        np.testing.assert_allclose(one.tau, other.tau, rtol=1e-9, atol=1e-12)
+
+
+def test_units_of_sizes_are_those_that_effects_declare() -> None:
+    for effect in BUILTIN:
+        for parameter in effect.parameters:
+            if effect.id in EFFECTS and not parameter.integer:
+                units = Units(2.0, 3.0, 5.0)
+                mine = units.of(*POWERS.get((effect.id, parameter.name), (0, 0, 0)))
+                assert mine == pytest.approx(in_units(parameter.unit, units)), (effect.id, parameter.name)
+
+
+def in_units(text: str, units: Units) -> float:
+    """What a number of a unit is multiplied by, as the unit itself is read."""
+    base = {"m": units.length, "kg": units.mass, "s": units.time, "N": units.of(1, 1, -2), "Hz": 1 / units.time}
+    over, _, under = text.replace("(", "").replace(")", "").partition("/")
+    product = 1.0
+    for part, sign in ((over, 1), (under, -1)):
+        for word in part.split():
+            name, _, power = word.partition("^")
+            product *= base.get(name, 1.0) ** (sign * int(power or 1))
+    return product
+
+
 def test_every_effect_has_an_everyday_size() -> None:
     assert len(EFFECTS) == len(set(EFFECTS)) == 37
     for effect in EFFECTS:
@@ -158,4 +209,4 @@ def test_everyday_effects_are_seen() -> None:
     clean = perform("clamped", (), 2)
     for effect in ("tip_payload", "linear_drag", "marker_offset", "external_tone"):
         assert sigmas(perform("clamped", [draw(effect, 2, "clamped")], 2), clean) > 50.0
-    assert beam_of("clamped", 2)[0].joint == "clamped"
+    assert setting_of("clamped", 2).beam.joint == "clamped"

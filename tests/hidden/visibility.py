@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from tests.fine_beam import Beam, Faults, Physics
 from tests.fine_beam.extended import Extended
-from tests.hidden.plans import Plan, Rig, plans_of
-from tests.hidden.rigs import CAMERA, ENCODER, Shown, beam_of, perform, perform_plans
+from tests.hidden.plans import Plan, plans_of
+from tests.hidden.rigs import Shown, perform, perform_plans
+from tests.hidden.settings import CAMERA, ENCODER, Rig, Setting, setting_of
 from tests.hidden.severities import Planted, draw, effects_of
 
 Array = NDArray[np.float64]
@@ -46,27 +47,28 @@ def sigmas(with_effect: Sequence[Shown], without: Sequence[Shown]) -> float:
 
 def usual_directions(rig: Rig, seed: int) -> Array:
     """Orthonormal columns (m, p): how the fitted recordings move with what is refitted anyway."""
-    beam, _ = beam_of(rig, seed)
-    plans = [plan for plan in plans_of(rig, seed, reference=False) if fitted(plan)]
-    base = _measured(beam, plans)
+    setting = setting_of(rig, seed)
+    beam = setting.beam
+    plans = [plan for plan in plans_of(setting, seed, reference=False) if fitted(plan)]
+    base = _measured(setting, plans)
     changed = [replace(beam, bending_stiffness=beam.bending_stiffness * (1.0 + 1e-5))]
     changed.append(replace(beam, kelvin_voigt_time=beam.kelvin_voigt_time * 1.01))
-    if rig == "hub":
+    if setting.turns:
         changed.append(replace(beam, hub_inertia=beam.hub_inertia * (1.0 + 1e-4)))
-    columns = [np.concatenate(_measured(each, plans)) - np.concatenate(base) for each in changed]
+    columns = [np.concatenate(_measured(replace(setting, beam=each), plans)) - np.concatenate(base) for each in changed]
     sizes = [len(each) for each in base]
     for k, plan in enumerate(plans):
         before, after = sum(sizes[:k]), sum(sizes[k + 1 :])
         for push in _pushes(beam, plan):
-            moved = _measured(beam, [plan], push)[0] - base[k]
+            moved = _measured(setting, [plan], push)[0] - base[k]
             columns.append(np.concatenate([np.zeros(before), moved, np.zeros(after)]))
     matrix = np.stack(columns, axis=1)
     basis: Array = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=0), full_matrices=False)[0]
     return basis
 
 
-def _measured(beam: Beam, plans: Sequence[Plan], push: Array | None = None) -> list[Array]:
-    return seen(perform_plans(beam, Physics(), Faults(), plans, push))
+def _measured(setting: Setting, plans: Sequence[Plan], push: Array | None = None) -> list[Array]:
+    return seen(perform_plans(setting, Physics(), Faults(), plans, push))
 
 
 def _pushes(beam: Beam, plan: Plan) -> list[Array]:

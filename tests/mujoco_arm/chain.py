@@ -26,6 +26,8 @@ class Link:
         joint: "revolute" (turned by a torque) or "clamped" (along the end of the link before, the first along x).
         hub_inertia: kg m^2 about the joint axis; the hub turns with this link and has no mass.
         payload: kg, point mass at the distal end.
+        joint_damping, joint_stiffness: of its active joint, N m s/rad, N m/rad; the spring is at rest at zero.
+        joint_friction: dry, of its active joint, N m.
     """
 
     name: str
@@ -36,6 +38,9 @@ class Link:
     joint: Literal["revolute", "clamped"] = "revolute"
     hub_inertia: float = 0.0
     payload: float = 0.0
+    joint_damping: float = 0.0
+    joint_stiffness: float = 0.0
+    joint_friction: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -147,7 +152,8 @@ class Arm:
 
 
 def _active_joint(link: Link) -> str:
-    return f'<joint name="{link.name}" axis="0 0 1"/>' if link.joint == "revolute" else ""
+    spring = f'stiffness="{link.joint_stiffness!r}" damping="{link.joint_damping!r}"'
+    return f'<joint name="{link.name}" axis="0 0 1" {spring}/>' if link.joint == "revolute" else ""
 
 
 def _payload(mass: float, position: float) -> str:

@@ -14,6 +14,8 @@ from tests.mujoco_arm.chain import Arm
 
 Array = NDArray[np.float64]
 
+_CREEP = 2e-3  # rad/s, below which dry friction fades into creep; joints here turn a hundred times as fast
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -116,7 +118,7 @@ class _ImplicitStepper:
     Inertia and velocity-dependent forces are MuJoCo's at the middle of the step: extrapolated from the step before,
     then corrected once, without which the undamped motion loses energy. Springs K and dampers C are implicit: the
     change of the rates in a step h is u with (M + h C / 2 + h^2 K / 4) u = h f. K and C are diagonal, so MuJoCo
-    solves that too: they go in as armatures.
+    solves that too: they go in as armatures. Dry friction is a force like the velocity-dependent ones.
     """
 
     def __init__(self, arm: Arm, step: float, coordinates: Array | None) -> None:
@@ -132,6 +134,8 @@ class _ImplicitStepper:
         self._coordinates = np.zeros(self._model.nv) if coordinates is None else np.array(coordinates, dtype=float)
         self._rates = np.zeros(self._model.nv)
         self._change = np.zeros(self._model.nv)
+        self._friction = np.zeros(self._model.nv)
+        self._friction[arm.active] = [link.joint_friction for link in arm.links if link.joint == "revolute"]
 
     def state(self) -> Array:
         """Coordinates and rates, (2, n)."""
@@ -141,7 +145,7 @@ class _ImplicitStepper:
         """One step under the torque (active joints,), N m."""
         known = self._coordinates + 0.5 * self._step * self._rates
         self._data.ctrl[:] = torque
-        self._data.qfrc_applied[:] = -self._stiffness * known - self._damping * self._rates
+        self._springs = -self._stiffness * known - self._damping * self._rates
         change = self._change_of_rates(known, self._change)
         self._change = self._change_of_rates(known, change)
         self._coordinates = known + 0.5 * self._step * (self._rates + self._change)
@@ -150,6 +154,7 @@ class _ImplicitStepper:
     def _change_of_rates(self, known: Array, change: Array) -> Array:
         """Change of the rates, (n,), with inertia and velocity-dependent forces as they are for a guess of it."""
         self._data.qpos[:] = known + 0.25 * self._step * change
-        self._data.qvel[:] = self._rates + 0.5 * change
+        self._data.qvel[:] = rates = self._rates + 0.5 * change
+        self._data.qfrc_applied[:] = self._springs - self._friction * np.tanh(rates / _CREEP)
         mujoco.mj_forward(self._model, self._data)
         return np.asarray(self._step * self._data.qacc)

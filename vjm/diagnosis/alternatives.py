@@ -6,19 +6,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import start_size
-from vjm.diagnosis.records import Alternative, Cause
+from vjm.diagnosis.candidate_fit import starting_effect
+from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.selection import Fits, Search, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import Array, Estimate
+from vjm.text import number, ratio
 
-_EQUIVALENT = 10.0  # chi^2 below which models are not distinguished: a likelihood ratio of e^5, decisive by Jeffreys
-_MOST = 6  # alternatives refitted for each cause
-_ALIKE = 0.5  # cosine from which a nonsmooth effect, slow to fit, is tried
-_NEAR = 5.0  # times the tolerance that a linear guess may be off
+_MOST_ALTERNATIVES = 6  # refitted for each cause
 
 
 def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[Alternative, ...]]:
@@ -31,35 +29,37 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     best, causes = result.best, result.best.new_effects
     if not causes:
         return {}
-    tolerance = _EQUIVALENT * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
-    beside = result.last.screen.directions
+    tolerance = EQUIVALENT * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
+    directions = result.last_tests.screen.directions
     # Stick-slip and play are slow to try: only where they may look like the cause.
     wanted = {
         cause.key: [
             k
-            for k, v in enumerate(beside.effects)
-            if not v.nonsmooth or cause.nonsmooth or _alike(result.first.screen, cause, v)
+            for k, v in enumerate(directions.effects)
+            if not v.nonsmooth or cause.nonsmooth or _alike(result.first_tests.screen, cause, v)
         ]
         for cause in causes
     }
     alternatives = {}
     for cause in causes:
         part = next(p for effect, p in zip(best.effects, best.point.problem.parts, strict=True) if effect is cause)
-        screened = beside.screen(present=(cause, part), chosen=wanted[cause.key])
+        screened = directions.screen(present=(cause, part), chosen=wanted[cause.key])
         others = [effect for effect in best.effects if effect is not cause]
         guesses = _near(screened, cause, tolerance)
-        models = [(*others, start_size(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()]
-        search.fit(best, models, best.chi2 + tolerance, result.fits)
+        models = [
+            (*others, starting_effect(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()
+        ]
+        search.fit_models(best, models, best.chi2 + tolerance, result.fits)
         alternatives[cause.key] = _as_good(best, cause, result.fits, tolerance)
     return alternatives
 
 
 def _as_good(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
-    """Models fitted with another effect in a cause's place that leave about as little, the best first."""
-    rest, alternatives = best.names - {cause.key}, []
+    """Return the effects that, fitted in a cause's place, leave about as little, the best first."""
+    rest, alternatives = best.effect_keys - {cause.key}, []
     for names, tried in fits.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
-        if len(names) == len(best.names) and rest <= names and len(new) == 1 and new[0].key != cause.key:
+        if len(names) == len(best.effect_keys) and rest <= names and len(new) == 1 and new[0].key != cause.key:
             worse = tried.chi2 - best.chi2
             if worse < tolerance:
                 alternatives.append(Alternative(new[0], float(worse)))
@@ -67,14 +67,14 @@ def _as_good(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -
 
 
 def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
-    """Another effect does to the model without effects about what the cause does."""
+    """Return True if another effect moves the model without effects about as the cause does: by a cosine of 0.5."""
     one = [k for k, each in enumerate(first.effects) if each.key == cause.key]
     two = [k for k, each in enumerate(first.effects) if each.key == other.key]
-    return any(first.likeness[i, j] > _ALIKE for i in one for j in two)
+    return any(first.cosines[i, j] > 0.5 for i in one for j in two)
 
 
 def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
-    """Absent effects that may do what the cause does, nearly: one variant each, and how large that takes."""
+    """Return the sizes (s,) of absent effects, one variant each, with which they do nearly what the cause does."""
     size = cause.coordinates[: cause.magnitude_count]
     own = screened.R[:, screened.parts[0]] @ size  # what the cause does to the residuals
     power = float(own @ own)
@@ -87,9 +87,9 @@ def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]
         guess = np.asarray(np.linalg.lstsq(columns, own, rcond=1e-10)[0])
         guesses[k] = guess
         remaining_chi2[k] = power - float(np.sum((columns @ guess) ** 2))
-    # A linear guess is the worse the larger the effect.
-    close = [k for k in range(1, len(screened.effects)) if remaining_chi2[k] < _NEAR * tolerance + 0.02 * power]
-    chosen = screened.first_of_each(sorted(close, key=lambda k: float(remaining_chi2[k])))[:_MOST]
+    # A linear guess, which is the worse the larger the effect, may be off by some times the tolerance.
+    close = [k for k in range(1, len(screened.effects)) if remaining_chi2[k] < 5 * tolerance + 0.02 * power]
+    chosen = screened.first_variants(sorted(close, key=lambda k: float(remaining_chi2[k])))[:_MOST_ALTERNATIVES]
     return {k: guesses[k] for k in chosen}
 
 
@@ -110,28 +110,26 @@ def estimate_causes(
         covariance: (p, p) of the best model's coordinates.
     """
     best, causes = result.best, []
-    estimated = best.point.problem.present(best.estimate)
+    estimated = best.point.problem.effects_at(best.estimate)
     for effect, estimate, part in [*zip(best.effects, estimated, best.point.problem.parts, strict=True)][
         best.point.problem.reference_effects :
     ]:
-        names = best.names - {effect.key}
-        without = result.fits.get(names) or search.without(best, effect, result.fits) or search.start
+        names = best.effect_keys - {effect.key}
+        without = result.fits.get(names) or search.refit_without(best, effect, result.fits) or search.start
         decrease = without.chi2 - best.chi2
         # Where the best model leaves more than noise, what it leaves is the measure.
-        p_of_fit = result.first.p_of_fit(effect, decrease / max(1.0, best.misfit**2))
+        p_of_fit = result.first_tests.p_of_fit(effect, decrease / max(1.0, best.misfit**2))
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
-        unit = "the noise" if reference_misfit == 1 else "what was missing before the change"
-        evidence = (
-            f"without it the model misses the training recordings by {without.misfit:.3g} times {unit}, with it by "
-            f"{best.misfit:.3g}; chi^2 falls by {decrease:.3g}"
-        )
+        unit = "noise" if reference_misfit == 1 else "the residual before the change"
+        before, after = ratio(without.misfit), ratio(best.misfit)
+        evidence = f"training residual falls from {before} to {after} × {unit}, chi² by {number(decrease)}"
         parameters = _with_errors(estimate, covariance[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
     return tuple(sorted(causes, key=lambda cause: -cause.decrease))
 
 
-def _with_errors(effect: Effect, spread: Array) -> dict[str, Estimate]:
-    """Parameters with standard errors, from the covariance (p, p) of the effect's coordinates (delta method)."""
+def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
+    """Return parameters with standard errors, by the covariance (p, p) of an effect's coordinates (delta method)."""
     x, values = effect.coordinates, effect.values
     steps = 1e-5 * np.maximum(np.abs(x), 1.0)
     moved = [effect.at(x + step).values for step in np.diag(steps)]
@@ -140,7 +138,7 @@ def _with_errors(effect: Effect, spread: Array) -> dict[str, Estimate]:
         name = parameter.name
         slope = np.array([(other[name] - values[name]) / step for other, step in zip(moved, steps, strict=True)])
         with np.errstate(invalid="ignore"):  # the recordings may not determine a cause among several
-            variance = float(slope @ spread @ slope)
+            variance = float(slope @ covariance @ slope)
         std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not parameter.integer else None
         parameters[name] = Estimate(name, float(values[name]), std, parameter.unit)
     return parameters

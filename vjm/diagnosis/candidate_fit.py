@@ -21,43 +21,33 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.identification.uncertainty import Information, trajectory_information
-from vjm.records import Array, Rig
+from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
 from vjm.simulation.system import Trajectory
 
-INCOMPLETE = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
+INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
-_SHARES = (1.0, 0.5, 0.25, 0.125)  # of a start that are tried as long as it cannot be simulated
 LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
-# Share of its motion that a swing leaves where its phase is off by phi, 2 sin(phi/2): up to this one (phi = 17 deg) it
-# is linear in phi within 0.5 %, so that derivatives lead back.
-_FOLLOWED = 0.3
-_FEW = 4  # simulations by which initial states come near enough for a fit of all parameters
+_ITERATIONS = 4  # by which initial states come near enough for a fit of all parameters
 _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
-_RESTARTS = (0.5, 2.0, 4.0)  # multiples of a joint's compliance or mass: of its frequency, half an octave or more
-_RESTART_STEPS = 5  # after which a start that leads elsewhere shows
-_MISSED = 1e-3  # significance level at which a recording is missed
-_STUCK, _LITTLE = 5, 0.002  # accepted steps, and the share of chi^2 that they must gain for a fit to go on
-_SLOW = 0.1  # share of what is missing, beside noise, that as many steps must gain: the rest takes ten times as many
-_MARGIN = 0.1  # of a segment, simulated beyond its values: sensors that are early or late are so by less
 
 
 class StoppingRule:
     """Stopping rule of a fit among several: it ends a fit that cannot become the best, or gains next to nothing.
 
     Args:
-        record: chi^2 of the best so far; a fit whose next three steps would not come near it is given up, the next one
-            being the best of them as long as the linearised problem is any guide.
-        most: number of steps.
+        max_chi2: chi^2 above which a fit is of no use, such as that of the best one so far: it is given up where three
+            decreases as large as its next step promises would leave it above.
+        max_steps: number of steps at most.
         deadline: reading of `time.monotonic` after which it ends every fit [s].
     """
 
-    def __init__(self, record: float = np.inf, most: float = np.inf, deadline: float = np.inf) -> None:
-        self.record, self.most, self.deadline = record, most, deadline
+    def __init__(self, max_chi2: float = np.inf, max_steps: float = np.inf, deadline: float = np.inf) -> None:
+        self.max_chi2, self.max_steps, self.deadline = max_chi2, max_steps, deadline
         self.steps = 0
         self.accepted: list[float] = []
 
@@ -66,14 +56,18 @@ class StoppingRule:
         self.steps += 1
         if not self.accepted or point.chi2 != self.accepted[-1]:
             self.accepted.append(point.chi2)
-        stuck = len(self.accepted) > _STUCK and self.accepted[-_STUCK] - point.chi2 < _least_gain(point)
-        ended = self.steps > self.most or monotonic() > self.deadline
-        return ended or stuck or point.chi2 - 3 * predicted > self.record
+        stuck = len(self.accepted) > 5 and self.accepted[-5] - point.chi2 < _least_decrease(point)
+        ended = self.steps > self.max_steps or monotonic() > self.deadline
+        return ended or stuck or point.chi2 - 3 * predicted > self.max_chi2
 
 
-def _least_gain(point: Point) -> float:
-    """Return the decrease of chi^2 that several steps must bring for a fit to go on."""
-    return max(_LITTLE * point.chi2, _SLOW * (point.chi2 - point.expected_chi2))
+def _least_decrease(point: Point) -> float:
+    """Return the decrease of chi^2 that five accepted steps must bring for a fit to go on.
+
+    It is less than what matters (`SearchOptions.least_share`), or a tenth of what exceeds noise, whose rest would take
+    ten times as many steps.
+    """
+    return max(0.002 * point.chi2, 0.1 * (point.chi2 - point.expected_chi2))
 
 
 @lru_cache(maxsize=4)
@@ -94,8 +88,8 @@ def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
     return Model(chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)
 
 
-def start_size(effect: Effect, guess: Array, chain: Chain) -> Effect:
-    """Return an effect of a size from which a fit may start.
+def starting_effect(effect: Effect, guess: Array, chain: Chain) -> Effect:
+    """Return an effect with magnitudes from which a fit may start.
 
     Args:
         effect: with its shape parameters.
@@ -120,7 +114,7 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
         The fit; None where it cannot be simulated.
     """
     known = {effect.key for effect in start.effects}
-    for share in _SHARES:  # a linear guess may be far beyond what can be simulated
+    for share in (1.0, 0.5, 0.25, 0.125):  # a linear guess may be far beyond what can be simulated
         sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
         problem = replace(start.point.problem, effects=tuple(sized))
         chain = start.point.x[: len(problem.parametrisation.coordinates)]
@@ -130,29 +124,28 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
             pairs = zip(start.point.runs, problem.arms(x), strict=True)
             states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
             try:
-                return _minimum(problem, x, states, StoppingRule() if stop is None else stop)
+                return _fit_multistart(problem, x, states, StoppingRule() if stop is None else stop)
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
 
 
-def restarted(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
-    """Fit a model again from other frequencies of its effects that are joints of their own; return the best fit.
+def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
+    """Fit a model again from other frequencies of those of its effects that add a joint; return the best fit.
 
     Such a joint vibrates, and where its frequency is wrong by a cycle over a segment there is another minimum. After
-    the deadline, as of `StoppingRule`, what has been found is returned.
+    the deadline, as of `StoppingRule`, the best fit so far is returned.
     """
     best = fit
     for effect, part in zip(fit.effects, fit.point.problem.parts, strict=True):
         if effect.nonsmooth or not effect.adds_joint(fit.point.problem.parametrisation.template):
             continue
-        for factor in _RESTARTS:
+        for factor in (0.5, 2.0, 4.0):  # of its compliance or mass: half an octave or more of its frequency
             x = fit.point.x.copy()
             x[part] = np.clip(effect.with_softer_joint(factor).coordinates, *effect.bounds)
             try:
-                trial = fit_trajectory(
-                    fit.point.problem, x, None, fit.point.states, stop=StoppingRule(best.chi2, _RESTART_STEPS, deadline)
-                )
+                few = StoppingRule(best.chi2, 5, deadline)  # steps, after which a start that leads elsewhere shows
+                trial = fit_trajectory(fit.point.problem, x, None, fit.point.states, stop=few)
                 if trial.chi2 < best.chi2:
                     best = fit_trajectory(
                         trial.point.problem,
@@ -166,38 +159,38 @@ def restarted(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
     return best
 
 
-def _minimum(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
-    """Fit coordinates and initial states from (p,) and (2 nv,) each.
+def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
+    """Fit coordinates and initial states from (p,) and (2 nv,) each, some initial states from several starts.
 
     Where something sticks or rattles, the likelihood of an initial state has many maxima, from which no slope leads
     away: after a few steps each recording that is missed is begun otherwise as well, as long as that helps.
     """
-    if not is_nonsmooth(problem.effects) or stop.most < _FEW_STEPS:
+    if not is_nonsmooth(problem.effects) or stop.max_steps < _FEW_STEPS:
         return fit_trajectory(problem, x, None, states, stop=stop)
-    record, iterations = np.inf, 0  # slopes tell whether a record can be reached once the initial states are likely
-    before = np.inf
+    max_chi2, before, iterations = np.inf, np.inf, 0
     while True:
-        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(record, _FEW_STEPS, stop.deadline))
-        record, iterations = stop.record, iterations + fit.iterations
+        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, _FEW_STEPS, stop.deadline))
+        iterations += fit.iterations
+        max_chi2 = stop.max_chi2  # not before: with unlikely initial states slopes do not show what can be reached
         point = replace(fit.point, runs=_multistart(fit.point))
-        if before - point.chi2 < _least_gain(point) or monotonic() > stop.deadline:
+        if before - point.chi2 < _least_decrease(point) or monotonic() > stop.deadline:
             return replace(fit, point=point, iterations=iterations)
         before, x, states = point.chi2, point.x, point.states
 
 
 def _multistart(point: Point) -> tuple[Run, ...]:
-    """Return runs, those of missed segments from the best of their initial states and of others.
+    """Return runs, those of missed segments from the best of several initial states.
 
-    These are rest of the active joints, the state in which the segment before ends, or rest of the whole arm, and what
-    effects propose.
+    These are their own; the same with the active joints at rest; the state in which the segment before ends or, for the
+    first one, rest of the whole arm; and those that effects propose.
     """
     best, trials = [*point.runs], []
-    # Where the parameters are wrong most segments are missed, and no start of theirs leads out of that.
+    # With wrong parameters most segments are missed, whatever their initial states: the best quarter is the measure.
     usual = max(1.0, float(np.quantile([run.chi2 / max(run.expected_chi2, 1) for run in point.runs], 0.25)))
     for k, run in enumerate(point.runs):
-        if run.chi2 < usual * stats.chi2.isf(_MISSED, run.expected_chi2):
+        if run.chi2 < usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2):
             continue
-        resting, before = run.state.copy(), _before(point.runs, run.observed)
+        resting, before = run.state.copy(), _earlier_runs(point.runs, run.observed)
         resting[run.chain.size + run.chain.active] = 0.0
         previous = state_at(before, run.observed) if before else run.prior.rest
         trials += [(k, resting), (k, previous)]
@@ -209,7 +202,11 @@ def _multistart(point: Point) -> tuple[Run, ...]:
     indices, states = [k for k, _ in trials], [state for _, state in trials]
     try:
         likely = fit_initial_states(
-            [arms[k] for k in indices], [observed[k] for k in indices], states, point.problem.step_multiple, most=_FEW
+            [arms[k] for k in indices],
+            [observed[k] for k in indices],
+            states,
+            point.problem.step_multiple,
+            most=_ITERATIONS,
         )
     except SimulationDivergedError:
         return point.runs
@@ -218,7 +215,9 @@ def _multistart(point: Point) -> tuple[Run, ...]:
     return tuple(best)
 
 
-def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop: StoppingRule) -> TrajectoryFit:
+def fit_segments(
+    fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop: StoppingRule
+) -> TrajectoryFit:
     """Fit a model to the segments of recordings, each with an initial state of its own (multiple shooting).
 
     Over a segment of one or two periods nothing is lost in phase, whatever the model lacks, so that slopes guide from
@@ -241,8 +240,8 @@ def cut(fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop
     states = [state_at(fit.point.runs, part) for part in observed]
     if len(fit.point.runs) == len(whole):
         states = _initial_states(problem, fit.point.x, states)
-    found = _minimum(problem, fit.point.x, states, stop)
-    # What was estimated last is remembered by effects that are fitted from here.
+    found = _fit_multistart(problem, fit.point.x, states, stop)
+    # Effects with memory, fitted from here, start each segment after the motion that was estimated last.
     observed = _with_preceding_motion([run.observed for run in found.point.runs], found.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
     problem = replace(problem, observed=tuple(observed))
@@ -255,22 +254,30 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     The simulation of a whole recording may be anywhere where a segment of it begins.
     """
     arms, observed = problem.arms(x), problem.observed
-    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, most=_FEW)]
-    lost = [k for k, run in enumerate(runs) if not is_followed([run])]
-    if lost:
+    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, most=_ITERATIONS)]
+    missed = [k for k, run in enumerate(runs) if not is_followed([run])]
+    if missed:
         resting = fit_initial_states(
-            [arms[k] for k in lost], [observed[k] for k in lost], None, problem.step_multiple, most=2 * _FEW
+            [arms[k] for k in missed],
+            [observed[k] for k in missed],
+            None,
+            problem.step_multiple,
+            most=2 * _ITERATIONS,
         )
-        for k, (run, _) in zip(lost, resting, strict=True):
+        for k, (run, _) in zip(missed, resting, strict=True):
             runs[k] = min(runs[k], run, key=lambda run: run.cost)
     return [run.state for run in runs]
 
 
 def is_followed(runs: Sequence[Run]) -> bool:
-    """Return True if simulations of parts of a recording follow its motion, so that slopes tell what they lack."""
+    """Return True if simulations of parts of a recording follow its motion, so that slopes show what they lack.
+
+    Where its phase is off by phi a swing leaves a share 2 sin(phi/2) of its motion. Up to 30 % (phi = 17 deg) that is
+    linear in phi within 0.5 %, so that derivatives lead back.
+    """
     missed = sum(run.chi2 - run.expected_chi2 for run in runs)
     moved = sum(run.observed.motion for run in runs)
-    return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= _FOLLOWED**2 * moved
+    return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= 0.3**2 * moved
 
 
 def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:
@@ -282,7 +289,7 @@ def segments(observed: Observations, duration: float) -> tuple[Observations, ...
     held = observed.recording.kind == "quiet" and not observed.recording.theta.shape[1]
     if held or not np.isfinite(duration):
         return (observed,)
-    return observed.segments(duration, _MARGIN * duration)
+    return observed.segments(duration, 0.1 * duration)  # simulated beyond its values, for sensors early or late
 
 
 def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
@@ -297,7 +304,7 @@ def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]
 
 
 def _joined(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
-    """Trajectories one after another, each up to where the next begins."""
+    """Join trajectories, each up to where the next begins."""
     ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
     shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
     time = np.concatenate([path.elapsed(path.time)[own] for path, own in shown])
@@ -305,7 +312,7 @@ def _joined(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
     return PrecedingMotion(chain, time, q, v)
 
 
-def _before(runs: Sequence[Run], observed: Observations) -> list[Run]:
+def _earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
     """Return the simulations of the same recording that begin earlier than a part of it."""
     own = [run for run in runs if run.observed.recording.file == observed.recording.file]
     return [run for run in own if run.trajectory.time[0] < observed.recording.time[0]]

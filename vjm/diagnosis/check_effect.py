@@ -17,7 +17,7 @@ from scipy.integrate import cumulative_trapezoid
 from vjm.chain.curve import transfer_state
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.candidate_fit import StoppingRule, refit, restarted
+from vjm.diagnosis.candidate_fit import StoppingRule, refit, refit_other_frequencies
 from vjm.diagnosis.screen import CandidateSet, Screen
 from vjm.effects.effect import SENSING_HOOKS, Effect
 from vjm.errors import EffectError, SimulationDivergedError
@@ -28,7 +28,7 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step, simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
 
-_Law = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
+_Checks = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
 _HOOKS = (
     *("chain", "true_inputs", "force", *SENSING_HOOKS, "timing_noise"),
     *("initial_states", "state_rates", "rate_independent_update"),
@@ -52,17 +52,17 @@ def check_effect(effect: Effect, seed: int = 0) -> None:
     Raises:
         EffectError: the first clause that is broken, what was found and what was expected.
     """
-    for law in _LAWS:
-        _hold(effect, law.__name__.removeprefix("_"), law(effect, seed))
+    for clause in _CLAUSES:
+        _require(effect, clause.__name__.removeprefix("_"), clause(effect, seed))
         if not _overridden(effect):
             return  # a name for something that is no physics
 
 
-def _hold(effect: Effect, clause: str, law: _Law) -> None:
+def _require(effect: Effect, clause: str, checks: _Checks) -> None:
     """Raise an error at the first thing that does not hold, or at an error in what the effect's author wrote."""
     name = str(getattr(effect, "id", "")) or type(effect).__name__
     try:
-        for holds, found, expected in law:
+        for holds, found, expected in checks:
             if not holds:
                 raise EffectError(name, clause, found, expected)
     except EffectError:
@@ -115,7 +115,7 @@ class _Bench:
 
 @cache
 def _benches() -> tuple[_Bench, ...]:
-    """A driven link, a clamped one, and a driven one on a flexible post: fewer active joints than links."""
+    """Return a driven link, a clamped one, and a driven one on a flexible post: fewer active joints than links."""
     beam = Link("beam", "revolute", 1.0, 0.44, 1.9, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)
     clamped = replace(beam, joint="clamped", hub_inertia=0.0)
     post = replace(clamped, name="post", length=0.6, markers=(0.3, 0.6))
@@ -144,12 +144,12 @@ def _bench(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, floa
 
 
 def _overridden(effect: Effect) -> str:
-    """Hooks that the effect's class defines itself."""
+    """List the hooks that the effect's class defines itself."""
     return ", ".join(f"`{name}`" for name in _HOOKS if getattr(type(effect), name) is not getattr(Effect, name))
 
 
-def _form(effect: Effect, seed: int) -> _Law:
-    """A frozen dataclass derived from Effect with id, description and reference; its parameters null by default."""
+def _form(effect: Effect, seed: int) -> _Checks:
+    """Require a frozen Effect dataclass with id, description and reference, its parameters null by default."""
     kind, derived = type(effect), "an instance of a class derived from vjm.effects.Effect"
     yield isinstance(effect, Effect), f"{effect!r}", derived
     # Without a decorator of its own, a subclass has its parent's fields only, whatever it declares.
@@ -180,12 +180,12 @@ def _form(effect: Effect, seed: int) -> _Law:
 
 
 def _variants(effect: Effect) -> list[tuple[_Bench, Effect]]:
-    """The absent effect wherever it can be, on each rig."""
+    """Return the absent effect wherever it can be, on each rig."""
     return [(bench, own) for bench in _benches() for own in effect.variants(bench.rig, bench.recordings)]
 
 
 def _trial_coordinates(effect: Effect) -> list[Array]:
-    """Coordinates (p,) to try: typical ones, and each near either of its bounds while the others are typical."""
+    """Return coordinates (p,) to try: typical ones, and each near either of its bounds while the others are typical."""
     lower, upper = effect.bounds
     # Without a bound, as far as a search may stray: three typical magnitudes, or logarithms of a shape parameter.
     low = np.where(np.isfinite(lower), lower, np.minimum(-3.0, upper - 3.0))
@@ -196,8 +196,8 @@ def _trial_coordinates(effect: Effect) -> list[Array]:
     return [typical, *(np.where(numbers == k, bound, typical) for k, bound in product(numbers, (low, high)))]
 
 
-def _coordinates(effect: Effect, seed: int) -> _Law:
-    """Zeros at the null, ones at typical magnitudes, and back the values from which they came."""
+def _coordinates(effect: Effect, seed: int) -> _Checks:
+    """Require zeros at the null, ones at typical magnitudes, and back the values from which they came."""
     for _, absent in _variants(effect)[:1]:
         start, (lower, upper) = absent.coordinates, absent.bounds
         shapes = start.shape, lower.shape, upper.shape
@@ -216,7 +216,7 @@ def _coordinates(effect: Effect, seed: int) -> _Law:
 
 
 def _calls(bench: _Bench, seed: int) -> dict[str, tuple[Any, ...]]:
-    """Random arguments, none of them writeable, for hooks that return the first one if the effect is absent."""
+    """Return random arguments, none of them writeable, for hooks that return the first one if the effect is absent."""
     random, empty = np.random.default_rng(seed), bench.recordings[0]
     shapes = (5, *empty.markers.shape[1:]), (5, empty.markers.shape[1]), empty.theta.shape, empty.markers.shape
     positions, headings, angles, markers = (_fixed(0.3 * random.normal(size=shape)) for shape in shapes)
@@ -232,8 +232,8 @@ def _fixed(values: Array) -> Array:
     return values
 
 
-def _null(effect: Effect, seed: int) -> _Law:
-    """No change at all where it is absent, to the last bit."""
+def _null(effect: Effect, seed: int) -> _Checks:
+    """Require no change at all where it is absent, to the last bit."""
     for bench, absent in _variants(effect):
         yield absent.is_null, f"{absent!r} among the variants", "absent ones only"
         for name, arguments in _calls(bench, seed).items():
@@ -247,8 +247,8 @@ def _null(effect: Effect, seed: int) -> _Law:
         yield _same(absent.rest_angles(chain, q), q), "`rest_angles` changes angles at the null", "the same values"
 
 
-def _hooks(effect: Effect, seed: int) -> _Law:
-    """Variants at all places of a rig and nowhere else; finite values of the right shape, for any leading axes."""
+def _hooks(effect: Effect, seed: int) -> _Checks:
+    """Require variants at all places of a rig only; finite values of the right shape, for any leading axes."""
     for bench in _benches():
         places, links = effect.places(bench.rig), len(bench.rig.links)
         where = {variant.link for variant in effect.variants(bench.rig, bench.recordings)}
@@ -277,8 +277,8 @@ def _hooks(effect: Effect, seed: int) -> _Law:
             yield alike, f"`smooth` makes it {smooth!r}", "the same parameters and the same chain"
 
 
-def _motions(present: Effect, chain: Chain, seed: int) -> _Law:
-    """Force, rates or rate-independent update, and rest, for states with several leading axes."""
+def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
+    """Require force, rates or rate-independent update, and rest, for states with several leading axes."""
     still, smooth = np.zeros(chain.size), replace(present, smooth=True)
     count, kept = present.initial_states(chain, still).size, smooth.initial_states(chain, still).size
     rates, update = present.state_rates(chain), present.rate_independent_update(chain)
@@ -303,8 +303,8 @@ def _motions(present: Effect, chain: Chain, seed: int) -> _Law:
 
 def _each_alone(
     name: str, motion: Callable[..., Array] | None, arguments: tuple[Array, ...], shape: tuple[int, ...]
-) -> _Law:
-    """A function of what the arm does, given many instants at once and each alone."""
+) -> _Checks:
+    """Require the same of a function of the arm's motion for many instants at once and for each alone."""
     if motion is None:
         return
     result = motion(*arguments)
@@ -315,15 +315,15 @@ def _each_alone(
     yield same, f"`{name}` at many instants is not what it is at each alone", "each row for itself"
 
 
-def _array(what: str, values: Any, *shapes: tuple[int, ...]) -> _Law:
-    """A finite array of one of some shapes."""
+def _array(what: str, values: Any, *shapes: tuple[int, ...]) -> _Checks:
+    """Require a finite array of one of some shapes."""
     shape = values.shape if isinstance(values, np.ndarray) else type(values).__name__
     yield shape in shapes, f"{what} is {shape}", f"shape {' or '.join(map(str, shapes))}"
     yield np.isfinite(values).all(), f"{what} is not finite", "finite values"
 
 
-def _inputs(effect: Effect, seed: int) -> _Law:
-    """Nothing that hooks are given changes; arrays cannot, as they are not writeable."""
+def _inputs(effect: Effect, seed: int) -> _Checks:
+    """Require that hooks change nothing that they are given; arrays they cannot, as these are not writeable."""
     for bench, absent in _variants(effect):
         present, calls = bench.typical(absent), _calls(bench, seed)
         before = deepcopy(calls)
@@ -344,8 +344,8 @@ def _same(one: Any, other: Any) -> bool:
     return True
 
 
-def _action(effect: Effect, seed: int) -> _Law:
-    """A typical magnitude that markers or encoders of some rig show."""
+def _action(effect: Effect, seed: int) -> _Checks:
+    """Require a typical magnitude that markers or encoders of some rig show."""
     reasons = {bench.rig.name: bench.refusal(effect) for bench in _benches()[:2]}
     found = f"it says that nothing can show it ({'; '.join(f'{name} link: {why}' for name, why in reasons.items())})"
     yield not all(reasons.values()), found, "a rig on which it is testable"
@@ -354,7 +354,7 @@ def _action(effect: Effect, seed: int) -> _Law:
 
 
 def _shown_by(effect: Effect) -> _Bench | None:
-    """The first rig whose markers or encoders show something else at a typical magnitude than without it."""
+    """Return the first rig whose markers or encoders show something else at a typical magnitude than without it."""
     for bench in (bench for bench in _benches()[:2] if not bench.refusal(effect)):
         arm, plain = Arm.of(bench.chain, (bench.typical(effect),)), Arm(bench.chain)
         step = min(default_step(plain.chain), default_step(arm.chain), arm.longest_step)
@@ -364,8 +364,8 @@ def _shown_by(effect: Effect) -> _Bench | None:
     return None
 
 
-def _energy(effect: Effect, seed: int) -> _Law:
-    """Dissipative forces, dampers and inputs take power at every state; with internal states, work since rest."""
+def _energy(effect: Effect, seed: int) -> _Checks:
+    """Require that dissipative effects take power at every state; with internal states, work since rest."""
     for bench in _benches()[:2]:
         if bench.refusal(effect) or not effect.dissipative:
             continue
@@ -377,7 +377,7 @@ def _energy(effect: Effect, seed: int) -> _Law:
 
 
 def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
-    """Power [W] of an arm's effects in a random motion from rest, or work [J] if they have states; and its size."""
+    """Return the power [W] of effects in a random motion from rest, or work [J] if they have states; and its size."""
     random, n, stateful = np.random.default_rng(seed), arm.chain.size, any(arm.states)
     recording = bench.recordings[0]
     time = np.linspace(0.0, 2.0, 20001 if stateful else 401)  # so many that internal states are followed closely
@@ -400,18 +400,20 @@ def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
     return work, 1e-3 / _ROUNDING * both  # a thousandth is what following states step by step may add
 
 
-def _recovery(effect: Effect, seed: int) -> _Law:
-    """Magnitudes that a fit finds which starts without the effect, the chain's parameters being free."""
+def _recovery(effect: Effect, seed: int) -> _Checks:
+    """Require magnitudes that a fit finds which starts without the effect, the chain's parameters being free."""
     bench = _shown_by(effect) or _benches()[0]
     if effect.nonsmooth:  # takes short steps
         bench = replace(bench, recordings=bench.recordings[:1], states=bench.states[:1])
     true = bench.typical(effect)
     problem = _problem(bench, true, seed)
     free = problem.parametrisation.start.size
-    start = fit_trajectory(problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(most=4))
+    start = fit_trajectory(
+        problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(max_steps=4)
+    )
     # Standard errors of the magnitudes at their true values, everything else being free.
-    exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(most=0))
-    extended = refit(exact, (true,), StoppingRule(most=0))
+    exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(max_steps=0))
+    extended = refit(exact, (true,), StoppingRule(max_steps=0))
     yield extended, f"with {_values(true)} nothing can be simulated", "finite motion"
     assert extended  # for type checkers: this is not reached otherwise
     R = extended.point.reduced()[0].R[:, :-1]
@@ -444,13 +446,13 @@ def _values(effect: Effect) -> str:
 
 
 def _unexplained(columns: Array, k: int) -> float:
-    """Length of what of a column k no combination of the others gives."""
+    """Return the length of the part of column k that no combination of the others gives."""
     others = np.delete(columns, k, axis=1)
     return float(np.linalg.norm(columns[:, k] - others @ np.linalg.lstsq(others, columns[:, k], rcond=1e-12)[0]))
 
 
 def _problem(bench: _Bench, true: Effect, seed: int) -> TrajectoryProblem:
-    """Measurements with the effect present; none at either end, where a late camera would show the arm outside."""
+    """Return measurements with the effect present; none at the ends, where a late camera shows the arm outside."""
     random, observed = np.random.default_rng(seed), []
     simulated = bench.simulate(Arm.of(bench.chain, (true,)), seed=seed)
     for recording, shown in zip(bench.recordings, simulated, strict=True):
@@ -474,11 +476,11 @@ def _fitted(start: TrajectoryFit, bench: _Bench, true: Effect) -> Effect | None:
         wanted = variant.at(np.clip(coordinates, *variant.bounds))
         found = refit(start, (wanted,), StoppingRule())
         if found is not None and found.misfit > 1.02:
-            found = restarted(found)
+            found = refit_other_frequencies(found)
         best = min((one for one in (best, found) if one is not None), key=lambda one: one.chi2, default=None)
         if best is not None and best.misfit < 1.02:
             break
     return None if best is None else best.effects[0]
 
 
-_LAWS = (_form, _coordinates, _null, _hooks, _inputs, _action, _energy, _recovery)
+_CLAUSES = (_form, _coordinates, _null, _hooks, _inputs, _action, _energy, _recovery)

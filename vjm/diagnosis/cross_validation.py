@@ -15,12 +15,10 @@ from scipy import stats
 from vjm.diagnosis.candidate_fit import information_of
 from vjm.effects import Effect
 from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.uncertainty import SINGULAR
 from vjm.records import Array
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.run import Run
-
-_LEAST_SHARE = 0.25  # of the information on each parameter: half of the inverse standard error
-_SILENT = 1e-5  # singular value below which a combination of parameters is not determined: root of rounding in slopes
 
 
 def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
@@ -43,27 +41,28 @@ def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
     return bool(statistic > stats.chi2.isf(alpha, x.size))
 
 
-def predicts(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
-    """Return True if recordings are predicted from each other better by a model than with an effect less.
+def predicts_better(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
+    """Return True if recordings are predicted from each other better by a model than by one with an effect less.
 
-    Also where nothing can be said, since each recording, or group of repeats, has information that the others lack.
+    True as well where that cannot be judged, since each recording, or group of repeats, has information that the others
+    lack.
 
     Args:
         fit: the model.
         fewer: fitted to the same recordings or segments without one of its effects.
     """
-    errors = prediction_errors(fit)
+    errors = _prediction_errors(fit)
     judged = np.isfinite(errors)
-    # A model predicts what it was not fitted to no better than what it was.
+    # The smaller model predicts no recording better than it fits it: where even its fit is worse, that decides.
     fitted = np.array([sum(fewer.point.runs[k].chi2 for k in group) for group in _groups(fewer.point.runs)])
     if not judged.any() or errors[judged].sum() < fitted[judged].sum():
         return True
-    others = prediction_errors(fewer)
+    others = _prediction_errors(fewer)
     judged &= np.isfinite(others)
     return bool(not judged.any() or errors[judged].sum() < others[judged].sum())
 
 
-def prediction_errors(fit: TrajectoryFit) -> Array:
+def _prediction_errors(fit: TrajectoryFit) -> Array:
     """Return chi^2 (G,) of each recording, or group of repeats, predicted by the parameters that the others give.
 
     NaN where some parameter's standard error is more than twice as large without the group: what only it determines the
@@ -77,7 +76,7 @@ def prediction_errors(fit: TrajectoryFit) -> Array:
     errors = np.full(len(groups), np.nan)
     for g, group in enumerate(groups):
         rows = np.vstack([*(part for k, part in enumerate(parts) if k not in group), prior])
-        if _least_share(rows[:, :-1], whole) > _LEAST_SHARE:
+        if _least_share(rows[:, :-1], whole) > 0.5**2:  # of the information: half of the inverse standard error
             change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], point.x.size).best()
             residuals = [parts[k][:, :-1] @ change - parts[k][:, -1] for k in group]
             errors[g] = sum(float(residual @ residual) for residual in residuals)
@@ -89,13 +88,13 @@ def _least_share(rows: Array, whole: Array) -> float:
     scale = np.linalg.norm(whole, axis=0)
     shown = scale > 0
     _, sizes, axes = np.linalg.svd(whole[:, shown] / scale[shown], full_matrices=False)
-    known = sizes > _SILENT * sizes[0]
+    known = sizes > np.sqrt(SINGULAR) * sizes[0]  # singular values are roots of the information's eigenvalues
     parts = rows[:, shown] / scale[shown] @ axes[known].T / sizes[known]
     return float(np.linalg.svd(parts, compute_uv=False)[-1] ** 2) if len(parts) >= known.sum() else 0.0
 
 
 def _groups(runs: Sequence[Run]) -> list[list[int]]:
-    """Indices of the runs of each recording, or of recordings that repeat each other."""
+    """Return the indices of the runs of each recording, or of recordings that repeat each other."""
     groups: dict[tuple[bool, str], list[int]] = {}
     for k, run in enumerate(runs):
         recording = run.observed.recording

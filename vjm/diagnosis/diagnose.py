@@ -14,32 +14,27 @@ from time import monotonic
 import numpy as np
 
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
-from vjm.diagnosis.baseline import Baseline, SearchStart, fit_baseline
+from vjm.diagnosis.baseline import Baseline, add_changed_recordings, fit_baseline
 from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
-from vjm.diagnosis.records import Budget, Cause, Diagnosis
+from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.screen import Workers
-from vjm.diagnosis.selection import Rules, Search, SearchResult, find_preexisting_effects
+from vjm.diagnosis.selection import Search, SearchOptions, SearchResult, find_preexisting_effects
 from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, held_out, is_unexplained, why_insufficient
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
+from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording
+from vjm.identification.trajectory_method import VISIBLE_GAIN
+from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording, Stages
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run
-
-# Decrease of chi^2 over what is left from which an effect of a change matters where something is missing already in the
-# reference recordings: as much as is left, since the old error, in another motion, may well explain less.
-_LEAST_CHANGE = 1.0
-# Default budget: of processor time, for seven recordings of 5 s, shared by two processes; and the part of a budget that
-# is kept for what follows the search: alternatives, simulations, tests of the residuals. A policy, not a measurement.
-_PROCESSOR_SECONDS, _USUAL_DURATION, _MOST_PROCESSES = 240.0, 35.0, 2
-_CONCLUSION = 0.25
+from vjm.text import number
 
 
 def diagnose(
@@ -62,7 +57,7 @@ def diagnose(
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
             infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings, in
             proportion more for longer ones, and twice as much for one process.
-        progress: told (text, done, total) while it runs.
+        progress: called with (text, done, total) while it runs.
 
     Returns:
         The diagnosis. Data that cannot support a statement give the verdict `insufficient`.
@@ -70,6 +65,7 @@ def diagnose(
     Raises:
         ChoiceError: an unknown effect id.
         ShapeError: an option out of range.
+        MistakeError: recordings that a mistake explains far better than the experiment file does.
         InsufficientDataError: recordings that not even a model without effects can be fitted to.
         SimulationDivergedError: no start can be simulated.
     """
@@ -79,30 +75,35 @@ def diagnose(
             raise ShapeError(name, value, f"a whole number of at least {least}")
     if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | float) or not budget > 0):
         raise ShapeError("budget", budget, "a positive number of seconds, or None")
+    likely = refuse_mistakes(experiment)
     began, seconds = monotonic(), _default_budget(experiment, jobs) if budget is None else float(budget)
-    tell = _Stages(progress, began, seconds)
+    report = Stages(progress, 0.15, seconds)  # share of what remains that each of a dozen takes
     insufficient = why_insufficient(experiment)
-    tell("fitting the model without effects")
-    baseline = fit_baseline(experiment, tell.inside)
+    report("fitting the reference model")
+    baseline = fit_baseline(experiment, report.inside)
     with Workers.start(jobs) as workers:
-        deadline = began + (1 - _CONCLUSION) * seconds
-        reference, warning = find_preexisting_effects(baseline, chosen, experiment.rig, tell, workers, deadline)
-        start = SearchStart.of(baseline, reference)
-        matters = _LEAST_CHANGE if start.reference_misfit > 1 else Rules.matters
-        rules = Rules(matters=matters, most=max_effects, seed=seed, deadline=deadline)
-        search = Search(experiment.rig, start.reference, chosen, rules, tell, workers)
+        # A quarter is kept for what follows the search: alternatives, simulations, tests of the residuals.
+        deadline = began + 0.75 * seconds
+        fit, warning = find_preexisting_effects(baseline, chosen, experiment.rig, report, workers, deadline)
+        reference, reference_misfit = add_changed_recordings(baseline, fit)
+        # Where something is missing in the reference recordings already, an effect of the change must explain as much
+        # of the others as it leaves: what was missing before may be that much larger in another motion.
+        least_share = 1.0 if reference_misfit > 1 else SearchOptions.least_share
+        options = SearchOptions(least_share=least_share, max_effects=max_effects, seed=seed, deadline=deadline)
+        search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
-        exhausted = rules.exhausted and not insufficient
-        search.rules = replace(rules, deadline=began + seconds)
-        # Whole recordings show more than segments, but what a model loses in them only segments show.
-        tested = result.first if result.best.effects else result.last
-        table = tested.table(rules.alpha, rules.least_decrease(min(search.start.chi2, search.start.point.count)))
-        candidates = (*table, *search.candidate_set.untestable)
+        exhausted = options.exhausted and not insufficient
+        search.options = replace(options, deadline=began + seconds)
+        # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
+        # recordings, and otherwise in these, which show more.
+        tested = result.first_tests if result.best.effects else result.last_tests
+        table = tested.table(options.alpha, options.least_decrease(min(search.start.chi2, search.start.point.count)))
         findings = replace(
-            _findings(experiment, baseline, start, search, result),
-            candidates=candidates,
+            _findings(experiment, baseline, reference_misfit, search, result),
+            # Last, since the search for alternatives fits single candidates too.
+            candidates=(*_with_residuals(table, search.start, result), *search.candidate_set.untestable),
             insufficient=insufficient,
-            warnings=(*experiment.warnings, *baseline.problems, warning),
+            warnings=(*likely, *experiment.warnings, *baseline.problems, warning),
         )
         if not insufficient and is_unexplained(findings):
             resemblance = describe_residual(result.best.point, result.best.effects, experiment.rig)
@@ -112,25 +113,47 @@ def diagnose(
         return conclude(replace(findings, budget=spent))
 
 
+def _with_residuals(table: Sequence[Candidate], start: TrajectoryFit, result: SearchResult) -> tuple[Candidate, ...]:
+    """Add the residuals of candidates that were fitted alone, beside the effects that the search started from."""
+    candidates = []
+    for candidate in table:
+        keys = start.effect_keys | {candidate.effect.key}
+        fit = result.fits.get(keys) or result.segment_fits.get(keys)
+        candidates.append(candidate if fit is None else _with_residual(candidate, fit, start))
+    return tuple(candidates)
+
+
+def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFit) -> Candidate:
+    """Add the residual of a candidate's fit, as far as it says how well the candidate alone can do."""
+    segmented = len(fit.point.runs) > len(start.point.runs)
+    if fit.converged or fit.predicted_decrease < VISIBLE_GAIN * fit.chi2:
+        return replace(candidate, residual=fit.misfit, bound="lower" if segmented else None)
+    # A fit that was stopped above the residual of the start, which it has at no size at all, says nothing.
+    return (
+        candidate if segmented or fit.misfit > start.misfit else replace(candidate, residual=fit.misfit, bound="upper")
+    )
+
+
 def _default_budget(experiment: Experiment, jobs: int) -> float:
     """Return the time [s] that a diagnosis may take unless another is given."""
     recorded = sum(float(np.ptp(recording.time)) for recording in experiment.with_role("train"))
-    return _PROCESSOR_SECONDS / min(jobs, _MOST_PROCESSES) * max(1.0, recorded / _USUAL_DURATION)
+    # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings.
+    return 240.0 / min(jobs, 2) * max(1.0, recorded / 35.0)
 
 
 def _findings(
-    experiment: Experiment, baseline: Baseline, start: SearchStart, search: Search, result: SearchResult
+    experiment: Experiment, baseline: Baseline, reference_misfit: float, search: Search, result: SearchResult
 ) -> Diagnosis:
-    """Results of the steps that follow the search."""
+    """Take the steps that follow the search, and collect what they and those before have found."""
     best, rig, noise = result.best, experiment.rig, baseline.fit.point.runs[0].observed.noise
-    open_loop, rules = search.open_loop(best), search.rules
-    search.tell("looking for effects that cannot be distinguished")
+    open_loop, options = search.open_loop(best), search.options
+    search.report("testing alternatives")
     alternatives = find_alternatives(result, search)
-    causes = estimate_causes(result, search, alternatives, start.reference_misfit, information_of(best).covariance)
-    search.tell("simulating the recordings")
+    causes = estimate_causes(result, search, alternatives, reference_misfit, information_of(best).covariance)
+    search.report("simulating the recordings")
     next_best = search.next_best(result)
-    recordings = _compare_recordings(experiment, noise, start.reference, open_loop, next_best)
-    model, reference = model_of(best, rig, noise), model_of(start.reference, rig, noise)
+    recordings = _compare_recordings(experiment, noise, search.start, open_loop, next_best)
+    model, reference = model_of(best, rig, noise), model_of(search.start, rig, noise)
     causes = _with_holdout_gains(causes, recordings, result, search)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.expected_chi2 for run in changed)
@@ -146,30 +169,30 @@ def _findings(
         residuals=residual_test(best.point.runs),
         repeats=compare_repeats(best.point.runs),
         baseline_misfit=baseline.fit.misfit,
-        reference_misfit=start.reference_misfit,
-        changed_misfit=start.reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
+        reference_misfit=reference_misfit,
+        changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
         decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
         least_decrease=search.least_decrease(best),
         proposals=propose_recordings(open_loop, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,
-        notes=_notes(baseline, start, result, search),
-        seed=rules.seed,
+        notes=_notes(baseline, result, search),
+        seed=options.seed,
     )
     return _simulate_without_each_cause(findings)
 
 
 def _without_effects(result: SearchResult, search: Search) -> TrajectoryFit:
-    """The model without new effects, fitted to the recordings or segments of the best one where that was done."""
+    """Return the model without new effects, fitted to the recordings or segments of the best one if that was done."""
     segments = len(result.best.point.runs) != len(search.whole)
-    return (result.segment_fits if segments else result.fits).get(search.start.names, search.start)
+    return (result.segment_fits if segments else result.fits).get(search.start.effect_keys, search.start)
 
 
 def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> list[TrajectoryFit]:
-    """Fits in which alternatives stand in a cause's place, in whole recordings."""
-    others = result.best.names - {cause.effect.key}
-    names = [others | {alternative.effect.key} for alternative in cause.alternatives]
-    return [search.open_loop(result.fits[each]) for each in names if each in result.fits]
+    """Return the fits with alternatives in a cause's place, in whole recordings."""
+    others = result.best.effect_keys - {cause.effect.key}
+    models = [others | {alternative.effect.key} for alternative in cause.alternatives]
+    return [search.open_loop(result.fits[keys]) for keys in models if keys in result.fits]
 
 
 def _compare_recordings(
@@ -217,7 +240,7 @@ def _with_holdout_gains(
         return (replace(causes[0], holdout_gain=_marker_rms([one.reference for one in tested]) - after),)
     rig, gained = search.rig, []
     for cause in causes:
-        without = result.fits.get(result.best.names - {cause.effect.key})
+        without = result.fits.get(result.best.effect_keys - {cause.effect.key})
         try:
             observed = [Observations.of(rig, one.recording, one.noise) for one in tested]
             runs = [] if without is None else _simulate(without, observed)
@@ -229,7 +252,7 @@ def _with_holdout_gains(
 
 
 def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
-    """RMS of the marker residuals of several recordings together [m]."""
+    """Return the RMS of the marker residuals of several recordings together [m]."""
     residual = np.concatenate([one.marker_residual.ravel() for one in simulated if one is not None])
     return float(np.sqrt(np.nanmean(residual**2)))
 
@@ -243,17 +266,17 @@ def _simulate(
 
 
 def _simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
-    """Simulate the most improved recording without each cause; a single one leaves the model fitted without it."""
-    shown = findings.most_improved
-    if shown is None:
+    """Simulate the most improved recording without each cause: by the reference model where there is only one."""
+    comparison = findings.most_improved
+    if comparison is None:
         return findings
     causes = []
     for cause in findings.causes:
         others = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
-        without = shown.reference
+        without = comparison.reference
         if len(findings.causes) > 1:
             try:
-                without = replace(findings.model, effects=others).replay(shown.recording)
+                without = replace(findings.model, effects=others).replay(comparison.recording)
             except (InsufficientDataError, SimulationDivergedError):
                 without = None
         causes.append(replace(cause, without=without))
@@ -269,35 +292,36 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 
 
-def _notes(baseline: Baseline, start: SearchStart, result: SearchResult, search: Search) -> tuple[str, ...]:
+def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[str, ...]:
+    """Say how the chain and the recordings were treated, and what was decided about effects that are not causes."""
     joints = ", ".join(f"{link.name} {link.virtual_joints}" for link in baseline.fit.point.chain.links)
     best = result.best
-    known = "was not measured" if best.shift is None else "is measured against a finer chain"
-    notes = [f"virtual joints of the search's chain: {joints}; the error of so few {known}"]
+    known = "not measured" if best.shift is None else "measured against a finer chain and corrected"
+    notes = [f"virtual joints in the search: {joints}; discretization error {known}"]
     longest = max(float(np.ptp(run.observed.recording.time)) for run in best.point.runs)
-    if longest < max(float(np.ptp(run.observed.recording.time)) for run in start.reference.point.runs):
+    if longest < max(float(np.ptp(run.observed.recording.time)) for run in search.start.point.runs):
         notes.append(
-            f"dry friction or play: the model was fitted to segments of {longest:.2g} s, each with an initial state of "
-            "its own, since it follows nothing longer; misfits and parameters are those of segments, simulated "
-            "recordings and gain are open loop over whole recordings"
+            f"dry friction or backlash: fitted to segments of {number(longest, 2)} s, each with its own initial state; "
+            "residuals and parameters are of segments, simulated recordings and gain are open loop over whole "
+            "recordings"
         )
-    if not search.is_followed(result.segment_fits.get(search.start.names, search.start)):
+    if not search.is_followed(result.segment_fits.get(search.start.effect_keys, search.start)):
         notes.append(
-            "even over segments the model without effects follows so little of the recordings that the table of "
-            "candidates, which is linear, is no guide: each was fitted"
+            "the model without effects diverges from the recordings even over segments, so the linearised candidate "
+            "table is unreliable: each candidate was fitted"
         )
     if search.unjustified:
         notes.append(
-            f"{', '.join(search.unjustified)}: significant, but not determined by these recordings, or each of them is "
-            "predicted from the others no better with it than without; not kept"
+            f"{', '.join(search.unjustified)}: significant, but not determined by these recordings, or without gain in "
+            "cross-validation; not kept"
         )
     if best.effects and not best.converged:
-        notes.append("the last fit was ended once further steps no longer mattered")
+        notes.append("the last fit was stopped when further steps no longer changed the result")
     return tuple(notes)
 
 
 def _chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
-    """Effects by their ids; all that are built in by default."""
+    """Return effects by their ids; by default all that are built in."""
     known = {effect.id: effect for effect in BUILTIN}
     chosen: list[Effect] = []
     for given in BUILTIN if effects is None else effects:
@@ -311,26 +335,3 @@ def _chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...
     if len(set(ids)) < len(ids) or not ids:
         raise ShapeError("effects", ", ".join(ids) or "none", "at least one, each once")
     return tuple(chosen)
-
-
-class _Stages:
-    """Progress of a diagnosis, whose number of stages is not known before: each takes 15 % of what remains.
-
-    Where more of the budget has gone, that is its progress.
-    """
-
-    def __init__(self, progress: Progress | None, began: float, budget: float) -> None:
-        self.progress = progress
-        self.began, self.budget = began, budget
-        self.stage = 0
-
-    def __call__(self, text: str) -> None:
-        self.stage += 1
-        self.inside(text, 0, 1)
-
-    def inside(self, text: str, done: int, total: int) -> None:
-        """Report the progress inside a stage."""
-        if self.progress is not None:
-            stages = 1 - 0.85 ** (self.stage + done / max(total, 1))
-            spent = min((monotonic() - self.began) / self.budget, 1.0)
-            self.progress(text, int(100 * max(stages, spent)), 100)

@@ -39,13 +39,13 @@ def _changes(best: TrajectoryFit) -> Iterator[tuple[str, _Change]]:
     chain = best.point.chain
     mass = float(f"{0.1 * sum(link.masses.sum() for link in chain.links):.1g}")  # a tenth of the arm's, rounded
     yield (
-        f"with a weighed mass of {1e3 * mass:.3g} g on the tip",
+        f"with a known mass of {1e3 * mass:.3g} g on the tip",
         lambda recording, state, active: (replace(recording, payload=recording.payload + mass), state),
     )
-    yield "at twice its size", partial(_scaled, 2.0)
-    yield "at half its size", partial(_scaled, 0.5)
+    yield "at twice the amplitude", partial(_scaled, 2.0)
+    yield "at half the amplitude", partial(_scaled, 0.5)
     if chain.active.size:
-        yield "from a position a quarter turn away", _turned
+        yield "from a joint angle 90° away", _turned
 
 
 def _scaled(factor: float, recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
@@ -74,7 +74,7 @@ def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Ch
     k = [one is run for one in true.point.runs].index(True)
     try:
         shown, predicted = (_changed_run(model, k, change) for model in (true, other))
-        moved = replace(other.point.problem, observed=(predicted.observed,)).moved(other.point.x)[0]
+        moved = replace(other.point.problem, observed=(predicted.observed,)).perturbed_arms(other.point.x)[0]
         states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
         slopes = np.zeros((predicted.residual.size, states + len(moved)))
         for measured, part in predicted.slopes(predicted.linearization(moved)):

@@ -19,12 +19,11 @@ from scipy import sparse
 from vjm.records import Array, Indices, Mask
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
+from vjm.text import number
 
 _HIGHEST_ORDER = 4  # of the autoregression; cameras filter over a few frames
-_SIGNIFICANT = 4.0  # standard errors, 1/sqrt(N) each, of a partial autocorrelation: chance exceeds them once in 16,000
 _LEAST_FRAMES = 60  # a standard deviation is known within 10 % from so many (1/sqrt(2 N))
 _LONGEST_GAP = 40  # frames; over these a lag-one correlation of 0.9 has fallen to 0.015
-_CLIP = 3.5  # robust standard deviations; normal noise exceeds them once in 2,000: what does is an outlier
 
 
 @dataclass(frozen=True)
@@ -41,14 +40,14 @@ class Noise:
         quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
         residuals = [part for part in map(_unexplained, quiet or runs) if part is not None]
         if not residuals:
-            return cls(None, np.zeros(0), "taken as white: too few markers to distinguish noise from motion")
-        where = "the moving recordings, there being no quiet one"
+            return cls(None, np.zeros(0), "assumed white: too few markers to separate noise from motion")
+        where = "the moving recordings (no quiet one)"
         if quiet:
             where = "the quiet recording" + "s" * (len(quiet) > 1)
         std, correlation, count = _autocorrelation(residuals)
         coefficients = _autoregression(correlation, count)
         kind = f"coloured (lag-one correlation {correlation[1]:.2f})" if coefficients.size else "white"
-        return cls(std, coefficients, f"{kind}, {1e3 * std:.2g} mm, estimated from {where}")
+        return cls(std, coefficients, f"{kind}, {number(1e3 * std, 2)} mm, estimated from {where}")
 
     def whitened(self, observed: Observations) -> Observations:
         """Return measurements with a matrix that whitens the noise of their markers; encoders are taken to be white.
@@ -74,7 +73,7 @@ class Noise:
 
 
 def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
-    """Frame numbers (F,), residuals (F, c) [m] that no motion explains, and their share of the degrees of freedom."""
+    """Return frame numbers (F,), residuals (F, c) [m] that no motion explains, and their share of the freedom."""
     observed = run.observed
     if observed.frames.size < _LEAST_FRAMES:
         return None
@@ -89,7 +88,7 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
     # itself only: where they are no more than its modes, a shift is a motion of the link.
     shifts = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[channels]
     shifts = shifts if channels.sum() / 2 > directions.shape[1] else shifts[:, :0]
-    # An incomplete model may have moved the arm anywhere: start from the encoders' angles, and from straight links too.
+    # Simulated by an incomplete model the arm may be anywhere: start from the encoders' angles, and straight links too.
     simulated = run.trajectory.angles(time)
     for joint, theta in zip(run.chain.active, observed.recording.theta.T, strict=True):
         known = np.isfinite(theta)
@@ -97,8 +96,8 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
             simulated[:, joint] = np.interp(time, observed.recording.time[known], theta[known])
     straight = simulated.copy()
     straight[:, run.chain.passive] = 0.0
-    shown = markers[complete]
-    starts = [_fit_frames(run, time, q, directions, shifts, shown, channels) for q in (simulated, straight)]
+    measured = markers[complete]
+    starts = [_fit_frames(run, time, q, directions, shifts, measured, channels) for q in (simulated, straight)]
     better = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
     residual = np.where(better[:, None] == 0, *starts)
     share = 1 - (directions.shape[1] + shifts.shape[1]) / channels.sum()
@@ -108,7 +107,7 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
 def _fit_frames(
     run: Run, time: Array, q: Array, directions: Array, shifts: Array, markers: Array, channels: Mask
 ) -> Array:
-    """Residuals (F, c) [m] of marker coordinates (F, 2 k), fitted frame by frame (Newton) from angles q (F, nv).
+    """Fit marker coordinates (F, 2 k) frame by frame (Newton) from angles q (F, nv); return residuals (F, c) [m].
 
     The angles vary along directions (nv, m), all coordinates of a frame along shifts (c, 2) or (c, 0).
     """
@@ -129,18 +128,19 @@ def _fit_frames(
 
 
 def _ticks(time: Array) -> Indices:
-    """Numbers (F,) of frames taken at instants (F,), counted as if none had been dropped."""
+    """Return the numbers (F,) of frames taken at instants (F,), counted as if none had been dropped."""
     ticks: Indices = np.round((time - time[0]) / np.median(np.diff(time))).astype(int)
     return ticks
 
 
 def _autocorrelation(residuals: Sequence[tuple[Indices, Array, float]]) -> tuple[float, Array, int]:
-    """Noise of a coordinate [m], its autocorrelation up to the highest order, and the number of values behind it."""
+    """Return a coordinate's noise [m], its autocorrelation up to the highest order, and the number of values used."""
     lags = range(_HIGHEST_ORDER + 1)
     squares, freedom, products, counts = 0.0, 0.0, np.zeros(len(lags)), np.zeros(len(lags))
     for ticks, residual, share in residuals:
-        # 1.4826 MAD is a normal standard deviation; what motions leave of the noise differs among coordinates.
-        limit = _CLIP * 1.4826 * np.median(np.abs(residual), axis=0)
+        # 1.4826 MAD is a normal standard deviation; what motions leave of the noise differs among coordinates. Normal
+        # noise exceeds 3.5 of them once in 2,000 times: what does is an outlier.
+        limit = 3.5 * 1.4826 * np.median(np.abs(residual), axis=0)
         clipped = np.clip(residual, -limit, limit)
         squares, freedom = squares + float(np.sum(clipped**2)), freedom + share * clipped.size
         series = np.full((ticks[-1] + 1, clipped.shape[1]), np.nan)  # a dropped frame is a row of NaN
@@ -154,11 +154,12 @@ def _autocorrelation(residuals: Sequence[tuple[Indices, Array, float]]) -> tuple
 
 
 def _autoregression(correlation: Array, count: int) -> Array:
-    """Yule and Walker's coefficients (p,), of the highest order whose partial autocorrelation is significant."""
+    """Return Yule and Walker's coefficients (p,), up to the last lag with a significant partial autocorrelation."""
     from statsmodels.tsa.stattools import levinson_durbin  # takes a second to import
 
     _, _, partial, _, coefficients = levinson_durbin(correlation, _HIGHEST_ORDER, isacov=True)
-    significant = np.flatnonzero(np.abs(partial[1:]) > _SIGNIFICANT / np.sqrt(max(count, 1)))
+    # Four standard errors of 1/sqrt(N), which chance exceeds once in 16,000 times.
+    significant = np.flatnonzero(np.abs(partial[1:]) > 4 / np.sqrt(max(count, 1)))
     order = int(significant[-1]) + 1 if significant.size else 0
     return np.asarray(coefficients[1 : order + 1, order])
 
@@ -166,7 +167,7 @@ def _autoregression(correlation: Array, count: int) -> Array:
 def _prediction_errors(
     own: Indices, ticks: Indices, order: int, correlation: Array
 ) -> Iterator[tuple[Indices, Indices, Array]]:
-    """Entries (row, column, value) of the whitening of one coordinate, one pattern of earlier frames after another."""
+    """Yield entries (row, column, value) of the whitening of one coordinate, by pattern of earlier frames."""
     count = own.size
     lags_before = np.full((count, order), -1)
     for k in range(order):

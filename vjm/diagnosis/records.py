@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
-from vjm.effects.effect import Effect
+from vjm.effects.effect import Effect, Key
 from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording, SimulatedResult
 
 if TYPE_CHECKING:
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from vjm.simulation.model import Model
 
 Verdict = Literal["none", "named", "set", "unknown", "insufficient"]
+EQUIVALENT = 10.0  # difference of chi^2 below which models are not distinguished: e^5 is decisive (Jeffreys)
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,10 @@ class Candidate:
     sizes: Mapping[str, float]  # as the score test guesses them, by parameter
     smallest_detectable: Mapping[str, float]  # size that is found with a probability of 90 %, by parameter
     reason: str = ""  # why it cannot be tested, as a clause; empty where it can
+    residual: float | None = None  # RMS weighted one with it alone, all other parameters fitted; None: not fitted
+    # Of the residual: `lower` of a fit over segments, of which each has an initial state of its own; `upper` of a fit
+    # that was given up on its way, as one that could not become the best.
+    bound: Literal["lower", "upper"] | None = None
 
     @classmethod
     def untestable(cls, effect: Effect, reason: str) -> Self:
@@ -225,6 +230,14 @@ class Diagnosis(SimulatedResult):
     def recommended(self) -> Model:
         """The model to use: the best one, or the reference where held-out recordings are predicted worse with it."""
         return self.reference if self.gain is not None and self.gain.harmful else self.model
+
+    @property
+    def held_out_alone(self) -> dict[Key, float]:
+        """Held-out marker residuals [m] by effect that was simulated alone: the only cause, and the next best one."""
+        if self.gain is None:
+            return {}
+        models = (([cause.effect for cause in self.causes], self.gain.after), (self.next_best, self.gain.next_best))
+        return {effects[0].key: rms for effects, rms in models if len(effects) == 1 and rms is not None}
 
     @property
     def parameters(self) -> tuple[Estimate, ...]:

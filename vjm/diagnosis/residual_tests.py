@@ -23,7 +23,6 @@ from vjm.identification.trajectory_fit import Point
 from vjm.records import Array, Rig
 from vjm.simulation.run import Run
 
-_MISJUDGED = 1.3  # mean square above Nyquist/2 up to which the noise may have been misjudged; more is a signal there
 _LEAST_COEFFICIENTS = 20  # of a band: their sum of squares is then known within a third (sqrt(2/20))
 
 
@@ -41,7 +40,7 @@ def residual_test(runs: Sequence[Run]) -> ResidualTest:
 
 
 def _bands(run: Run) -> Iterator[ResidualBand]:
-    """Octaves of one recording's sensors; the upper half of the spectrum, where no arm moves, tells the noise level."""
+    """Yield octaves of one recording's sensors; the noise level is that of the upper half, in which no arm moves."""
     observed = run.observed
     markers, angles = observed.on_grid(run.residual)
     time = observed.recording.time
@@ -54,7 +53,7 @@ def _bands(run: Run) -> Iterator[ResidualBand]:
         squares = dct(np.nan_to_num(series[rows][:, channels]), axis=0, norm="ortho") ** 2
         period = 2 * max(float(np.ptp(instants[rows])), 1e-300)  # coefficient k has k/2 periods
         upper = len(squares) // 2
-        noise = float(np.clip(np.mean(squares[upper:]), 1.0, _MISJUDGED))
+        noise = float(np.clip(np.mean(squares[upper:]), 1.0, 1.3))  # more than a misjudged noise is a signal there
         while upper:
             lower = upper // 2 if squares[: upper // 2].size >= _LEAST_COEFFICIENTS else 0
             count, statistic = squares[lower:upper].size, float(squares[lower:upper].sum()) / noise
@@ -78,7 +77,7 @@ def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
 
 
 def _repeated_residuals(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
-    """Residuals (N,), (N,) of the same marker coordinates at the same instants since the start."""
+    """Yield pairs of residuals (N,), (N,) of the same marker coordinates at the same instants since the start."""
     for label in sorted({label for run in runs if (label := run.observed.recording.repeat) is not None}):
         for one, other in pairwise(run for run in runs if run.observed.recording.repeat == label):
             (times, residuals), (other_times, other_residuals) = _marker_residuals(one), _marker_residuals(other)
@@ -94,7 +93,7 @@ def _repeated_residuals(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
 
 
 def _marker_residuals(run: Run) -> tuple[Array, Array]:
-    """Instants since the start (F,) [s] and residuals of the markers (F, 2 k), in units of the noise."""
+    """Return instants since the start (F,) [s] and residuals of the markers (F, 2 k), in units of the noise."""
     time = run.observed.recording.time
     return time[run.observed.frames] - time[0], run.observed.on_grid(run.residual)[0]
 
@@ -102,13 +101,13 @@ def _marker_residuals(run: Run) -> tuple[Array, Array]:
 # In words, and as functions of time [s], angle [rad] and rate [rad/s].
 _SHAPES: tuple[tuple[str, Callable[[Array, Array, Array], Array]], ...] = (
     ("constant", lambda t, q, v: np.ones_like(q)),
-    ("odd in position (a spring)", lambda t, q, v: q),
+    ("odd in position (spring)", lambda t, q, v: q),
     ("even in position", lambda t, q, v: q**2),
-    ("odd in position (a spring that stiffens or softens)", lambda t, q, v: q**3),
-    ("odd in velocity (a damper)", lambda t, q, v: v),
+    ("odd in position (nonlinear spring)", lambda t, q, v: q**3),
+    ("odd in velocity (damper)", lambda t, q, v: v),
     ("even in velocity", lambda t, q, v: v**2),
-    ("odd in velocity (growing with its square)", lambda t, q, v: v * np.abs(v)),
-    ("odd in velocity (as friction: it follows its sign)", lambda t, q, v: np.tanh(v / 0.02)),  # rad/s; less is rest
+    ("odd in velocity (quadratic)", lambda t, q, v: v * np.abs(v)),
+    ("odd in velocity (dry friction)", lambda t, q, v: np.tanh(v / 0.02)),  # rad/s; less is rest
     ("growing with time", lambda t, q, v: t[..., None] * q),
 )
 
@@ -159,4 +158,4 @@ def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> st
         return ""
     force = "a bending moment in" if probe.bending else "a torque at the joint of"
     where = f"{force} {rig.links[probe.link or 0].name}, {_SHAPES[probe.shape][0]}"
-    return f"most like {where}, which would explain {min(percent, 100):.0f} % of it"
+    return f"it resembles {where}, which would explain {min(percent, 100):.0f} % of it"

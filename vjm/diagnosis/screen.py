@@ -1,8 +1,8 @@
 """Score tests of absent effects: what each would explain of a fit's residuals if it alone were added.
 
 Every effect is linearised about its null, one direction in the space of the residuals for each of its sizes. What the
-fit's own coordinates and initial states can do is projected out of the directions and the residuals; the fall of chi^2
-along what remains is the score statistic (Rao 1948; Engle, Handbook of Econometrics 2, chapter 13), without a refit.
+fit's own coordinates and initial states can do is projected out of the directions and the residuals. The decrease of
+chi^2 along what remains is the score statistic (Rao 1948; Engle, Handbook of Econometrics 2, chapter 13): no refit.
 
 An effect is screened at every place of the rig and for every starting value of its shape parameters; looking so often
 makes chance findings likely. The p-values are therefore those of the smallest p-value among all candidates under
@@ -11,13 +11,14 @@ noise that correlates as the candidates do (minP: Westfall and Young, Resampling
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import pairwise
-from multiprocessing import get_context
+from multiprocessing import active_children, forkserver, get_context
 from typing import Self, TypeVar
 
 import numpy as np
@@ -39,7 +40,7 @@ from vjm.simulation.sensitivity import Linearization, PerturbedArm
 _ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
 _JOINT_STEP = 0.05  # the same for the second-order quotient over a joint's compliance
-_LARGEST = 1e12  # slope in units of the noise, beyond which its square has no digits left beside the others
+_DRAWS = 4000  # the 1 % quantile of the smallest p-value is then known within 16 % (1/sqrt(0.01 * 4000))
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -55,12 +56,25 @@ class Workers:
     @classmethod
     @contextmanager
     def start(cls, count: int) -> Iterator[Self]:
-        """Run processes as long as they are needed."""
+        """Run processes as long as they are needed; whatever ends the work early ends them as well."""
         if count == 1:
             yield cls()
             return
-        with ProcessPoolExecutor(count, mp_context=get_context("forkserver")) as executor:
+        # Interrupts are for this process alone: the server inherits the mask, and its processes from it.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        others, executor = {*active_children()}, ProcessPoolExecutor(count, mp_context=get_context("forkserver"))
+        try:
             yield cls(count, executor)
+        except BaseException:
+            executor.shutdown(wait=False, cancel_futures=True)
+            for process in {*active_children()} - others:
+                process.terminate()
+            raise
+        executor.shutdown()
 
     def map(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result]:
         """Return the results of a function for each job, in the jobs' order."""
@@ -77,7 +91,7 @@ class Screen:
 
     Attributes:
         effects: V absent effects.
-        parts: columns of each one's sizes.
+        parts: columns of each one's sizes, which are its magnitudes in units of typical ones.
         R: (c + 1, c + 1) factor; R^T R are the directions' inner products, the last column stands for the residuals.
         unprojected: (c,) squares of the directions before the projection; infinite where a slope diverges.
         directions: before the projection.
@@ -110,12 +124,12 @@ class Screen:
 
     @cached_property
     def statistics(self) -> Array:
-        """(V,) fall of chi^2 by each effect alone; zero if absorbed, or if its best size is on the wrong side."""
-        return np.array([self.gain([k]) for k in range(len(self.effects))])
+        """(V,) decrease of chi^2 by each effect alone; zero if absorbed, or if its best size is on the wrong side."""
+        return np.array([self.decrease([k]) for k in range(len(self.effects))])
 
     @cached_property
-    def sizes(self) -> Array:
-        """(V,) number of sizes of each effect."""
+    def magnitude_counts(self) -> Array:
+        """(V,) number of each effect's sizes."""
         return np.array([part.stop - part.start for part in self.parts])
 
     @cached_property
@@ -123,41 +137,43 @@ class Screen:
         """(V,) true where the null is a bound of an effect's only size."""
         bounds = [effect.bounds for effect in self.effects]
         at_bound = [bool(lower[0] == 0 or upper[0] == 0) for lower, upper in bounds]
-        return np.asarray(np.logical_and(at_bound, self.sizes == 1))
+        return np.asarray(np.logical_and(at_bound, self.magnitude_counts == 1))
 
-    def tail(self, statistics: Array) -> Array:
-        """Return probabilities of larger statistics (..., V) under noise: chi-square, half of it at a bound."""
-        p = np.asarray(stats.chi2.sf(statistics, self.sizes))
+    def tail_probabilities(self, statistics: Array) -> Array:
+        """Return probabilities of larger statistics (..., V) under noise: chi-square, and half of that at a bound."""
+        p = np.asarray(stats.chi2.sf(statistics, self.magnitude_counts))
         return np.where(self.one_sided, np.where(statistics > 0, p / 2, 1.0), p)
 
-    def one_each(self, chosen: Iterable[int]) -> list[int]:
-        """Return, of several variants of an effect at a place, the one that explains most; the most needed first."""
-        return self.first_of_each(sorted(chosen, key=lambda k: -self.statistics[k]))
+    def best_variants(self, chosen: Iterable[int]) -> list[int]:
+        """Return the variant of each effect and place that explains most, the most needed first."""
+        return self.first_variants(sorted(chosen, key=lambda k: -self.statistics[k]))
 
-    def first_of_each(self, order: Iterable[int]) -> list[int]:
-        """Return, of several variants of an effect at a place, the first in an order."""
+    def first_variants(self, order: Iterable[int]) -> list[int]:
+        """Return the variant of each effect and place that comes first in an order."""
         first: dict[Key, int] = {}
         for k in order:
             first.setdefault(self.effects[k].key, k)
         return list(first.values())
 
-    def guess(self, chosen: Sequence[int]) -> Array:
+    def best_sizes(self, chosen: Sequence[int]) -> Array:
         """Return the best sizes (s,) of some effects together, in units of their typical magnitudes."""
         columns = self._columns(chosen)
         return np.asarray(np.linalg.lstsq(self.R[:, columns], self.R[:, -1], rcond=1e-10)[0])
 
-    def start(self, k: int, sizes: Array) -> tuple[Effect, Array]:
+    def starting_variant(self, k: int, sizes: Array) -> tuple[Effect, Array]:
         """Return the absent effect from which a fit of variant k with its sizes (s,) starts, and the sizes there."""
         effect = self.effects[k]
         group = [j for j, other in enumerate(self.effects) if effect.superposes(other) and not self.absorbed[j]]
-        return effect.superposition([self.effects[j] for j in group], self.guess(group)) if group else (effect, sizes)
+        return (
+            effect.superposition([self.effects[j] for j in group], self.best_sizes(group)) if group else (effect, sizes)
+        )
 
     def std(self, k: int) -> Array:
         """Return standard errors (s,) of effect k's sizes, each with the others known, in typical magnitudes."""
         return np.asarray(1 / np.sqrt(np.maximum(np.diag(self.products)[self.parts[k]], 1e-300)))
 
     @cached_property
-    def likeness(self) -> Array:
+    def cosines(self) -> Array:
         """(V, V) cosine of the smallest angle between the directions of two effects."""
         bases = [np.linalg.qr(self.R[:, part])[0] for part in self.parts]
         cosines = np.eye(len(bases))
@@ -166,7 +182,7 @@ class Screen:
                 cosines[i, j] = cosines[j, i] = np.linalg.norm(one.T @ other, 2)
         return cosines
 
-    def draws(self, count: int, seed: int) -> Array:
+    def draw_statistics(self, count: int, seed: int) -> Array:
         """Return statistics (count, V) drawn under noise alone, correlated as the directions are."""
         directions = self.R[:, :-1] / np.sqrt(np.maximum(np.diag(self.products)[:-1], 1e-300))
         noise = np.random.default_rng(seed).standard_normal((count, len(self.R))) @ directions
@@ -174,7 +190,7 @@ class Screen:
         for k, part in enumerate(self.parts):
             if self.absorbed[k]:
                 continue
-            if self.sizes[k] == 1:
+            if self.magnitude_counts[k] == 1:
                 score = noise[:, part.start]
                 statistics[:, k] = np.where(score > 0, score, 0.0) ** 2 if self.one_sided[k] else score**2
             else:
@@ -182,16 +198,16 @@ class Screen:
                 statistics[:, k] = np.einsum("di,ij,dj->d", noise[:, part], inverse, noise[:, part])
         return statistics
 
-    def gain(self, chosen: Sequence[int]) -> float:
-        """Return the fall of chi^2 by some effects together, as far as their sizes are on the right sides."""
+    def decrease(self, chosen: Sequence[int]) -> float:
+        """Return the decrease of chi^2 by some effects together, as far as their sizes are on the right sides."""
         if any(self.absorbed[k] for k in chosen):
             return 0.0
-        guess = self.guess(chosen)
+        guess = self.best_sizes(chosen)
         first = 0
         for k in chosen:
             if self.one_sided[k] and guess[first] < 0:
-                return 0.0 if len(chosen) == 1 else max(self.gain([other]) for other in chosen if other != k)
-            first += self.sizes[k]
+                return 0.0 if len(chosen) == 1 else max(self.decrease([other]) for other in chosen if other != k)
+            first += self.magnitude_counts[k]
         unexplained = self.R[:, -1] - self.R[:, self._columns(chosen)] @ guess
         return float(self.R[:, -1] @ self.R[:, -1] - unexplained @ unexplained)
 
@@ -276,13 +292,13 @@ def _some_recordings(point: Point, chosen: slice) -> Point:
 def _linearized(
     present: Sequence[Effect], variants: Sequence[Effect], job: tuple[Point, Sequence[Mapping[int, Array]]]
 ) -> list[tuple[Array, Array]]:
-    """Factor (r, p + c + 1) of each recording's problem, initial state eliminated, and the squares of its directions.
+    """Return each recording's factor (r, p + c + 1), initial state eliminated, and the squares of its directions.
 
-    The job is a point, and the slopes (N,) that were found by simulation of each recording, by variant.
+    The job is a point, and for each recording the slopes (N,) that simulations gave, by variant.
     """
     point, secants = job
     extended = [_extended(point, present, variant) for variant in variants]
-    coordinates = point.problem.moved(point.x)
+    coordinates = point.problem.perturbed_arms(point.x)
     moved = [
         (*own, *(arm for arms in extended for arm in _moved(run, arms)))
         for run, own in zip(point.runs, coordinates, strict=True)
@@ -295,7 +311,7 @@ def _linearized(
 def _projected(
     run: Run, linearization: Linearization, secants: Mapping[int, Array], parts: Sequence[slice]
 ) -> tuple[Array, Array]:
-    """Factor of one recording's problem, and the squares of the directions in `parts`."""
+    """Return the factor of one recording's problem, and the squares of the directions in `parts`."""
     count = parts[-1].stop if parts else 0
     squares, weights = np.zeros(count), np.sqrt(run.observed.loss.slope(run.residual**2))
 
@@ -304,8 +320,9 @@ def _projected(
             directions = slopes[:, slopes.shape[1] - count :]
             for k, secant in secants.items():
                 directions[:, parts[k].start] = secant[measured]
-            # About a motion that is all wrong a slope may diverge: the effect cannot be judged there.
-            diverging = ~(np.abs(directions) < _LARGEST).all(axis=0)
+            # About a motion that is all wrong a slope may diverge, and the effect cannot be judged: beside the square
+            # of 1e12 times the noise others have no digits left.
+            diverging = ~(np.abs(directions) < 1e12).all(axis=0)
             directions[:, diverging] = 0.0
             squares[diverging] = np.inf
             squares[:] += np.sum(directions**2, axis=0)
@@ -321,14 +338,14 @@ def _projected(
 
 
 def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
-    """The effect with one of its sizes off the null."""
+    """Return the effect with one of its sizes off the null."""
     coordinates = np.where(np.arange(variant.coordinates.size) < variant.magnitude_count, 0.0, variant.coordinates)
     coordinates[size] = magnitude
     return variant.at(coordinates)
 
 
 def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[Arm | None]:
-    """The arm with each size of an effect off its null; None if the slope is found by simulation."""
+    """Return the arm with each size of an effect off its null; None if the slope is found by simulation."""
     if variant.adds_joint(point.chain):
         return [None] * variant.magnitude_count
     effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
@@ -336,14 +353,14 @@ def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[
 
 
 def _moved(run: Run, extended: Sequence[Arm | None]) -> list[PerturbedArm]:
-    """Arms of an effect off its null, as far as it acts in a recording."""
+    """Return the arms of an effect off its null, as far as it acts in a recording."""
     absent = run.observed.recording.condition == REFERENCE
     recording = run.observed.recording
     return [PerturbedArm(run.arm if absent or arm is None else arm.in_recording(recording), _STEP) for arm in extended]
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
-    """For each recording, slopes (N,) of the predictions by the size of an effect that is a joint of its own.
+    """Return, for each recording, slopes (N,) of the predictions by the size of an effect that is a joint of its own.
 
     A chain without the joint has no derivative by it; a compliant joint also shifts frequencies, soon out of
     proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible. Less
@@ -361,25 +378,19 @@ def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[A
 
 
 def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect]) -> list[list[Array]]:
-    """For each further effect and each recording, the residuals (N,) with it, all else being as it is."""
-    arms, states, starts = [], [], []
+    """Return, for each further effect and each recording, the residuals (N,) with it, all else being as it is."""
+    arms, states, priors = [], [], []
     for effect in added:
         extended = Arm.of(point.chain, (*present, effect))
         for run in point.runs:
             absent = run.observed.recording.condition == REFERENCE
             arms.append(run.arm if absent else extended.in_recording(run.observed.recording))
             states.append(run.state if absent else transfer_state(run.chain, extended.chain, run.state))
-            starts.append(InitialStatePrior.of(arms[-1], run.observed.recording))
+            priors.append(InitialStatePrior.of(arms[-1], run.observed.recording))
     count = len(point.runs)
     observed = [run.observed for run in point.runs] * len(added)
-    residuals = [run.residual for run in simulate_runs(arms, observed, starts, states, point.problem.step_multiple)]
+    residuals = [run.residual for run in simulate_runs(arms, observed, priors, states, point.problem.step_multiple)]
     return [residuals[first : first + count] for first in range(0, len(residuals), count)]
-
-
-_DRAWS = 4000  # the 1 % quantile of the smallest p-value is then known within 16 % (1/sqrt(0.01 * 4000))
-
-
-_POWER = 1.2816  # standard deviations: the normal distribution's 90 % quantile
 
 
 @dataclass(frozen=True)
@@ -404,7 +415,7 @@ class CandidateSet:
             effects: absent effects, without a place.
             rig: the arm.
             recordings: what was measured.
-            runs: simulations of these or of their segments; periodic forces and torques are as the residuals are.
+            runs: simulations of these or of their segments: periodic effects have the frequencies of their residuals.
         """
         variants: list[Effect] = []
         multiplicity: list[float] = []
@@ -433,7 +444,7 @@ class FamilyTest:
     Attributes:
         screen: the score tests.
         multiplicity: (V,) as of `CandidateSet`.
-        tests: number of independent tests that the search amounts to.
+        tests: effective number of tests: independent ones that the search amounts to.
     """
 
     screen: Screen
@@ -442,22 +453,22 @@ class FamilyTest:
 
     @classmethod
     def of(cls, screen: Screen, multiplicity: Array, alpha: float, seed: int) -> FamilyTest:
-        """Count the independent tests that give the smallest p-value under noise its distribution near alpha."""
+        """Estimate the effective number of tests: it gives the smallest p-value under noise its alpha-quantile."""
         if not screen.effects:
             return cls(screen, multiplicity, 1.0)
-        smallest = np.min(_smallest_of(screen.tail(screen.draws(_DRAWS, seed)), multiplicity), axis=1)
+        smallest = np.min(_sidak(screen.tail_probabilities(screen.draw_statistics(_DRAWS, seed)), multiplicity), axis=1)
         level = max(float(np.quantile(smallest, alpha)), 1e-12)
         return cls(screen, multiplicity, max(1.0, float(np.log1p(-alpha) / np.log1p(-level))))
 
     @property
     def p_values(self) -> Array:
         """(V,) probability that noise alone makes any candidate look as needed."""
-        return self.p_values_in(1.0)
+        return self.p_values_for(1.0)
 
-    def p_values_in(self, unit: float) -> Array:
-        """Return the same for noise whose mean square is so large."""
-        tail = self.screen.tail(self.screen.statistics / unit)
-        return _smallest_of(_smallest_of(tail, self.multiplicity), self.tests)
+    def p_values_for(self, mean_square: float) -> Array:
+        """Return the p-values for noise of a mean square other than one."""
+        tail = self.screen.tail_probabilities(self.screen.statistics / mean_square)
+        return _sidak(_sidak(tail, self.multiplicity), self.tests)
 
     def p_value(self, key: Key) -> float:
         """Return the smallest p-value of an effect's variants; one where it was not among the candidates."""
@@ -472,13 +483,13 @@ class FamilyTest:
             if variant.key == effect.key
         ]
         single = np.array([stats.chi2.sf(decrease, effect.coordinates.size)])
-        return float(_smallest_of(_smallest_of(single, max(own, default=1.0)), self.tests)[0])
+        return float(_sidak(_sidak(single, max(own, default=1.0)), self.tests)[0])
 
     def _threshold(self, alpha: float) -> Array:
         """Return the z (V,) from which a candidate's p-value is below alpha."""
         single = -np.expm1(np.log1p(-alpha) / (self.tests * self.multiplicity))
         tail = np.where(self.screen.one_sided, 2 * single, single)
-        return np.asarray(np.sqrt(stats.chi2.isf(tail, self.screen.sizes)))
+        return np.asarray(np.sqrt(stats.chi2.isf(tail, self.screen.magnitude_counts)))
 
     def table(self, alpha: float, least_decrease: float) -> tuple[Candidate, ...]:
         """List the effects that were tested, the most needed first.
@@ -488,15 +499,16 @@ class FamilyTest:
             least_decrease: decrease of chi^2 below which an effect does not matter, whatever its p-value.
         """
         screen, p = self.screen, self.p_values
-        detectable = np.maximum(self._threshold(alpha), np.sqrt(least_decrease)) + _POWER
+        detected = stats.norm.ppf(0.9)  # of the time: the power of a `smallest_detectable` size
+        detectable = np.maximum(self._threshold(alpha), np.sqrt(least_decrease)) + detected
         rows = []
-        for k in screen.one_each(range(len(screen.effects))):
+        for k in screen.best_variants(range(len(screen.effects))):
             effect = screen.effects[k]
             if screen.absorbed[k]:
                 reason = "whatever its size, other parameters explain these recordings as well"
                 rows.append(Candidate.untestable(effect, reason))
                 continue
-            guess = effect.at(np.r_[screen.guess([k]), effect.coordinates[effect.magnitude_count :]]).values
+            guess = effect.at(np.r_[screen.best_sizes([k]), effect.coordinates[effect.magnitude_count :]]).values
             sizes = [parameter for parameter in effect.parameters if not parameter.shape_parameter]
             smallest = {}
             for n, (parameter, coordinate) in enumerate(zip(sizes, detectable[k] * screen.std(k), strict=False)):
@@ -507,7 +519,7 @@ class FamilyTest:
         return tuple(rows)
 
 
-def _smallest_of(p: Array, count: Array | float) -> Array:
-    """Probability that the smallest of several independent p-values is as small."""
+def _sidak(p: Array, count: Array | float) -> Array:
+    """Return the probability that the smallest of several independent p-values is as small (Sidak's correction)."""
     result: Array = -np.expm1(count * np.log1p(-np.minimum(p, 1 - 1e-16)))
     return result

@@ -16,10 +16,7 @@ from vjm.records import REFERENCE, Array, Complex, Recording
 from vjm.simulation.integrate import phi_functions
 from vjm.simulation.run import Run
 
-_MOST = 3  # peaks; more tones at once have not been met
-_GRID, _COARSE_GRID = 4, 2  # values for each independent one; between two, a peak loses 5 or 19 % at most
-_RESOLVED = 2.0  # rad of a wave over half an interval of the derivatives, whose error is then 1 % (2^4 / 2880)
-
+_MOST_PEAKS = 3  # more tones at once have not been met
 
 Peaks = tuple[list[float], float]  # the highest ones, and the number of independent values searched
 
@@ -27,10 +24,10 @@ Peaks = tuple[list[float], float]  # the highest ones, and the number of indepen
 def spectral_starts(
     parameter: Parameter, variants: Sequence[Effect], runs: Sequence[Run], over_time: Callable[[], Peaks]
 ) -> tuple[tuple[Effect, ...], float]:
-    """Return variants of a periodic effect, for each place those of the highest peaks, and the tests each counts as.
+    """Return variants of a periodic effect, at each place those of the highest peaks, and the tests each counts as.
 
     Args:
-        parameter: that whose values are the peaks.
+        parameter: the one whose values are the peaks: a frequency, or a number of waves in a turn.
         variants: one for each place at least.
         runs: simulations of recordings or of their segments.
         over_time: gives the peaks over time, as `temporal_peaks` does.
@@ -51,7 +48,7 @@ def spectral_starts(
 def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
     """Return numbers of waves in a turn whose torques explain most of the residuals, and how many are independent.
 
-    What a torque does is that of the arm's modes about rest.
+    The response to a torque is that of the arm's modes about rest.
 
     Raises:
         ShapeError: the effect is not at an active joint.
@@ -69,8 +66,9 @@ def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
     turn = max((float(np.ptp(np.concatenate(parts))) for parts in angles.values()), default=0.0)
     (parameter,) = (each for each in variant.parameters if each.from_spectrum)
     resolution = 2 * np.pi / max(turn, 1e-9)  # the lowest number has one wave in the largest turn
-    lowest, highest = max(resolution, parameter.lower), min(_RESOLVED / max(fastest, 1e-9), parameter.upper)
-    counts = np.arange(lowest, highest, resolution / _COARSE_GRID)
+    # Up to 2 rad of a wave in half an interval of the derivatives, whose error is then 1 % (2^4 / 2880).
+    lowest, highest = max(resolution, parameter.lower), min(2.0 / max(fastest, 1e-9), parameter.upper)
+    counts = np.arange(lowest, highest, resolution / 2)  # between two of them a peak loses 19 % at most
     if not counts.size:
         return [], 0.0
     normal, score = np.zeros((counts.size, 2, 2)), np.zeros((counts.size, 2))
@@ -82,15 +80,15 @@ def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
     power = np.einsum("ci,cij,cj->c", score, np.linalg.pinv(normal), score)
     peaks: list[float] = []
     for k in np.argsort(power)[::-1].tolist():
-        if len(peaks) < _MOST and all(abs(counts[k] - peak) > resolution for peak in peaks):
+        if len(peaks) < _MOST_PEAKS and all(abs(counts[k] - peak) > resolution for peak in peaks):
             peaks.append(float(counts[k]))
     return peaks, float(highest - lowest) / resolution
 
 
 def _joint_angle(run: Run, joint: int) -> Array:
-    """Return the measured angle (S + 1,) of a joint at the simulation's instants [rad]; if there is none, its own.
+    """Return the angle (S + 1,) of a joint at the simulation's instants [rad]: measured or, failing that, simulated.
 
-    Of many waves in a turn, a simulation that is a little off soon has a different phase.
+    Where a turn has many waves, a simulation that is a little off soon has the wrong phase.
     """
     recording, path = run.observed.recording, run.trajectory
     theta = recording.theta[:, int(np.searchsorted(run.chain.active, joint))]
@@ -99,9 +97,9 @@ def _joint_angle(run: Run, joint: int) -> Array:
 
 
 def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array]:
-    """Return what torques exp(i count q) (C,) at a joint do to the predictions (N, C), and the residuals (N,).
+    """Return the predictions' responses (N, C) to torques exp(i count q) (C,) at a joint, and the residuals (N,).
 
-    Both are weighted, without what the modes' free motion from an initial state can do.
+    Both are weighted, and the modes' free motion from any initial state is projected out of them.
     """
     observed, path, chain = run.observed, run.trajectory, run.chain
     recording = run.arm.inputs(observed.recording)
@@ -149,7 +147,7 @@ def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peak
     time = max((recording.time[recording.frames] for recording in recordings), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
     highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its image
-    frequencies = np.arange(1 / duration, highest, 1 / (_GRID * duration))
+    frequencies = np.arange(1 / duration, highest, 1 / (4 * duration))  # between two of them a peak loses 5 % at most
     peaks: list[float] = []
     for chosen in ([run for run in runs if run.observed.recording.kind == "quiet"], runs):
         power, first = _power(chosen, frequencies), len(peaks)
@@ -157,13 +155,13 @@ def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peak
             # Half the width of the main lobe of Hann's window (Harris, Proceedings of the IEEE 66, 1978).
             if all(abs(frequencies[k] - peak) > 2.0 / duration for peak in peaks):
                 peaks.append(float(frequencies[k]))
-            if len(peaks) == first + _MOST:
+            if len(peaks) == first + _MOST_PEAKS:
                 break
     return peaks, duration * highest
 
 
 def _power(runs: Sequence[Run], frequencies: Array) -> Array:
-    """Power of the residuals (F,), all recordings, marker coordinates and encoders together."""
+    """Return the power (F,) of the residuals of all recordings, marker coordinates and encoders together."""
     power = np.zeros(frequencies.size)
     for file in dict.fromkeys(run.observed.recording.file for run in runs):
         parts = [run for run in runs if run.observed.recording.file == file]

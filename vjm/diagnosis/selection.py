@@ -17,18 +17,18 @@ from time import monotonic
 
 import numpy as np
 
-from vjm.diagnosis.baseline import CLOSE, Baseline
+from vjm.diagnosis.baseline import CLOSE_MISFIT, Baseline
 from vjm.diagnosis.candidate_fit import (
-    INCOMPLETE,
+    INCOMPLETE_MISFIT,
     StoppingRule,
-    cut,
+    fit_segments,
     is_followed,
     refit,
-    restarted,
-    start_size,
+    refit_other_frequencies,
+    starting_effect,
     state_at,
 )
-from vjm.diagnosis.cross_validation import is_determined, predicts
+from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
@@ -38,32 +38,29 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajecto
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.run import Run
+from vjm.text import in_sentence, number, ratio
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
 
-_FIRST_SEGMENT = 0.5  # of the first horizon, three periods: a frequency wrong by 30 % is then half a cycle late
-_GROWTH = 3.0  # of segments: a frequency fitted to some periods is right to far less than the sixth part of a cycle
-_LINEAR = 0.5  # share of a linear forecast that a fit has never fallen short of, beside effects without slopes
 _NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that a good fit may leave
-_PAIRS = 2  # pairs fitted that no single step leads to
 
 
 @dataclass(frozen=True)
-class Rules:
-    """Rules by which a search goes on.
+class SearchOptions:
+    """Options of a search.
 
     Attributes:
         alpha: significance level of the search as a whole.
-        matters: decrease of chi^2 from which an effect matters, as a share of what remains.
-        most: number of effects at most.
+        least_share: decrease of chi^2 from which an effect matters, as a share of the chi^2 that remains.
+        max_effects: number of effects at most.
         seed: of random numbers.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s].
     """
 
     alpha: float = 0.01
-    matters: float = 0.0025
-    most: int = 3
+    least_share: float = 0.0025
+    max_effects: int = 3
     seed: int = 0
     deadline: float = np.inf
 
@@ -72,13 +69,13 @@ class Rules:
         """True after the deadline."""
         return monotonic() > self.deadline
 
-    def stop(self, record: float = np.inf) -> StoppingRule:
-        """Return the stopping rule of a fit, given the best chi^2 so far."""
-        return StoppingRule(record, deadline=self.deadline)
+    def stop(self, max_chi2: float = np.inf) -> StoppingRule:
+        """Return the stopping rule of a fit that is of no use above a chi^2."""
+        return StoppingRule(max_chi2, deadline=self.deadline)
 
     def least_decrease(self, chi2: float) -> float:
         """Return the decrease to a chi^2 from which an effect matters."""
-        return chi2 * self.matters / (1 + self.matters)
+        return chi2 * self.least_share / (1 + self.least_share)
 
 
 @dataclass(frozen=True)
@@ -87,16 +84,16 @@ class SearchResult:
 
     Attributes:
         best: the best model, fitted to whole recordings, or to segments where it follows nothing longer.
-        first: score tests beside the model without effects, in segments unless these show nothing but noise.
-        last: the same beside the best model.
+        first_tests: score tests beside the model without effects, in segments unless these show nothing but noise.
+        last_tests: the same beside the best model.
         p_values: of each effect of the best model, when it was added.
         fits: models fitted to the recordings or segments of the best one.
         segment_fits: models fitted to the first segments.
     """
 
     best: TrajectoryFit
-    first: FamilyTest
-    last: FamilyTest
+    first_tests: FamilyTest
+    last_tests: FamilyTest
     p_values: dict[Key, float] = field(default_factory=dict)
     fits: Fits = field(default_factory=dict)
     segment_fits: Fits = field(default_factory=dict)
@@ -109,8 +106,8 @@ class Search:
         rig: the arm.
         start: the model to which effects are added, with whole recordings.
         effects: what is looked for.
-        rules: when the search goes on.
-        tell: told what is being done.
+        options: of the search.
+        report: called with what is being done, in words.
         workers: share the work.
         unfinished: ids of effects whose fits were wanted when the deadline came.
         unjustified: ids of effects that were dropped, since the recordings do not determine them or are predicted no
@@ -122,12 +119,12 @@ class Search:
         rig: Rig,
         start: TrajectoryFit,
         effects: Sequence[Effect],
-        rules: Rules,
-        tell: Tell,
+        options: SearchOptions,
+        report: Report,
         workers: Workers = ALONE,
     ) -> None:
-        self.rig, self.start, self.effects, self.rules = rig, start, effects, rules
-        self.tell, self.workers = tell, workers
+        self.rig, self.start, self.effects, self.options = rig, start, effects, options
+        self.report, self.workers = report, workers
         self.whole = tuple(replace(run.observed, discretization_offset=None) for run in start.point.runs)
         self.recordings = [one.recording for one in self.whole]
         self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
@@ -135,15 +132,15 @@ class Search:
         self.unfinished: set[str] = set()
         self.unjustified: list[str] = []
         self._decreases: dict[Key, float] = {}
-        self._first: FamilyTest | None = None  # beside the model without effects
+        self._first_tests: FamilyTest | None = None  # beside the model without effects
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
         best = self._in_segments()
-        fits = segment_fits = {best.names: best}
+        fits = segment_fits = {best.effect_keys: best}
         best, family = self._forward_selection(best, fits)
         for duration in self._durations()[1:]:
-            if self.rules.exhausted:
+            if self.options.exhausted:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
             if is_nonsmooth(best.effects) and not self._explains_all(best, best):
@@ -155,27 +152,30 @@ class Search:
                 longer = None if best is fit else self._lengthened(best, duration)
             if longer is None:
                 break
-            best, fits, family = longer, {longer.names: longer}, None
+            best, fits, family = (
+                *self._better_in_longer_segments(longer, self._close_second(best, fits), duration),
+                None,
+            )
             # Small effects show most in whole recordings, and are looked for there if these can be followed.
-            if not np.isfinite(duration) or longer.misfit > INCOMPLETE:
+            if not np.isfinite(duration) or longer.misfit > INCOMPLETE_MISFIT:
                 best, family = self._select_small(best, fits)
         if family is None:
             best, family = self._select_small(best, fits)
-        best = fits[best.names] = self._converged(best)
+        best = fits[best.effect_keys] = self._converged(best)
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
-        return SearchResult(best, self._first or family, family, self.p_values, fits, segment_fits)
+        return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Continue a fit that was stopped where it gained little, as long as it gains anything."""
         if fit.converged or is_nonsmooth(fit.effects) or not fit.new_effects:
             return fit
-        self.tell("converging")
+        self.report("converging")
         point = fit.point
         try:
             further = fit_trajectory(
-                point.problem, point.x, None, point.states, stop=lambda point, predicted: self.rules.exhausted
+                point.problem, point.x, None, point.states, stop=lambda point, predicted: self.options.exhausted
             )
         except (SimulationDivergedError, InsufficientDataError):
             return fit
@@ -183,24 +183,25 @@ class Search:
 
     def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
         """Add the effects that are needed beside a model and its chain's discretization error."""
-        if self.rules.exhausted:
+        if self.options.exhausted:
             return fit, self.screen(fit)
-        best = fits[fit.names] = self._corrected(fit)  # so few joints, over many periods, look like a small cause
+        # Over many periods the error of so few joints looks like a small cause.
+        best = fits[fit.effect_keys] = self._corrected(fit)
         best, family = self._forward_selection(best, fits, small=True)
         return best, family or self.screen(best)
 
     def _justified(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects whose sizes are not determined, or with which recordings are predicted no better than without.
 
-        Unlike significance, which noise alone decides, these tests fail effects that stand in for something else.
+        Significance compares with noise alone: an effect that stands in for something else passes that, but not these.
         """
         for effect in sorted(fit.new_effects, key=lambda effect: self._decreases.get(effect.key, 0.0)):
-            if self.rules.exhausted:
+            if self.options.exhausted:
                 break
-            fewer = self.without(fit, effect, fits)
+            fewer = self.refit_without(fit, effect, fits)
             if fewer is None:
                 continue
-            if not (is_determined(fit, effect, self.rules.alpha) and predicts(fit, fewer)):
+            if not (is_determined(fit, effect, self.options.alpha) and predicts_better(fit, fewer)):
                 self.unjustified.append(effect.id)
                 return self._justified(fewer, fits)
         return fit
@@ -212,16 +213,18 @@ class Search:
         return SearchResult(base, family, family)
 
     def _in_segments(self) -> TrajectoryFit:
-        """Fit the model without effects to the shortest segments, from nominal values as well where its fit is lost."""
-        self.tell("fitting segments")
+        """Fit the model without effects to the shortest segments, from nominal values too if it misses them."""
+        self.report("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
-        base = cut(self.start, self.whole, duration, self.rules.stop())
+        base = fit_segments(self.start, self.whole, duration, self.options.stop())
         if self.is_followed(base):
             return base
         try:
             x = self.start.point.x.copy()
             x[: len(problem.parametrisation.coordinates)] = problem.parametrisation.start
-            other = cut(replace(self.start, point=problem.point(x)), self.whole, duration, self.rules.stop(base.chi2))
+            other = fit_segments(
+                replace(self.start, point=problem.point(x)), self.whole, duration, self.options.stop(base.chi2)
+            )
         except (SimulationDivergedError, InsufficientDataError):
             return base
         return min(base, other, key=lambda fit: fit.chi2)
@@ -257,27 +260,27 @@ class Search:
         best = result.best
         for fits in (result.fits, result.segment_fits):
             others = [one for one in fits.values() if len(one.new_effects) == len(best.new_effects) > 0]
-            others = [one for one in others if one.names != best.names]
-            # Stick-slip is slow to fit: it is no second choice where there is none in the first.
+            others = [one for one in others if one.effect_keys != best.effect_keys]
+            # Stick-slip and play are slow to fit: only where the best model has such an effect.
             others = [one for one in others if not is_nonsmooth(one.effects) or is_nonsmooth(best.effects)]
-            if others and not self.rules.exhausted:
-                self.tell("fitting the next best")
+            if others and not self.options.exhausted:
+                self.report("fitting the next best")
                 second = min(others, key=lambda one: one.chi2)
                 try:
                     if is_nonsmooth(second.effects) or fits is result.fits:
                         return self.open_loop(second)
-                    return cut(second, self.whole, np.inf, self.rules.stop())
+                    return fit_segments(second, self.whole, np.inf, self.options.stop())
                 except (SimulationDivergedError, InsufficientDataError):
                     return None
         return None
 
     def screen(self, fit: TrajectoryFit) -> FamilyTest:
         """Test the candidates beside a model."""
-        self.tell("testing candidates")
+        self.report("testing candidates")
         candidates = CandidateSet.of(self.effects, self.rig, self.recordings, fit.point.runs)
-        kept = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.names]
+        kept = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.effect_keys]
         screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in kept], self.workers)
-        return FamilyTest.of(screened, candidates.multiplicity[kept], self.rules.alpha, self.rules.seed)
+        return FamilyTest.of(screened, candidates.multiplicity[kept], self.options.alpha, self.options.seed)
 
     def least_decrease(self, fit: TrajectoryFit) -> float:
         """Return the decrease of chi^2 from which a further effect matters beside a model: a share of what remains.
@@ -286,38 +289,32 @@ class Search:
         another effect.
         """
         left = [self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth]
-        return max([self.rules.least_decrease(fit.chi2), *(_NONSMOOTH_REST * decrease for decrease in left)])
+        return max([self.options.least_decrease(fit.chi2), *(_NONSMOOTH_REST * decrease for decrease in left)])
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
 
-        Whether one matters shows in its fit where the model is too far from the recordings for slopes to tell.
+        Whether one matters shows in its fit where the model is too far from the recordings for slopes to show it.
         """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
-        significant = family.p_values_in(unit) < self.rules.alpha
+        significant = family.p_values_for(unit) < self.options.alpha
         matters = (screened.statistics > self.least_decrease(fit)) | (not self.is_followed(fit))
-        return screened.one_each(np.flatnonzero(significant & matters).tolist())
+        return screened.best_variants(np.flatnonzero(significant & matters).tolist())
 
     def is_followed(self, fit: TrajectoryFit) -> bool:
-        """Return True if a model follows each recording's motion, so that slopes tell what it lacks."""
+        """Return True if a model follows each recording's motion, so that slopes show what it lacks."""
         files = [one.recording.file for one in self.whole]
         return all(
             is_followed([run for run in fit.point.runs if run.observed.recording.file == file]) for file in files
         )
 
     def _durations(self) -> list[float]:
-        """Durations of segments [s], one after another; the last is infinite, for whole recordings."""
-        point = self.start.point
-        # A fit that lost the phase may have any frequency.
-        nominal = point.problem.parametrisation.start
-        horizon = min(point.problem.first_horizon(x) for x in (point.x, nominal))
-        duration = _FIRST_SEGMENT * horizon
-        longest = max(float(np.ptp(one.recording.time)) for one in self.whole)
-        durations = []
-        while duration < longest / 1.5:  # or the whole would hardly be longer
-            durations.append(duration)
-            duration *= _GROWTH
-        return [*durations, np.inf]
+        """Return the durations of segments [s], one after another; the last is infinite, for whole recordings."""
+        problem = self.start.point.problem
+        # A fit that lost the phase may have any frequency: the nominal one counts as well.
+        horizon = min(problem.first_horizon(x) for x in (self.start.point.x, problem.parametrisation.start))
+        # Over half of it, one period and a half, a frequency wrong by 30 % is half a cycle late.
+        return problem.durations(horizon / 2)
 
     def _forward_selection(
         self, best: TrajectoryFit, fits: Fits, small: bool = False
@@ -328,17 +325,17 @@ class Search:
         """
         while small or not self._explains_all(best, best):
             family = self.screen(best)
-            self._first = self._first or family
-            needed = self.needed(best, family) if len(best.new_effects) < self.rules.most else []
+            self._first_tests = self._first_tests or family
+            needed = self.needed(best, family) if len(best.new_effects) < self.options.max_effects else []
             trial = self._best_addition(best, family, needed, fits) if needed else None
-            if trial is None or not self._is_worth(best, trial):
+            if trial is None or not self._matters(best, trial):
                 return best, family
             self._decreases |= {
-                effect.key: best.chi2 - trial.chi2 for effect in trial.effects if effect.key not in best.names
+                effect.key: best.chi2 - trial.chi2 for effect in trial.effects if effect.key not in best.effect_keys
             }
             best = self._backward_elimination(trial, fits)
-            new = best.names - self.p_values.keys()
-            self.p_values |= {key: min(family.p_value(key), self._first.p_value(key)) for key in new}
+            new = best.effect_keys - self.p_values.keys()
+            self.p_values |= {key: min(family.p_value(key), self._first_tests.p_value(key)) for key in new}
         return best, None
 
     def _best_addition(
@@ -348,110 +345,116 @@ class Search:
 
         Candidates are tried in the order of what their slopes promise, as long as that may be most, those with
         stick-slip or play, which are slow to fit, last. All of them are tried where the model is too far from the
-        recordings for slopes to tell; compliant joints always are, since what they do is soon out of proportion.
+        recordings for slopes to show it; compliant joints always are, since what they do is soon out of proportion.
         """
-        screened, found, followed, base = family.screen, None, self.is_followed(best), fits.get(self.start.names)
+        screened, found, followed, base = family.screen, None, self.is_followed(best), fits.get(self.start.effect_keys)
 
         def promises(k: int) -> bool:
             gained = 0.0 if found is None else best.chi2 - found.chi2
             effect = screened.effects[k]
             compliant = effect.adds_joint(best.point.chain) and not (effect.nonsmooth or effect.proportional)
-            # In longer segments slopes show what is left, and fits of what they do not show take long.
-            return not followed or (compliant and base is not None) or screened.statistics[k] > _LINEAR * gained
+            # In longer segments slopes show what is left, and fits of what they do not show take long. No fit of a
+            # smooth effect has gained more than twice what its slopes promise.
+            return not followed or (compliant and base is not None) or screened.statistics[k] > 0.5 * gained
 
         for batch in _batches(sorted(needed, key=lambda k: screened.effects[k].nonsmooth), self.workers.count):
-            promising = [self._with(best, family, [k]) for k in batch if promises(k)]
-            found = self._fitted(best, promising, found, fits) if promising else found
+            promising = [self._with_candidates(best, family, [k]) for k in batch if promises(k)]
+            found = self._best_fit(best, promising, found, fits) if promising else found
             if self._explains_all(found, best):
                 return found
-        added = [] if found is None else [effect for effect in found.effects if effect.key not in best.names]
+        added = [] if found is None else [effect for effect in found.effects if effect.key not in best.effect_keys]
         if found is not None and any(effect.adds_joint(best.point.chain) for effect in added):
-            found = fits[found.names] = restarted(found, self.rules.deadline)
+            found = fits[found.effect_keys] = refit_other_frequencies(found, self.options.deadline)
         if base is not None and len(best.new_effects) == 1 and not self._explains_all(found, best):
-            found = self._fitted(base, self._pairs(base, best), found, fits)
+            found = self._best_fit(base, self._pairs(base, best), found, fits)
         return found
 
-    def _fitted(
+    def _best_fit(
         self, start: TrajectoryFit, steps: Sequence[Sequence[Effect]], found: TrajectoryFit | None, fits: Fits
     ) -> TrajectoryFit | None:
         """Fit models from a start, and return the best of them and of the one found so far."""
-        trials = self.fit(start, steps, np.inf if found is None else found.chi2, fits)
+        trials = self.fit_models(start, steps, np.inf if found is None else found.chi2, fits)
         return min([*trials, *([] if found is None else [found])], key=lambda one: one.chi2, default=None)
 
-    def fit(
-        self, start: TrajectoryFit, models: Sequence[Sequence[Effect]], record: float, fits: Fits
+    def fit_models(
+        self, start: TrajectoryFit, models: Sequence[Sequence[Effect]], max_chi2: float, fits: Fits
     ) -> list[TrajectoryFit]:
         """Fit several models with other effects from a start, as far as they can be simulated.
 
         Args:
             start: where to begin.
             models: effects of each, with the parameters from which its search starts.
-            record: chi^2 of no interest beyond.
+            max_chi2: fits that stay above it are given up.
             fits: known ones, which are not fitted again, and the new ones.
         """
         keys = [frozenset(one.key for one in effects) for effects in models]
         new = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
         if new:
             added = sorted({one.id for effects in new for one in effects} - {one.id for one in start.effects})
-            if not self.rules.exhausted:
-                self.tell("fitting " + ", ".join(added))
-                trials = self.workers.map(partial(_fit, start, self.rules, record), new)
-                fits |= {trial.names: trial for trial in trials if trial is not None}
-            if self.rules.exhausted:
+            if not self.options.exhausted:
+                names = " and ".join(added[:2]) + (f" and {len(added) - 2} more" if len(added) > 2 else "")
+                self.report(
+                    f"fitting {names}, residual {ratio(min(fit.misfit for fit in (start, *fits.values())))} × noise"
+                )
+                trials = self.workers.map(partial(_refit_within_bounds, start, self.options, max_chi2), new)
+                fits |= {trial.effect_keys: trial for trial in trials if trial is not None}
+            if self.options.exhausted:
                 self.unfinished |= set(added)
         return [fits[names] for names in keys if names in fits]
 
-    def _with(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
-        """Effects of a model, with further ones of the sizes that slopes promise."""
+    def _with_candidates(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
+        """Return a model's effects and further ones, with the sizes that slopes promise."""
         added = [family.screen.effects[k] for k in chosen]
-        guess = family.screen.guess(chosen)
+        guess = family.screen.best_sizes(chosen)
         parts = np.split(guess, np.cumsum([one.magnitude_count for one in added])[:-1])
-        starts = [family.screen.start(k, own) for k, own in zip(chosen, parts, strict=True)]
-        sized = [start_size(*start, fit.point.chain) for start in starts]
+        starts = [family.screen.starting_variant(k, own) for k, own in zip(chosen, parts, strict=True)]
+        sized = [starting_effect(*start, fit.point.chain) for start in starts]
         return (*fit.effects, *sized)
 
     def _explains_all(self, fit: TrajectoryFit | None, fewer: TrajectoryFit) -> bool:
-        """True if nothing but noise is left, within five standard deviations, or what stick-slip or play may leave."""
+        """Return True if only noise is left, within five standard deviations, or what stick-slip or play may leave."""
         if fit is None:
             return False
         rest = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
         return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + rest)
 
-    def _is_worth(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
+    def _matters(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
         return fewer.chi2 - more.chi2 > self.least_decrease(more)
 
     def _backward_elimination(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects that the others make needless."""
         for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
-            fewer = self.without(fit, effect, fits, fit.chi2 + self.least_decrease(fit))
-            if fewer is not None and not self._is_worth(fewer, fit):
+            fewer = self.refit_without(fit, effect, fits, fit.chi2 + self.least_decrease(fit))
+            if fewer is not None and not self._matters(fewer, fit):
                 return self._backward_elimination(fewer, fits)
         return fit
 
-    def without(self, fit: TrajectoryFit, effect: Effect, fits: Fits, record: float = np.inf) -> TrajectoryFit | None:
+    def refit_without(
+        self, fit: TrajectoryFit, effect: Effect, fits: Fits, max_chi2: float = np.inf
+    ) -> TrajectoryFit | None:
         """Fit a model again without one of its effects; None where that cannot be simulated.
 
         Args:
             fit: the model.
             effect: one of its effects.
             fits: known ones, and the new one.
-            record: chi^2 of no interest beyond.
+            max_chi2: a fit that stays above it is given up.
         """
         kept = tuple(one for one in fit.effects if one is not effect)
-        fewer, known = refit(fit, kept, self.rules.stop(record)), fits.get(fit.names - {effect.key})
+        fewer, known = refit(fit, kept, self.options.stop(max_chi2)), fits.get(fit.effect_keys - {effect.key})
         best = min((one for one in (fewer, known) if one is not None), key=lambda one: one.chi2, default=None)
         if best is not None:
-            fits[best.names] = best
+            fits[best.effect_keys] = best
         return best
 
     def _pairs(self, base: TrajectoryFit, best: TrajectoryFit) -> list[tuple[Effect, ...]]:
-        """Pairs without the best single effect that explain most by their slopes beside the model without effects."""
-        if self._first is None:
+        """Return the two pairs without the best single effect that explain most by their slopes, beside no others."""
+        if self._first_tests is None:
             return []
-        screened = self._first.screen
-        others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.names]
+        screened = self._first_tests.screen
+        others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.effect_keys]
         scored = [
-            (screened.gain([i, j]), i, j)
+            (screened.decrease([i, j]), i, j)
             for n, i in enumerate(others)
             for j in others[:n]
             if screened.effects[i].key != screened.effects[j].key
@@ -459,44 +462,69 @@ class Search:
         chosen: dict[frozenset[Key], list[int]] = {}
         for _, i, j in sorted(scored, reverse=True):
             chosen.setdefault(frozenset({screened.effects[i].key, screened.effects[j].key}), [i, j])
-        return [self._with(base, self._first, pair) for pair in [*chosen.values()][:_PAIRS]]
+        return [self._with_candidates(base, self._first_tests, pair) for pair in [*chosen.values()][:2]]
 
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
         """Fit a model to longer segments; None where it does not follow them.
 
-        It must not lose so much that derivatives tell nothing more; with stick-slip or play, nothing but noise is left.
+        It must not lose so much that derivatives show nothing more; with stick-slip or play, nothing but noise is left.
         """
-        self.tell("lengthening segments")
+        self.report("lengthening segments")
         try:
-            longer = cut(fit, self.whole, duration, self.rules.stop())
+            longer = fit_segments(fit, self.whole, duration, self.options.stop())
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if is_nonsmooth(fit.effects) and not self._explains_all(longer, longer):
             return None
-        return None if longer.misfit > INCOMPLETE * max(1.0, fit.misfit) else longer
+        return None if longer.misfit > INCOMPLETE_MISFIT * max(1.0, fit.misfit) else longer
+
+    def _close_second(self, best: TrajectoryFit, fits: Fits) -> TrajectoryFit | None:
+        """Return the next best model of as many effects, if what neither explains may have decided between the two."""
+        unexplained = best.chi2 - best.point.expected_chi2
+        others = [
+            fit for names, fit in fits.items() if len(names) == len(best.effect_keys) and names != best.effect_keys
+        ]
+        second = min(others, key=lambda fit: fit.chi2, default=None)
+        if second is None or self._explains_all(best, best) or second.chi2 - best.chi2 > unexplained:
+            return None
+        return second
+
+    def _better_in_longer_segments(
+        self, longer: TrajectoryFit, second: TrajectoryFit | None, duration: float
+    ) -> tuple[TrajectoryFit, Fits]:
+        """Fit the close second, if there is one, to longer segments as well; return the better model, and both."""
+        other = None if second is None or self.options.exhausted else self._lengthened(second, duration)
+        fits = {fit.effect_keys: fit for fit in (longer, other) if fit is not None}
+        best = min(fits.values(), key=lambda fit: fit.chi2)
+        replaced = max((self._decreases.get(key, 0.0) for key in longer.effect_keys - best.effect_keys), default=0.0)
+        for key in best.effect_keys - longer.effect_keys:
+            self.p_values.setdefault(key, 1.0 if self._first_tests is None else self._first_tests.p_value(key))
+            self._decreases.setdefault(key, replaced)  # nearly the same, or there would be no close second
+        return best, fits
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be."""
-        if is_nonsmooth(fit.effects) or fit.misfit > CLOSE:
+        if is_nonsmooth(fit.effects) or fit.misfit > CLOSE_MISFIT:
             return fit
-        self.tell("measuring the discretization error")
+        self.report("measuring the discretization error")
         bias = DiscretizationBias.of(fit.point, self.rig)
         return bias.corrected(fit) if bias else fit
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
-        return tuple(result.last.screen.effects[k] for k in self.needed(result.best, result.last))
+        return tuple(result.last_tests.screen.effects[k] for k in self.needed(result.best, result.last_tests))
 
 
-def _fit(start: TrajectoryFit, rules: Rules, record: float, effects: Sequence[Effect]) -> TrajectoryFit | None:
-    return refit(start, effects, rules.stop(record))
-
-
-_MUCH = Rules(matters=0.3, most=1)  # share of chi^2: what explains less is no better than not to know
+def _refit_within_bounds(
+    start: TrajectoryFit, options: SearchOptions, max_chi2: float, effects: Sequence[Effect]
+) -> TrajectoryFit | None:
+    """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bound."""
+    fit = refit(start, effects, options.stop(max_chi2))
+    return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
 
 
 def find_preexisting_effects(
-    baseline: Baseline, effects: Sequence[Effect], rig: Rig, tell: Tell, workers: Workers, deadline: float = np.inf
+    baseline: Baseline, effects: Sequence[Effect], rig: Rig, report: Report, workers: Workers, deadline: float = np.inf
 ) -> tuple[TrajectoryFit, str]:
     """Extend the model of the reference recordings by the effect that explains much of them, if one does.
 
@@ -504,7 +532,7 @@ def find_preexisting_effects(
         baseline: the model without effects.
         effects: what to look for.
         rig: the arm.
-        tell: told what is being done.
+        report: called with what is being done, in words.
         workers: share the work.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s].
 
@@ -512,29 +540,32 @@ def find_preexisting_effects(
         The model, and a warning where the baseline misses the reference recordings; empty where it does not.
     """
     misfit, noise = baseline.fit.misfit, 1e3 * baseline.fit.point.runs[0].observed.noise[0]
-    if not baseline.changed or misfit < INCOMPLETE:
+    if not baseline.changed or misfit < INCOMPLETE_MISFIT:
         return baseline.fit, ""
     warning = (
-        f"already in the reference recordings the model misses by {misfit * noise:.2g} mm, {misfit:.3g} times the "
-        "noise: present before the change, and not counted as one"
+        f"reference recordings: residual {number(misfit * noise, 2)} mm, {ratio(misfit)} × noise: present before the "
+        "change, not counted as one"
     )
-    start = replace(baseline.fit, point=_as(baseline.fit.point, None))
+    start = replace(baseline.fit, point=_in_condition(baseline.fit.point, None))
     smooth = [effect for effect in effects if not effect.nonsmooth]
-    best = Search(rig, start, smooth, replace(_MUCH, deadline=deadline), tell, workers).run().best
+    # A cause that explains less than 30 % of chi^2 is no better than not to know.
+    options = SearchOptions(least_share=0.3, max_effects=1, deadline=deadline)
+    best = Search(rig, start, smooth, options, report, workers).run().best
     if not best.effects:
         return baseline.fit, f"{warning}; no single candidate explains it"
     problem = best.point.problem
     problem = replace(problem, effects=best.effects, reference_effects=len(best.effects))
-    point = _as(replace(best.point, problem=problem), REFERENCE)
+    point = _in_condition(replace(best.point, problem=problem), REFERENCE)
     known = replace(best, point=point)
-    values = ", ".join(f"{name} {value:.3g}" for name, value in known.effects[0].values.items())
-    remaining = noise * (known.misfit if known.misfit > INCOMPLETE else 1.0)
-    explanation = f"{known.effects[0].id} ({values}) explains it down to {remaining:.2g} mm and is part of both models"
+    values = ", ".join(f"{name} {number(value)}" for name, value in known.effects[0].values.items())
+    remaining = noise * (known.misfit if known.misfit > INCOMPLETE_MISFIT else 1.0)
+    title = in_sentence(known.effects[0].title)
+    explanation = f"{title} ({values}) reduces it to {number(remaining, 2)} mm and is in both models"
     return known, f"{warning}; {explanation}"
 
 
-def _as(point: Point, condition: str | None) -> Point:
-    """Point with its recordings in another condition."""
+def _in_condition(point: Point, condition: str | None) -> Point:
+    """Return a point with its recordings in another condition."""
     runs = tuple(
         replace(run, observed=replace(run.observed, recording=replace(run.observed.recording, condition=condition)))
         for run in point.runs
@@ -543,5 +574,5 @@ def _as(point: Point, condition: str | None) -> Point:
 
 
 def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:
-    """Candidates that are fitted side by side."""
+    """Split candidates into groups of so many that are fitted side by side."""
     return [chosen[k : k + count] for k in range(0, len(chosen), count)]

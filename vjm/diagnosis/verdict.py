@@ -10,19 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.records import Budget, Cause, Diagnosis, Gain, Remaining, RepeatComparison, Verdict
-from vjm.records import REFERENCE, Array, Experiment, RecordingComparison
-
-_UNLIKELY = 1e-3  # p-value from which residuals are not noise; three standard deviations
-# Reduction of the held-out RMS (1/sqrt(2N) of noise with N = 100,000 values), and decrease of chi^2 as a share of it
-# (noise misjudged by 1 %, 1/sqrt(2N) with N = 5,000, is as much): what gains less held out and explains less of the
-# training recordings may be the error of the noise's size.
-_NO_GAIN, _SMALL_DECREASE = 0.002, 0.02
-_CLEARLY_MORE = 2.0  # times the misfit before the change: misfits add in squares, the new one is then 1.7 times the old
-# Share of the largest cause's decrease of chi^2. Without a cause that explains less, the RMS of what was wrong changes
-# by half a percent, which the two digits that are shown of it do not tell.
-_MINOR = 0.01
-_DISTINGUISHING = 30.0  # chi^2, three times the least that distinguishes: a linear forecast may be too large
+from vjm.diagnosis.records import EQUIVALENT, Budget, Cause, Diagnosis, Gain, Remaining, RepeatComparison, Verdict
+from vjm.records import NOT_NOISE, REFERENCE, Array, Experiment, RecordingComparison
+from vjm.text import in_sentence, number, ratio
 
 
 def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
@@ -32,28 +22,28 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
     reasons = []
     if not testing:
         reasons.append(
-            "no recording is held out, so that nothing could confirm a cause: give one of another kind or amplitude "
-            'role = "holdout"'
+            'no recording is held out, so no cause can be confirmed: set role = "holdout" on one of another kind or '
+            "amplitude"
         )
     if not referenced and sum(recording.kind in ("driven", "decay") for recording in train) < 2:
         reasons.append(
-            "only one training recording moves: what is wrong in one recording looks like another initial state or "
-            "another stiffness; record at least one more, with another amplitude or drive"
+            "only one training recording moves: a model error in it is indistinguishable from another initial state or "
+            "stiffness; record at least one more, with another amplitude or drive"
         )
     if referenced and not any(recording.condition == REFERENCE for recording in train):
-        reasons.append('recordings with condition = "reference" are held out only: none is there to train on')
+        reasons.append('all recordings with condition = "reference" are held out: none is left to train on')
     if referenced and all(recording.condition == REFERENCE for recording in train):
         reasons.append(
             'every training recording has condition = "reference", in which the effect sought is absent: none is left '
             "that could show it"
         )
     reasons += [
-        f'repeats "{label}" are said to be one experiment, and differ in their condition'
+        f'repeats "{label}" are one experiment, but differ in their condition'
         for label in dict.fromkeys(recording.repeat for recording in experiment.recordings if recording.repeat)
         if len({recording.condition for recording in experiment.recordings if recording.repeat == label}) > 1
     ]
     if testing and all(recording.frames.size < 30 for recording in testing):  # an RMS within 13 % (1/sqrt(2 N))
-        reasons.append("the held-out recordings show next to no marker: nothing could confirm a cause")
+        reasons.append("the held-out recordings have almost no frames with markers: no cause can be confirmed")
     return tuple(reasons)
 
 
@@ -95,7 +85,7 @@ def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain
 
 
 def _squares(comparison: RecordingComparison) -> Array:
-    """Sums of squares before, after and by the next best model [m^2], and number of marker coordinates, by frame."""
+    """Return sums of squares before, after and by the next best model [m^2], and counts of coordinates, by frame."""
     residuals = [
         np.full_like(comparison.recording.markers, np.nan) if simulated is None else simulated.simulation.markers
         for simulated in (comparison.reference, comparison.simulated, comparison.alternative)
@@ -135,9 +125,10 @@ def _block_length(series: Array) -> int:
 def is_unexplained(findings: Diagnosis) -> bool:
     """Return True if the best model leaves more than noise, or clearly more than was missing before the change."""
     if findings.reference_misfit > 1:
-        return findings.changed_misfit > _CLEARLY_MORE * findings.baseline_misfit
+        # Misfits add in squares: at twice the old one, the new one is 1.7 times as large by itself.
+        return findings.changed_misfit > 2 * findings.baseline_misfit
     matters = findings.residuals.excess > findings.least_decrease
-    return bool(findings.needed) or (findings.residuals.p_value < _UNLIKELY and matters)
+    return bool(findings.needed) or (findings.residuals.p_value < NOT_NOISE and matters)
 
 
 def conclude(findings: Diagnosis) -> Diagnosis:
@@ -151,7 +142,9 @@ def conclude(findings: Diagnosis) -> Diagnosis:
         return replace(findings, next_experiment=findings.insufficient[0])
     unexplained = is_unexplained(findings)
     gain = _estimate_gain(findings.recordings, findings.seed)
-    useless = findings.decrease < _SMALL_DECREASE and (gain is None or gain.reduction < _NO_GAIN)
+    # What explains less of the training recordings than noise misjudged by 1 % (1/sqrt(2N) with N = 5,000 values), and
+    # gains less held out than chance (1/sqrt(2N) with N = 100,000), may be the error of the noise's size.
+    useless = findings.decrease < 0.02 and (gain is None or gain.reduction < 0.002)
     if findings.causes and useless and not unexplained:
         findings = _without_causes(findings)
         gain = _estimate_gain(findings.recordings, findings.seed)
@@ -161,8 +154,8 @@ def conclude(findings: Diagnosis) -> Diagnosis:
         verdict = "set"
     if unexplained:
         verdict = "unknown"
-    elif findings.reference_misfit == 1 and findings.residuals.p_value < _UNLIKELY:
-        note = "the residuals are a little more than noise, and too little to matter"
+    elif findings.reference_misfit == 1 and findings.residuals.p_value < NOT_NOISE:
+        note = "residuals slightly exceed noise, too little to matter"
         findings = replace(findings, notes=(*findings.notes, note))
     if findings.budget.exhausted:
         findings = replace(findings, warnings=(*findings.warnings, _budget_warning(findings.budget)))
@@ -174,15 +167,17 @@ def conclude(findings: Diagnosis) -> Diagnosis:
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return causes with their roles, large ones before small ones."""
     most = max((cause.decrease for cause in causes), default=0.0)
-    roles = [replace(cause, role="minor" if cause.decrease < _MINOR * most else "main") for cause in causes]
+    # Without a cause that explains 1 % of that, the RMS of what was wrong changes by half a percent: less than the two
+    # digits that are shown of it.
+    roles = [replace(cause, role="minor" if cause.decrease < 0.01 * most else "main") for cause in causes]
     main = sorted((one for one in roles if one.role == "main"), key=lambda one: -one.decrease)
     minor = sorted((one for one in roles if one.role == "minor"), key=lambda one: -(one.holdout_gain or 0.0))
     return (*main, *minor)
 
 
 def _without_causes(findings: Diagnosis) -> Diagnosis:
-    causes = ", ".join(cause.effect.id for cause in findings.causes)
-    warning = f"{causes} would explain a little of the training recordings and nothing of those held out: not a cause"
+    causes = ", ".join(cause.effect.title for cause in findings.causes)
+    warning = f"{causes}: a small gain in training, none held out; not counted as a cause"
     return replace(
         findings,
         causes=(),
@@ -195,10 +190,10 @@ def _without_causes(findings: Diagnosis) -> Diagnosis:
 
 def _budget_warning(budget: Budget) -> str:
     tried = (
-        f"not tried to the end: {', '.join(budget.not_tried)}" if budget.not_tried else "small effects not looked for"
+        f"not fully tried: {', '.join(budget.not_tried)}" if budget.not_tried else "small effects were not searched for"
     )
     return (
-        f"the search was ended after its budget of {budget.seconds:.3g} s, with the best it had; {tried}; a larger "
+        f"search stopped at its budget of {budget.seconds:.3g} s with the best model so far; {tried}; a larger "
         "--budget, fewer --effects or more --jobs would let it finish"
     )
 
@@ -210,52 +205,54 @@ def _description(findings: Diagnosis) -> str:
         if findings.reference_misfit <= 1:
             return ""
         return (
-            f"the changed recordings are missed by {findings.changed_misfit:.2g} times the noise; the reference ones "
-            f"were by {findings.baseline_misfit:.2g}, by a model without effects: as much was missing before the change"
+            f"residual {ratio(findings.changed_misfit)} × noise in the changed recordings, "
+            f"{ratio(findings.baseline_misfit)} × noise in the reference recordings without effects: no worse than "
+            "before the change"
         )
     parts = []
-    if residuals.bands and residuals.p_value < _UNLIKELY:
+    if residuals.bands and residuals.p_value < NOT_NOISE:
         worst = residuals.bands[0]
         low, high = worst.frequencies
-        parts.append(f"most of it in the {worst.sensor} of {worst.file}, between {low:.3g} and {high:.3g} Hz")
+        parts.append(f"largest in the {worst.sensor} of {worst.file}, {number(low)} to {number(high)} Hz")
     parts += [findings.resemblance, _recurrence(findings.repeats)]
     if findings.needed:
-        parts.append(f"a further effect, {findings.needed[0].id}, would explain part of it")
+        parts.append(f"{in_sentence(findings.needed[0].title)} would explain part of it")
     return "; ".join(part for part in parts if part)
 
 
 def _recurrence(repeats: RepeatComparison | None) -> str:
-    """Statement on whether the residuals recur; empty where no recordings show that."""
+    """Say whether the residuals recur; empty where no recordings show that."""
     if repeats is None or not np.isfinite(repeats.recurring_share):
         return ""
     percent = 100 * repeats.recurring_share
     if percent >= 50:
-        return f"{percent:.0f} % of it is the same in recordings that repeat each other: the arm does this every time"
+        return f"{percent:.0f} % of it recurs in repeated recordings: systematic"
     return (
-        f"{100 - percent:.0f} % of it differs between recordings that repeat each other: a disturbance, or something "
-        "that sticks, slips or has changed from one to the next"
+        f"{100 - percent:.0f} % of it differs between repeated recordings: a disturbance, stick-slip, or a change from "
+        "one to the next"
     )
 
 
 def _noise_by_repeats(repeats: RepeatComparison | None) -> str:
     if repeats is None:
-        return "no recording that was fitted repeats another"
+        return "no two training recordings repeat each other"
     difference = 1e3 * repeats.individual * repeats.noise
-    return f"residuals of recordings that repeat each other differ by {difference:.2g} mm"
+    return f"residuals of repeated recordings differ by {number(difference, 2)} mm"
 
 
 def _next_experiment(findings: Diagnosis, verdict: Verdict) -> str | None:
     ambiguous = next((cause for cause in findings.causes if cause.alternatives), None)
     if ambiguous is not None:
         effects = (ambiguous.effect, *(alternative.effect for alternative in ambiguous.alternatives))
-        aim = f"to tell {' from '.join(effect.id for effect in effects)}"
-        if findings.proposals and findings.proposals[0].difference > _DISTINGUISHING:
+        aim = f"to distinguish {' from '.join(in_sentence(effect.title) for effect in effects)}"
+        # A linear forecast may be too large by a factor of three.
+        if findings.proposals and findings.proposals[0].difference > 3 * EQUIVALENT:
             best = findings.proposals[0]
-            return f"{aim}: {best.text}; chi^2 of the two will then differ by about {best.difference:.2g}"
+            return f"{aim}: {best.text} (expected chi² difference {number(best.difference, 2)})"
         means = dict.fromkeys(part for effect in effects for part in effect.distinguishing_experiment.split("; "))
         return f"{aim}: record {'; or '.join(part for part in means if part)}"
     if verdict != "unknown":
         return None
     if all(recording.kind != "quiet" for recording in findings.experiment.recordings):
-        return 'record the arm at rest (kind = "quiet"): what is there without motion comes from outside'
-    return "record the same drive at half and at twice its size: what then does not grow in proportion is not linear"
+        return 'record the arm at rest (kind = "quiet"): what remains without motion is an external disturbance'
+    return "repeat the same drive at half and twice the amplitude: a residual that does not scale is nonlinear"

@@ -31,12 +31,10 @@ class ActuatorLag(ColumnEffect):
 
     time_constant: float = magnitude("s", 0.01, lower=0.0, upper=0.5, in_rig_units=True)
 
-    description = "an actuator whose torque lags behind the recorded one"
-    clause = (
-        "a torque at the joint of {link} that lags behind the recorded one, with a time constant of {time_constant}"
-    )
+    description = "actuator lag: the true torque follows the recorded one late"
+    clause = "the actuator torque at the joint of '{link}' lags the recorded one, time constant {time_constant}"
     reference = "M. W. Spong, S. Hutchinson and M. Vidyasagar, Robot Modeling and Control, Wiley, 2006, chapter 6"
-    distinguishing_experiment = "a fast chirp, with an encoder that has the torque's clock"
+    distinguishing_experiment = "a fast chirp, with encoder and torque on one clock"
 
     def true_inputs(self, recording: Recording) -> Recording:
         """Return the recording with the true torque."""
@@ -111,10 +109,10 @@ class TorqueSaturation(ColumnEffect):
     limit: float = magnitude("N m", 0.05, null=np.inf, lower=1e-3, reciprocal=True, in_rig_units=True)
     peak: float = field(default=np.inf, kw_only=True, compare=False)
 
-    description = "an actuator that saturates: the recorded torque is clipped"
-    clause = "a torque at the joint of {link} that is clipped at {limit}"
+    description = "torque saturation: the true torque is clipped"
+    clause = "the torque at the joint of '{link}' saturates at {limit}"
     reference = "T. Hu and Z. Lin, Control Systems with Actuator Saturation: Analysis and Design, Birkhaeuser, 2001"
-    distinguishing_experiment = "the same drive at half its size"
+    distinguishing_experiment = "the same drive at half the amplitude"
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -169,8 +167,8 @@ class Cogging(WaveEffect, JointEffect):
     count: float = shape_parameter("per turn", 24.0, lower=1.0, upper=2000.0, from_spectrum="joint_angle")
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
 
-    description = "cogging: a torque of the motor that depends on its angle"
-    clause = "cogging of {amplitude} at the joint of {link}, {count}"
+    description = "cogging: a motor torque that is periodic in the joint angle"
+    clause = "cogging torque of {amplitude} at the joint of '{link}', {count}"
     reference = (
         "T. M. Jahns and W. L. Soong, Pulsating torque minimization techniques, IEEE Trans. Ind. Electron., 1996"
     )

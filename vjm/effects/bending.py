@@ -27,8 +27,8 @@ class StructuralDamping(LinkEffect):
 
     loss_factor: float = magnitude("", 0.01, lower=0.0, upper=0.3)
 
-    description = "structural damping: a loss in bending that does not depend on the rate"
-    clause = "structural damping in {link}, with a loss factor of {loss_factor}"
+    description = "structural damping: rate-independent bending loss"
+    clause = "structural damping in '{link}', loss factor {loss_factor}"
     reference = "S. H. Crandall, The role of damping in vibration theory, Journal of Sound and Vibration 11(1), 1970"
     distinguishing_experiment = "two or more modes in free decay"
     abscissa = "amplitude"
@@ -61,8 +61,8 @@ class CubicStiffness(LinkEffect):
 
     coefficient: float = magnitude("m^2", 0.05, in_rig_units=True)
 
-    description = "a bending stiffness that changes with the curvature"
-    clause = "a bending stiffness of {link} that changes with the curvature, by {coefficient}"
+    description = "cubic stiffness: bending stiffness that changes with curvature"
+    clause = "the bending stiffness of '{link}' changes with curvature, coefficient {coefficient}"
     reference = "A. H. Nayfeh and P. F. Pai, Linear and Nonlinear Structural Mechanics, Wiley, 2004"
     distinguishing_experiment = "recordings at two amplitudes"
     abscissa = "amplitude"
@@ -80,10 +80,10 @@ class StiffnessDrift(LinkEffect):
 
     rate: float = magnitude("1/s", 0.001, in_rig_units=True)
 
-    description = "a bending stiffness that drifts during each recording"
-    clause = "a bending stiffness of {link} that drifts by {rate} during each recording"
+    description = "bending stiffness that drifts during each recording"
+    clause = "the bending stiffness of '{link}' drifts by {rate} during each recording"
     reference = "H. Sohn, Effects of environmental and operational variability, Phil. Trans. Royal Society A 365, 2007"
-    distinguishing_experiment = "recordings at two amplitudes, or one that starts again when the link has warmed up"
+    distinguishing_experiment = "recordings at two amplitudes, or a restart after the link has warmed up"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return moments proportional to time and angles."""
@@ -97,11 +97,12 @@ class RestCurvature(LinkEffect):
 
     curvature: float = magnitude("1/m", 0.02, in_rig_units=True)
 
-    description = "a link that is bent at rest"
-    clause = "a curvature of {curvature} of {link} at rest"
+    description = "rest curvature: a link that is bent when unloaded"
+    clause = "link '{link}' is curved at rest, {curvature}"
     reference = "S. P. Timoshenko and J. M. Gere, Theory of Elastic Stability, 2nd edition, McGraw-Hill, 1961"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "marker"
+    in_simulators = True
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with an arc for the link."""
@@ -120,13 +121,13 @@ class Taper(LinkEffect):
 
     taper: float = magnitude("", 0.05, lower=-1.0, upper=1.0)
 
-    description = "a taper: the link is thicker at one end than at the other"
-    clause = "a taper of {link}: its thickness falls by {taper} of the mean from its root to its tip"
+    description = "taper: thickness that changes along the link"
+    clause = "link '{link}' is tapered: thickness falls by {taper} of its mean from root to tip"
     reference = (
         "H. H. Mabie and C. B. Rogers, Transverse vibrations of tapered cantilever beams with end loads, "
         "J. Acoustical Society of America 36(3), 1964"
     )
-    distinguishing_experiment = "three or more modes, or a caliper: measure the thickness at both ends"
+    distinguishing_experiment = "three or more modes; or measure the thickness at both ends"
     abscissa = "frequency"
     in_urdf = True
 
@@ -164,10 +165,10 @@ class StiffnessAsymmetry(LinkEffect):
 
     ratio: float = magnitude("", 0.03, lower=-0.9, upper=0.9)
 
-    description = "a link that is stiffer when bent one way than the other"
-    clause = "a link {link} that is stiffer by {ratio} when bent to the left, and softer by as much to the right"
+    description = "bilinear stiffness: a link that is stiffer bent one way than the other"
+    clause = "link '{link}' is stiffer by {ratio} bent to the left, softer by as much to the right"
     reference = "T. G. Chondros et al., Vibration of a beam with a breathing crack, J. Sound Vibration 239(1), 2001"
-    distinguishing_experiment = "static bends to both sides, or decays that begin on either side"
+    distinguishing_experiment = "static deflections to both sides, or decays released from either side"
     abscissa = "position"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -180,13 +181,13 @@ class StiffnessAsymmetry(LinkEffect):
 class UnmodelledMode(Effect):
     """Too few virtual joints for what the recordings show: a reason to refit, no physics."""
 
-    description = "a bending mode for which the model has too few virtual joints"
+    description = "a bending mode beyond those of the virtual joints"
     reference = "M. J. Balas, Feedback control of flexible systems, IEEE Transactions on Automatic Control 23(4), 1978"
-    distinguishing_experiment = "the same fit with two virtual joints more"
+    distinguishing_experiment = "the same fit with two more virtual joints"
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Return why it is not looked for."""
-        return "the error of so few virtual joints is measured and corrected; it is not a cause"
+        return "the discretization error is measured and corrected; it is not a cause"
 
 
 @dataclass(frozen=True)
@@ -198,10 +199,10 @@ class ViscoelasticCreep(LinkEffect):
         "s", 0.2, 2e-3, upper=2e3, grid=(0.02, 0.064, 0.2, 0.64, 2.0), in_rig_units=True
     )
 
-    description = "creep: a part of the bending stiffness that relaxes"
-    clause = "creep in {link}: a part {ratio} of its bending stiffness relaxes within {time_constant}"
+    description = "viscoelastic creep: part of the bending stiffness relaxes"
+    clause = "link '{link}' creeps: a fraction {ratio} of its bending stiffness relaxes, time constant {time_constant}"
     reference = "C. Zener, Elasticity and Anelasticity of Metals, University of Chicago Press, 1948"
-    distinguishing_experiment = "two or more modes in free decay, and a static bend that is held"
+    distinguishing_experiment = "two or more modes in free decay, and a held static deflection"
     abscissa = "amplitude"
 
     def initial_states(self, chain: Chain, q: Array) -> Array:
@@ -233,10 +234,10 @@ class Hysteresis(LinkEffect):
     ratio: float = magnitude("", 0.05, lower=0.0, upper=1.0)
     yield_angle: float = shape_parameter("rad", 0.05, lower=1e-3, upper=3.0, grid=(0.01, 0.031, 0.097, 0.3))
 
-    description = "hysteresis: stiffness that is lost where the link bends farther than it slips"
-    clause = "hysteresis in {link}: a part {ratio} of its bending stiffness slips beyond {yield_angle}"
+    description = "hysteresis: part of the bending stiffness yields beyond an angle"
+    clause = "hysteresis in '{link}': a fraction {ratio} of its bending stiffness yields beyond {yield_angle}"
     reference = "Y.-K. Wen, Method for random vibration of hysteretic systems, J. Eng. Mechanics ASCE 102(2), 1976"
-    distinguishing_experiment = "recordings at two amplitudes, and a slow one"
+    distinguishing_experiment = "recordings at two amplitudes, and a slow motion"
     abscissa = "amplitude"
 
     def initial_states(self, chain: Chain, q: Array) -> Array:

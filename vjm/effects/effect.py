@@ -144,9 +144,10 @@ class Effect:
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
     id: ClassVar[str] = ""  # the class's name in snake case where it is not given
+    title: ClassVar[str] = ""  # its name in tables and sentences; the words of its id where it is not given
     description: ClassVar[str] = ""  # the effect in a few words, as a noun phrase
-    # The same with its numbers, as the verdict states it: "{link}" stands for the link's name and each parameter's name
-    # for its value in an everyday unit. Without one, the description is followed by the values.
+    # What the verdict says: "{link}" stands for the link's name and each parameter's name for its value in an everyday
+    # unit. Without a clause, the description is followed by the values.
     clause: ClassVar[str] = ""
     reference: ClassVar[str] = ""  # the publication in which the model is described
     distinguishing_experiment: ClassVar[str] = ""  # the recording that distinguishes it from effects that look alike
@@ -157,6 +158,7 @@ class Effect:
     common: ClassVar[bool] = False  # it is a frequent cause, whose smallest detectable magnitude is reported first
     dissipative: ClassVar[bool] = False  # it can only take energy out of the arm
     in_urdf: ClassVar[bool] = False  # a URDF can carry it
+    in_simulators: ClassVar[bool] = False  # a URDF cannot, but simulators' own files can: it is a spring, or gravity
     # It makes the motion nonsmooth, as sticking or rattling does: searches for it hold simulated joints near their
     # measured angles, and what remains after a fit need not be noise.
     nonsmooth: ClassVar[bool] = False
@@ -166,6 +168,8 @@ class Effect:
     def __init_subclass__(cls) -> None:
         if "id" not in vars(cls):
             cls.id = re.sub("(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        if "title" not in vars(cls):
+            cls.title = cls.id.replace("_", " ").capitalize()
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -193,6 +197,17 @@ class Effect:
     def is_null(self) -> bool:
         """True if it is absent: every magnitude is null."""
         return all(getattr(self, each.name) == each.null for each in self.parameters if not each.shape_parameter)
+
+    @property
+    def at_bound(self) -> bool:
+        """True if a magnitude is at a bound: it is then no estimate, and stands in for something else."""
+        sizes = [each for each in self.parameters if not each.shape_parameter and not each.integer]
+        return any(
+            np.isclose(each.coordinate(getattr(self, each.name)), bound, rtol=1e-6, atol=0.0)
+            for each in sizes
+            for bound in each.bounds
+            if np.isfinite(bound) and bound != 0.0  # which is the null
+        )
 
     @property
     def coordinates(self) -> Array:
@@ -352,6 +367,10 @@ class Effect:
             positions: (F, k, 2) true positions of the markers at these time stamps [m].
         """
         return time
+
+    def longest_delay(self, rig: Rig) -> float:
+        """Return how late [s] frames are at most, by the bound of what is looked for on a rig."""
+        return 0.0
 
     @property
     def timing_noise(self) -> float:

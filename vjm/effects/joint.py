@@ -92,10 +92,10 @@ class CoulombFriction(_DryFriction):
 
     torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
 
-    description = "dry friction at the active joint"
-    clause = "dry friction of {torque} at the joint of {link}"
+    description = "dry (Coulomb) friction at the active joint"
+    clause = "dry friction of {torque} at the joint of '{link}'"
     reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
-    distinguishing_experiment = "slow sweeps in both directions, and motion that comes to a stop"
+    distinguishing_experiment = "slow sweeps in both directions, and motion that stops"
     common = True
     in_urdf = True
 
@@ -124,10 +124,11 @@ class Stribeck(_DryFriction):
     # driven as fast leaves the friction that falls with its speed behind.
     speed: float = shape_parameter("rad/s", 0.05, lower=5e-3, upper=0.35, grid=(0.02, 0.05, 0.125), in_rig_units=True)
 
-    description = "dry friction at the active joint that falls with its speed"
-    clause = "dry friction of {torque} at the joint of {link} that falls with its speed, within {speed}"
+    title = "Stribeck friction"
+    description = "dry friction at the active joint that falls with speed (Stribeck)"
+    clause = "dry friction of {torque} at the joint of '{link}' that falls with speed, Stribeck velocity {speed}"
     reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
-    distinguishing_experiment = "sweeps at several constant speeds, slow and fast ones"
+    distinguishing_experiment = "sweeps at several constant speeds, slow and fast"
 
     @property
     def largest(self) -> float:
@@ -146,9 +147,9 @@ class ViscousFriction(JointEffect):
     coefficient: float = magnitude("N m s/rad", 0.004, lower=0.0, in_rig_units=True)
 
     description = "viscous friction at the active joint"
-    clause = "viscous friction of {coefficient} at the joint of {link}"
+    clause = "viscous friction of {coefficient} at the joint of '{link}'"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
-    distinguishing_experiment = "motion of the joint at speeds that differ much, with the link bending little"
+    distinguishing_experiment = "joint motion over a wide range of speeds with little bending"
     abscissa = "joint_rate"
     dissipative = True
     in_urdf = True
@@ -164,11 +165,12 @@ class JointSpring(JointEffect):
 
     stiffness: float = magnitude("N m/rad", 0.025, lower=0.0, in_rig_units=True)
 
-    description = "a cable or hose that pulls the active joint back to zero"
-    clause = "a cable or hose of {stiffness} that pulls the joint of {link} back to zero"
+    description = "joint spring: a cable or hose that pulls the active joint back to zero"
+    clause = "a cable or hose pulls the joint of '{link}' back to zero, {stiffness}"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
-    distinguishing_experiment = "slow sweeps in both directions over a wide range of the joint"
+    distinguishing_experiment = "slow sweeps in both directions over a wide joint range"
     abscissa = "joint_angle"
+    in_simulators = True
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a spring at the joint."""
@@ -181,8 +183,8 @@ class TorqueGain(ColumnEffect):
 
     gain: float = magnitude("", 0.05, null=1.0, lower=0.2, upper=5.0)
 
-    description = "the true torque is a multiple of the recorded one"
-    clause = "a true torque at the joint of {link} that is {gain} times the recorded one"
+    description = "torque gain: the true torque is a multiple of the recorded one"
+    clause = "the true torque at the joint of '{link}' is {gain} times the recorded one"
     reference = "M. Gautier and S. Briot, Global identification of joint drive gains, J. Dynamic Systems 136(5), 2014"
     distinguishing_experiment = "a recording with a weighed mass on the tip"
     common = True
@@ -198,8 +200,8 @@ class TorqueOffset(ColumnEffect):
 
     offset: float = magnitude("N m", 0.0025, in_rig_units=True)
 
-    description = "a constant torque beside the recorded one"
-    clause = "a constant torque of {offset} beside the recorded one at the joint of {link}"
+    description = "torque offset: a constant torque added to the recorded one"
+    clause = "the true torque at the joint of '{link}' is the recorded one plus {offset}"
     reference = "J. Swevers et al., Dynamic model identification for industrial robots, IEEE Control Syst. 27(5), 2007"
     distinguishing_experiment = "recordings at several hub angles, and slow sweeps in both directions"
     abscissa = "joint_angle"
@@ -222,8 +224,8 @@ class ClampCompliance(LinkEffect):
 
     compliance: float = magnitude("rad/(N m)", 0.01, lower=0.0, in_rig_units=True)
 
-    description = "a clamp that gives way: the link's root turns in it"
-    clause = "a clamp of {link} that gives way, by {compliance}"
+    description = "compliant clamp: the link's root rotates under load"
+    clause = "the clamp of '{link}' is compliant, {compliance}"
     reference = "K. R. Chun, Free vibration of a beam with one end spring-hinged, J. Applied Mechanics 39(4), 1972"
     distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
     common = True
@@ -242,10 +244,11 @@ class GearElasticity(JointEffect):
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
 
     on_drive = False
-    description = "an elastic gear or shaft between the motor's encoder and the hub"
-    clause = "an elastic gear or shaft of {stiffness} between motor and hub of {link}"
+    description = "gear elasticity between the motor's encoder and the hub"
+    clause = "the gear or shaft between motor and hub of '{link}' is elastic, {stiffness}"
     reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
     distinguishing_experiment = "a marker on the hub, or a recording with a known mass on the tip"
+    in_simulators = True
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a joint between motor and hub."""
@@ -284,10 +287,10 @@ class BaseCompliance(Effect):
 
     start: float | None = field(default=None, kw_only=True, compare=False, repr=False)
 
-    description = "a table that moves under the base"
+    description = "base compliance: the table moves under the base"
     clause = (
-        "a table that moves under the base: {mass} on a spring of {stiffness} in the direction {direction}, with a "
-        "damping ratio of {damping_ratio}"
+        "the table moves under the base: {mass} on a spring of {stiffness}, direction {direction}, damping ratio "
+        "{damping_ratio}"
     )
     reference = "E. I. Rivin, Stiffness and Damping in Mechanical Design, Marcel Dekker, 1999, chapter 5"
     distinguishing_experiment = "a fiducial on the base in the camera's view, or an accelerometer on the table"
@@ -369,10 +372,10 @@ class Backlash(JointEffect):
 
     on_drive = False
     nonsmooth = True
-    description = "play between the motor and the hub"
-    clause = "play of {gap} between motor and hub of {link}"
+    description = "backlash between the motor and the hub"
+    clause = "backlash of {gap} between motor and hub of '{link}'"
     reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
-    distinguishing_experiment = "a marker on the hub, and slow motion that changes its direction"
+    distinguishing_experiment = "a marker on the hub, and slow motion with reversals"
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with the stiff flanks in contact for good; `force` makes the gap."""

@@ -33,10 +33,10 @@ class TipPayload(_TipEffect):
 
     mass: float = magnitude("kg", 0.02, lower=0.0, in_rig_units=True)
 
-    description = "an unknown mass on the tip"
-    clause = "an unknown mass of {mass} on the tip of {link}"
+    description = "unknown mass on the tip"
+    clause = "unknown mass of {mass} on the tip of '{link}'"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
-    distinguishing_experiment = "a recording with a known mass on the tip, static sag, or driven recordings"
+    distinguishing_experiment = "a recording with a known tip mass, static sag, or driven recordings"
     common = True
     in_urdf = True
 
@@ -53,10 +53,12 @@ class InPlaneGravity(Effect):
     gx: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
     gy: float = magnitude("m/s^2", 0.25, lower=-30.0, upper=30.0)
 
-    description = "gravity in the plane of motion: the base is tilted"
-    clause = "gravity of {gx} along x and {gy} along y in the plane of motion: the base is tilted"
+    title = "In-plane gravity"
+    description = "tilted base: gravity in the plane of motion"
+    clause = "the base is tilted: in-plane gravity {gx} along x, {gy} along y"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "recordings at several hub angles"
+    in_simulators = True
 
     def true_inputs(self, recording: Recording) -> Recording:
         """Return the recording with more gravity."""
@@ -75,8 +77,9 @@ class ExternalTone(WaveEffect, _TipEffect):
     frequency: float = shape_parameter("Hz", 2.5, lower=5e-3, upper=5e3, from_spectrum="time", in_rig_units=True)
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
 
-    description = "a sinusoidal force on the tip from outside"
-    clause = "a sinusoidal force of {amplitude} at {frequency} on the tip of {link} from outside"
+    title = "Sinusoidal disturbance"
+    description = "sinusoidal disturbance force on the tip"
+    clause = "sinusoidal disturbance force of {amplitude} at {frequency} on the tip of '{link}'"
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
     abscissa = "frequency"
@@ -195,9 +198,9 @@ class LinearDrag(_Drag):
 
     coefficient: float = magnitude("N s/m^2", 0.05, lower=0.0, in_rig_units=True)
 
-    description = "air drag in proportion to the velocity"
-    clause = "air drag of {coefficient} on {link}, in proportion to the velocity"
-    distinguishing_experiment = "two or more modes in free decay: drag damps the slow ones most"
+    description = "air drag proportional to velocity"
+    clause = "linear air drag on '{link}', {coefficient}"
+    distinguishing_experiment = "two or more modes in free decay: drag damps slow modes most"
 
     def density(self, normal: Array, slow: float) -> Array:
         """Return the force per length [N/m] at normal velocities [m/s]."""
@@ -210,9 +213,9 @@ class QuadraticDrag(_Drag):
 
     coefficient: float = magnitude("N s^2/m^3", 0.2, lower=0.0, in_rig_units=True)
 
-    description = "air drag in proportion to the square of the velocity"
-    clause = "air drag of {coefficient} on {link}, in proportion to the square of the velocity"
-    distinguishing_experiment = "two amplitudes: its damping grows with the amplitude"
+    description = "air drag proportional to velocity squared"
+    clause = "quadratic air drag on '{link}', {coefficient}"
+    distinguishing_experiment = "recordings at two amplitudes: its damping grows with amplitude"
 
     def density(self, normal: Array, slow: float) -> Array:
         """Return the force per length [N/m] at normal velocities [m/s], whose sign is rounded off below a slow one."""

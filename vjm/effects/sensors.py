@@ -32,7 +32,7 @@ class _CameraEffect(Effect):
             for i, link in enumerate(rig.links)
             if link.markers
         )
-        return "" if fixed else "marker coordinates are relative to a link that turns, not to the camera"
+        return "" if fixed else "marker coordinates are in a rotating link frame, not the camera's"
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class CameraScale(Effect):
 
     scale: float = magnitude("", 0.008, null=1.0, lower=0.5, upper=2.0)
 
-    description = "a camera whose scale is off"
-    clause = "a camera that shows everything {scale} times as large as it is"
+    description = "scale error of the camera"
+    clause = "the camera scale is {scale} times the true one"
     reference = "Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. Pattern Analysis 22(11), 2000"
-    distinguishing_experiment = "two fiducials at a measured distance in the camera's view"
+    distinguishing_experiment = "two fiducials at a known distance in the camera's view"
     abscissa = "position"
     common = True
 
@@ -59,8 +59,8 @@ class CameraRotation(_CameraEffect):
 
     angle: float = magnitude("rad", 0.01, lower=-np.pi, upper=np.pi)
 
-    description = "a camera that is turned against the base"
-    clause = "a camera that is turned by {angle} against the base"
+    description = "camera rotated relative to the base"
+    clause = "the camera is rotated by {angle} relative to the base"
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "tangential"
@@ -71,7 +71,7 @@ class CameraRotation(_CameraEffect):
             return reason
         pulled = any(any(recording.gravity) for recording in recordings)
         if rig.links[0].joint == "revolute" and not is_recorded(recordings, "theta") and not pulled:
-            return "without an encoder and without gravity, a turned camera and a turned arm look the same"
+            return "without encoder or gravity, a rotated camera and a rotated arm are indistinguishable"
         return ""
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
@@ -86,8 +86,8 @@ class CameraTranslation(_CameraEffect):
     dx: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
     dy: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
 
-    description = "a camera that is shifted against the base"
-    clause = "a camera that shows everything {dx} along x and {dy} along y beside where it is"
+    description = "camera shifted relative to the base"
+    clause = "the camera is shifted relative to the base: all markers appear {dx} along x and {dy} along y off"
     reference = (
         "R. Y. Tsai and R. K. Lenz, A new technique for fully autonomous and efficient 3D robotics hand/eye "
         "calibration, IEEE Trans. Robotics and Automation 5(3), 1989"
@@ -115,8 +115,8 @@ class CameraVibration(WaveEffect, _CameraEffect):
     phase: float = shape_parameter("rad", 0.0, lower=-np.pi, upper=np.pi)
     ellipticity: float = shape_parameter("", 0.0, lower=-1.0, upper=1.0)  # short over long axis, against the clock
 
-    description = "a camera that shakes, and shows all markers shaking together"
-    clause = "a camera that shakes by {amplitude} at {frequency}, along {direction} from x"
+    description = "camera vibration: all markers shake together"
+    clause = "the camera vibrates by {amplitude} at {frequency}, {direction} from x"
     reference = (
         "S. Yoneyama and H. Ueda, Bridge deflection measurement using digital image correlation with camera movement "
         "correction, Materials Transactions 53(2), 2012"
@@ -174,10 +174,10 @@ class LensDistortion(_CameraEffect):
 
     k1: float = magnitude("1/m^2", 0.01, lower=-0.5, upper=0.5, in_rig_units=True)
 
-    description = "a lens that distorts with the distance from the middle"
-    clause = "a lens that distorts with the distance from the middle, by {k1}"
+    description = "radial lens distortion"
+    clause = "the lens distorts radially, k1 = {k1}"
     reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
-    distinguishing_experiment = "three or more fiducials at measured distances in the camera's view"
+    distinguishing_experiment = "three or more fiducials at known distances in the camera's view"
     abscissa = "radial"
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
@@ -200,10 +200,10 @@ class MarkerOffset(LinkEffect):
     across: float = magnitude("m", 0.005, lower=-0.5, upper=0.5, in_rig_units=True)
     first: int | None = field(default=None, kw_only=True)
 
-    description = "a marker that is not where the experiment file says"
-    clause = "marker {marker} of {link} off by {along} along and {across} across the link"
+    description = "marker offset: a marker that is not where the experiment file says"
+    clause = "marker {marker} of '{link}' is off by {along} along and {across} across the link"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
-    distinguishing_experiment = "a ruler: measure where on the link the marker is"
+    distinguishing_experiment = "measure the marker's position on the link with a ruler"
     abscissa = "marker"
 
     @property
@@ -243,8 +243,8 @@ class EncoderOffset(ColumnEffect):
     offset: float = magnitude("rad", 0.005, lower=-np.pi, upper=np.pi)
 
     on_drive = False
-    description = "the encoder's zero is off"
-    clause = "an encoder at {link} whose zero is off by {offset}"
+    description = "zero offset of the encoder"
+    clause = "the encoder zero of '{link}' is off by {offset}"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; sag at several hub angles"
     column_of = "theta"
@@ -260,7 +260,7 @@ class _ClockEffect(Effect):
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         known = is_recorded(recordings, "tau") or is_recorded(recordings, "theta")
-        return "" if known else "nothing but the camera was recorded, so there is no other clock"
+        return "" if known else "only the camera was recorded: there is no second clock to compare with"
 
 
 @dataclass(frozen=True)
@@ -269,16 +269,20 @@ class TimeOffset(_ClockEffect):
 
     delay: float = magnitude("s", 0.03, lower=-0.2, upper=0.2, in_rig_units=True)
 
-    description = "a camera that lags behind its time stamps"
-    clause = "a camera that lags {delay} behind its time stamps"
+    description = "camera delay: frames later than their time stamps"
+    clause = "camera frames are {delay} late"
     reference = "P. Furgale et al., Unified temporal and spatial calibration for multi-sensor systems, IROS, 2013"
-    distinguishing_experiment = "driven recordings with fast motion, and two recordings that start differently"
+    distinguishing_experiment = "driven recordings with fast motion, and two different initial states"
     abscissa = "velocity"
     common = True
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return earlier instants."""
         return time - self.delay
+
+    def longest_delay(self, rig: Rig) -> float:
+        """Return the bound of the delay."""
+        return self.placed(rig, None).parameters[0].upper
 
 
 @dataclass(frozen=True)
@@ -287,8 +291,8 @@ class ClockScale(_ClockEffect):
 
     scale: float = magnitude("", 0.002, null=1.0, lower=0.8, upper=1.25)
 
-    description = "a camera whose clock does not run at the encoder's rate"
-    clause = "a camera whose clock runs {scale} times as fast as the encoder's"
+    description = "camera clock scale: it runs at another rate than the encoder's"
+    clause = "the camera clock runs {scale} times as fast as the encoder's"
     reference = "E. Olson, A passive solution to the sensor synchronization problem, IROS, 2010"
     distinguishing_experiment = "long driven recordings"
 
@@ -307,8 +311,8 @@ class TimestampJitter(Effect):
 
     jitter: float = magnitude("s", 4e-3, lower=0.0, upper=0.2, in_rig_units=True)
 
-    description = "a camera whose frames are taken earlier or later than stamped, at random"
-    clause = "a camera whose frames are taken {jitter} earlier or later than stamped, at random"
+    description = "random jitter of the camera's frame times"
+    clause = "camera frame times jitter by {jitter} (1 sigma)"
     reference = "A. V. Balakrishnan, On the problem of time jitter in sampling, IRE Trans. Inf. Theory 8(3), 1962"
     distinguishing_experiment = "a camera with a hardware trigger; repeats of one fast drive"
     abscissa = "velocity"
@@ -340,8 +344,8 @@ class RollingShutter(_CameraEffect):
 
     readout: float = magnitude("s/m", 0.01, lower=-0.4, upper=0.4, in_rig_units=True)
 
-    description = "a camera that reads its rows one after another"
-    clause = "a camera that reads its rows one after another, in {readout}"
+    description = "rolling shutter: the camera reads its rows one after another"
+    clause = "the camera has a rolling shutter, readout {readout}"
     reference = "C.-K. Liang et al., Analysis and compensation of rolling shutter effect, IEEE Trans. Image Proc., 2008"
     distinguishing_experiment = "fast motion far to both sides of the base"
     abscissa = "velocity"

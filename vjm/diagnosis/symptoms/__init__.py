@@ -1,4 +1,4 @@
-"""Symptoms: what is wrong with the simulation of recordings, in numbers and sentences, before any cause is named."""
+"""Symptoms: how recordings differ from their simulations, in numbers and sentences; no cause is named here."""
 
 from __future__ import annotations
 
@@ -10,45 +10,42 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from vjm.diagnosis.symptoms.channels import Channels, Coefficient, SensorAtRest, Tone, explained, regress
+from vjm.diagnosis.symptoms.channels import GROUPS, Channels, Coefficient, SensorAtRest, Tone, explained, regress
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
 from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeDifference, MotionComparison
 from vjm.records import Array, Record, Rig, SimulatedRecording
-
-_FALSE_ALARM = 0.01  # probability that clean recordings show any symptom at all, shared by all that is looked for
-_LEAST_SHARE = 0.01  # of a recording's mean square residual that a symptom describes, to be worth a sentence
+from vjm.text import counted
 
 # Sentence of each kind, and the words that stand for {way} where the value is positive and where it is negative.
 _SENTENCES = {
-    "offset": ("{name} reads {size} {way} than the model, all the time", "more", "less"),
-    "gain": ("{name} moves {size} {way} than in the model", "more", "less"),
-    "drift": ("{name} drifts away from the model, by {way}{size} over the recording", "+", "−"),
-    "delay": ("the motion {who} comes {size} {way} than in the model", "later", "earlier"),
-    "camera_lag": ("the camera shows the motion {size} {way} than the encoders do", "later", "earlier"),
-    "camera_clock": ("the camera's clock counts {size} {way} time than the encoders'", "more", "less"),
-    "amplitude": ("at {at} the arm swings {size} {way} than the model from the start", "wider", "less wide"),
-    "phase": ("at {at} the arm is {size} {way} the model from the start", "ahead of", "behind"),
-    "damping": ("the swing at {at} dies out {way} than in the model{after}", "faster", "more slowly"),
-    "frequency": ("the arm swings {size} {way} at {at} than the model{after}", "faster", "slower"),
-    "mode_shape": ("at {at} {name} moves {size} {way} than the model, set against the other markers", "more", "less"),
-    "slow_amplitude": ("its vibrations apart, the arm moves {size} {way} than the model", "more", "less"),
-    "slow_delay": ("its vibrations apart, the arm moves {size} {way} than the model", "later", "earlier"),
-    "against_angle": ("{what} {way} by {size} from low to high {motion}", "rises", "falls"),
-    "against_velocity": ("{what} {way} by {size} from fast backwards to fast forwards of {motion}", "rises", "falls"),
-    "against_sign": ("{what} jumps {way} by {size} when {motion} turns from backwards to forwards", "up", "down"),
-    "slow_drift": ("{name} wanders slowly about the model, by {size} RMS below {limit} Hz", "", ""),
-    "growth": ("the residual {way} {fold}-fold from the first to the last fifth of the recording", "grows", "shrinks"),
-    "frequency_with_amplitude": ("at {large} the swing at {at} is {here} than at {small}; the model's {own}", "", ""),
+    "offset": ("{name} is offset by {way}{size} from the model throughout", "+", "−"),
+    "gain": ("{name} moves {size} {way} than simulated", "more", "less"),
+    "drift": ("{name} drifts from the model by {way}{size} over the recording", "+", "−"),
+    "delay": ("motion {who} is {size} {way}", "late", "early"),
+    "camera_lag": ("camera is {size} {way} relative to the encoders", "late", "early"),
+    "camera_clock": ("camera clock runs {size} {way} relative to the encoders' clock", "fast", "slow"),
+    "amplitude": ("initial amplitude at {at} is {size} {way} than simulated", "larger", "smaller"),
+    "phase": ("initial phase at {at} {way} the model by {size}", "leads", "lags"),
+    "damping": ("damping at {at} is {way} than in the model{after}", "higher", "lower"),
+    "frequency": ("frequency at {at} is {size} {way} than in the model{after}", "higher", "lower"),
+    "mode_shape": ("{name} moves {size} {way} at {at} than in the model's mode shape", "more", "less"),
+    "slow_amplitude": ("motion below the first mode is {size} {way} than simulated", "larger", "smaller"),
+    "slow_delay": ("motion below the first mode is {size} {way}", "late", "early"),
+    "against_angle": ("{what} {way} by {size} over the range of {motion}", "rises", "falls"),
+    "against_velocity": ("{what} {way} by {size} from full reverse to full forward rate of {motion}", "rises", "falls"),
+    "against_sign": ("{what} jumps {way} by {size} where {motion} reverses to forward", "up", "down"),
+    "slow_drift": ("{name} has a low-frequency residual of {size} RMS below {limit} Hz", "", ""),
+    "growth": ("residual {way} {fold}-fold from the first to the last fifth of the recording", "grows", "shrinks"),
+    "frequency_with_amplitude": (
+        "frequency at {at} is {here} at {large} amplitude than at {small}; model: {own}", "", "",
+    ),
     "damping_with_amplitude": (
-        "at {large} the damping ratio of the swing at {at} is {here} than at {small}; the model's {own}", "", "",
+        "damping ratio at {at} is {here} at {large} amplitude than at {small}; model: {own}", "", "",
     ),
-    "noise_size": ("at rest, the noise of the {name} is {size} {way} than supposed", "larger", "smaller"),
-    "noise_correlation": (
-        "at rest, each value of the {name} {way}{value})",
-        "resembles the one before (correlation ", "opposes the one before (correlation −",
-    ),
-    "tone": ("{name} swings by {size} at {at}, which the model does not", "", ""),
-    "tone_of_model": ("at {at}, where the model swings by {swing}, {name} is off by {size}", "", ""),
+    "noise_size": ("at rest, {name} noise is {size} {way} than assumed", "larger", "smaller"),
+    "noise_correlation": ("at rest, {name} noise is correlated (lag-one correlation {way}{value})", "+", "−"),
+    "tone": ("{name} oscillates by {size} at {at}; the model does not", "", ""),
+    "tone_of_model": ("{name} is off by {size} at {at}, where the model oscillates by {swing}", "", ""),
 }  # fmt: skip
 
 
@@ -129,8 +126,9 @@ class Symptoms(Record):
     @property
     def significant(self) -> tuple[Symptom, ...]:
         """Symptoms that are more than chance, at a level that allows for all that was looked for, and worth a word."""
-        level = _FALSE_ALARM / max(len(self.found), 1)
-        return tuple(one for one in self.found if one.p_value < level and one.local_share >= _LEAST_SHARE)
+        level = 0.01 / max(len(self.found), 1)  # clean recordings show any symptom at all once in a hundred times
+        # A sentence is worth one per cent of a recording's mean square residual.
+        return tuple(one for one in self.found if one.p_value < level and one.local_share >= 0.01)
 
     def headlines(self, most: int = 8) -> tuple[Symptom, ...]:
         """Return the largest symptom of each kind and mode, at most so many, saying how many recordings share it."""
@@ -140,9 +138,8 @@ class Symptoms(Record):
         headlines = []
         for first, *others in list(groups.values())[:most]:
             same = {each.recording for each in others if each.value * first.value > 0} - {first.recording}
-            more = "another recording" if len(same) == 1 else f"{len(same)} other recordings"
-            told = f"{first.sentence.removesuffix('.')}; likewise in {more}."
-            headlines.append(replace(first, sentence=told) if same else first)
+            sentence = f"{first.sentence.removesuffix('.')}; also in {counted(len(same), 'other')}."
+            headlines.append(replace(first, sentence=sentence) if same else first)
         return tuple(headlines)
 
 
@@ -155,7 +152,7 @@ class _Source(NamedTuple):
 
     @classmethod
     def of(cls, recordings: Sequence[RecordingSymptoms], total: float) -> _Source:
-        """Several recordings together."""
+        """Return several recordings together as one source."""
         return cls(None, sum(one.misfit for one in recordings), total)
 
     def symptom(
@@ -207,28 +204,26 @@ def _aligned(source: _Source, sensor: Channels) -> Iterator[Symptom]:
         columns = np.stack(list(parts.values()), axis=1) / sensor.noise
         estimates, _ = regress(columns, residual, sensor.groups[rows])
         for kind, estimate, column in zip(parts, estimates, columns.T, strict=True):
-            if kind != "delay":  # the whole sensor's is told
+            if kind != "delay":  # that of the whole sensor follows
                 alone = estimate._replace(explained=explained(estimate.value * column, residual))
                 yield source.symptom(kind, alone, "1" if kind == "gain" else sensor.unit, name)
-    who = "before the camera" if sensor.sensor == "camera" else "of the joints"
+    who = "seen by the camera" if sensor.sensor == "camera" else "of the joints"
     yield source.symptom("delay", sensor.delay, "s", sensor.sensor, who=who)
 
 
 def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iterator[Symptom]:
     at, phase, leads, dies = f"{_plain(mode.simulated)} Hz", mode.phase, "", ""
     if one.simulated.recording.kind == "decay":  # driven, the phase does not go on growing
-        # Told for the time in which the simulated motion falls to a twentieth.
+        # After the time in which the simulated motion falls to a twentieth.
         duration = min(max(s.duration for s in one.sensors), 3 / max(-mode.pole.real, 1e-9))
         after, turned = f"{_plain(duration)} s", mode.speed.value * duration
-        end = turned + (phase.value if abs(phase.value) > 3 * phase.std else 0.0)
-        verbs = ("after", "leads by", "lags by")
-        if end * turned <= 0:  # it starts ahead and falls behind, or the other way round
-            end, verbs = turned, ("in", "gains", "loses")
-        size = _quantity(end, "rad") if abs(end) < 2 * math.pi else f"{_plain(end / (2 * math.pi))} periods"
-        leads = f": {verbs[0]} {after} it {verbs[1] if end > 0 else verbs[2]} {size}"
+        leads = f": {'gains' if turned > 0 else 'loses'} {_phase(turned)} of phase in {after}"
+        if abs(phase.value) > 3 * phase.std:
+            ends = (f"{'+' if end > 0 else '−'}{_phase(end)}" for end in (phase.value, phase.value + turned))
+            leads += f" (from {' to '.join(ends)}, as the initial state is fitted to the whole recording)"
         ratio = math.exp(float(np.clip(-mode.decay.value * duration, -10, 10)))
         size = f"{_quantity(ratio - 1, '1')} {'larger' if ratio > 1 else 'smaller'} than"
-        dies = f": after {after} its amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
+        dies = f": after {after} the amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
     for kind, estimate, unit, after in (("amplitude", mode.gain, "log", ""), ("phase", phase, "rad", ""),
                                         ("damping", mode.damping, "1", dies),
                                         ("frequency", mode.frequency, "1", leads)):  # fmt: skip
@@ -241,7 +236,7 @@ def _against(source: _Source, profile: JointProfile, recordings: Sequence[Record
     name, motion = profile.sensor, profile.motion
     sensors = [sensor for one in recordings for sensor in one.sensors if name in sensor.names]
     misfit = sum(float(np.sum(s.residual[:, s.names.index(name)] ** 2)) for s in sensors)
-    what = f"the residual of {name}" if profile.quantity == "residual" else f"the {profile.quantity} missing at {name}"
+    what = f"residual of {name}" if profile.quantity == "residual" else f"unmodelled {profile.quantity} at {name}"
     for kind, change in zip(("angle", "velocity", "sign"), profile.fit.changes, strict=True):
         share = change.explained / max(change.explained + profile.fit.misfit, 1e-300)
         change = change._replace(explained=share * misfit)
@@ -298,7 +293,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
         source = _Source.of([one for one, _ in members], total)
         rates, std = (np.concatenate(parts) for parts in zip(*((f.rates, f.std) for _, f in members), strict=True))
         centre = float(rates[:, 1, 0].mean())
-        for c, kind, power, faster, slower in ((0, "frequency", 2, "faster", "slower"),
+        for c, kind, power, faster, slower in ((0, "frequency", 2, "higher", "lower"),
                                                (1, "damping", 1, "higher", "lower")):  # fmt: skip
             values, errors = rates[..., c] / (1 if c else centre), std[:, c] / (1 if c else centre)
             place = (amplitude / largest) ** power
@@ -311,7 +306,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
             change = slope.times(float(np.ptp(place)))._replace(explained=beyond)
             here, model = (f"{_plain(v) if c else _quantity(v, '1')} {faster if v > 0 else slower}"
                            for v in (change.value + own, own))  # fmt: skip
-            model = "is the same" if abs(own) < 0.05 * abs(change.value + own) else f"is {model}"
+            model = "the same" if abs(own) < 0.05 * abs(change.value + own) else model
             yield source.symptom(
                 f"{kind}_with_amplitude", change, "1", mode=mode, here=here, at=f"{_plain(centre)} Hz",
                 own=model + (f" ({condition})" if condition else ""), large=_quantity(largest, unit),
@@ -334,8 +329,16 @@ def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
     values, weights = np.array([one.value for one in known]), np.array([one.std for one in known]) ** -2
     mean, std = float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
     scatter = math.sqrt(np.sum(weights * (values - mean) ** 2) / max(values.size - 1, 1))
-    together = Coefficient.of(mean, std, std * max(scatter, 1.0), 11 + values.size - 1)
+    together = Coefficient.of(mean, std, std * max(scatter, 1.0), GROUPS - 1 + values.size - 1)
     return together._replace(explained=sum(one.explained for one in estimates))
+
+
+def _phase(angle: float) -> str:
+    """Write a phase's size in whole degrees, so that differences agree, or in periods from one on."""
+    degrees = math.degrees(abs(angle))
+    if degrees < 9.5:
+        return _quantity(angle, "rad")
+    return f"{degrees:.0f}°" if degrees < 359.5 else f"{_plain(angle / (2 * math.pi))} periods"
 
 
 def _plain(value: float, digits: int = 2) -> str:
@@ -353,14 +356,14 @@ _SCALES = {
     "log": ((0.0, 100.0, "%"),),
     "m": ((1e-5, 1e3, "mm"), (0.0, 1e6, "µm")),
     "s": ((1.0, 1.0, "s"), (1e-5, 1e3, "ms"), (0.0, 1e6, "µs")),
-    "rad": ((math.radians(0.1), math.degrees(1.0), "deg"), (0.0, 1e3, "mrad")),
+    "rad": ((math.radians(0.1), math.degrees(1.0), "°"), (0.0, 1e3, "mrad")),
     "m/s²": ((1.0, 1.0, "m/s²"), (0.0, 1e3, "mm/s²")),
 }
 
 
 def _quantity(value: float, unit: str) -> str:
-    """Write a number's size in a unit that suits it: `2.0 mm`, `11 deg`, `4.0 ms`, `290 mm/s²`, `0.40 %`."""
+    """Write a number's size in a unit that suits it: `2.0 mm`, `11°`, `4.0 ms`, `290 mm/s²`, `0.40 %`."""
     size = abs(math.expm1(value)) if unit == "log" else abs(value)
     scales = _SCALES.get(unit, ((0.0, 1.0, unit),))
     scale, name = next((scale, name) for least, scale, name in scales if size >= least or not least)
-    return f"{_plain(size * scale)} {name}"
+    return f"{_plain(size * scale)}{'' if name == '°' else ' '}{name}"

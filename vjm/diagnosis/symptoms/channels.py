@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline, PPoly
 from vjm.records import Array, Indices, Mask, Rig, SimulatedRecording
 
 _LEAST_VALUES = 8  # measured values of a channel; with fewer than about two a coefficient nothing can be tested
-_GROUPS = 12  # stretches of time taken as independent: few, so that each outlasts the residual's correlation
+GROUPS = 12  # stretches of time taken as independent: few, so that each outlasts the residual's correlation
 
 
 class Coefficient(NamedTuple):
@@ -139,7 +139,7 @@ class Channels:
             if not kept.size:
                 continue
             rows = np.flatnonzero(np.isfinite(values[:, kept]).any(axis=1))
-            own, most = values[np.ix_(rows, kept)], min(_GROUPS, max(rows.size // 4, 2))
+            own, most = values[np.ix_(rows, kept)], min(GROUPS, max(rows.size // 4, 2))
             groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * most).astype(np.intp), most - 1)
             names, places = zip(*(labels[c] for c in kept), strict=True)
             motion, scaled = PPoly(curve.c[:, :, kept], curve.x), np.nan_to_num(own) / noise

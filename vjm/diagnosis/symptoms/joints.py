@@ -18,10 +18,10 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_coeffs
 
-from vjm.diagnosis.symptoms.channels import Channels, Coefficient, regress
+from vjm.diagnosis.symptoms.channels import GROUPS, Channels, Coefficient, regress
 from vjm.records import Array, Indices, Rig, SimulatedRecording
 
-_LEAST_POINTS = 24  # twice the groups that give the standard errors
+_LEAST_POINTS = 2 * GROUPS  # whose scatter gives the standard errors
 
 
 @dataclass(frozen=True)

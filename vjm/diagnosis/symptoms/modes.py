@@ -23,10 +23,7 @@ from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
 _TERMS = 4  # of a mode: gain, phase, decay, speed
-_OTHER_TERMS = "slow_gain", "slow_delay", "camera_lag", "camera_clock"  # parameters that follow those of the modes
-_MOST_ROWS = 1500  # instants to which the simulated, noise-free motion is fitted
 _LEAST_SIGNAL = 30.0  # root of the sum of squares over the noise: an amplitude known to 5 %
-_BLUR = 0.04  # relative error of a mode's parameters: oscillators describe no large motion exactly
 
 
 class ModeDifference(NamedTuple):
@@ -112,17 +109,18 @@ class MotionComparison(NamedTuple):
             start = gained(gain, phase)
             shares = (gained(gain), gained(phase), gained(gain, phase, decay) - start,
                       gained(gain, phase, speed) - start)  # fmt: skip
-            terms = (_blurred(estimates[gain + j])._replace(explained=share) for j, share in enumerate(shares))
+            terms = (_with_model_error(estimates[gain + j])._replace(explained=share) for j, share in enumerate(shares))
             shapes = fit.shapes(mode, fit.own(x)[k], remaining[0])
             modes.append(ModeDifference(mode.order, mode.pole, shapes, *terms))
-        others = range(fit.own(x).size, x.size)
-        slow = dict(zip(_OTHER_TERMS, (estimates[j]._replace(explained=gained(j)) for j in others), strict=False))
+        names, others = ("slow_gain", "slow_delay", "camera_lag", "camera_clock"), range(fit.own(x).size, x.size)
+        slow = dict(zip(names, (estimates[j]._replace(explained=gained(j)) for j in others), strict=False))
         free = [fit.free_motion(k, fit.own(x), recording) for k in range(len(fit.modes))]
         return cls(tuple(modes), **slow, free=tuple(f for f in free if f is not None), remaining=remaining)
 
 
-def _blurred(coefficient: Coefficient) -> Coefficient:
-    return coefficient._replace(std=float(np.hypot(coefficient.std, _BLUR * coefficient.value)))
+def _with_model_error(coefficient: Coefficient) -> Coefficient:
+    """Add a relative error of 4 %: oscillators describe no large motion exactly."""
+    return coefficient._replace(std=float(np.hypot(coefficient.std, 0.04 * coefficient.value)))
 
 
 def _free_interval(recording: Recording) -> tuple[float, float] | None:
@@ -165,7 +163,7 @@ class _Fit:
         if not shown:
             return cls(sensors, still)
         lowest, most = SLOW * min(natural), int(1 / (4 * camera.step * max(shown.values())))  # four instants a period
-        thin = max(1, min(camera.time.size // _MOST_ROWS, most))
+        thin = max(1, min(camera.time.size // 1500, most))  # so many instants of a motion without noise are enough
         motion = (camera.simulated[::thin] - camera.simulated.mean(axis=0)) / camera.noise
         known = recording.tau[:, np.isfinite(recording.tau).all(axis=0)]
         torque, poles, least = None, dict[int, complex](), np.inf
@@ -273,7 +271,7 @@ class _Fit:
         for c in np.flatnonzero(size > max(_LEAST_SIGNAL, 0.1 * size.max())):
             rows = camera.known[:, c]
             (gain,), _ = regress(wave[rows, c][:, None], remaining[rows, c], camera.groups[rows], 1)
-            shapes.append((camera.names[c], _blurred(gain)))
+            shapes.append((camera.names[c], _with_model_error(gain)))
         return tuple(shapes)
 
     def free_motion(self, k: int, changes: Array, recording: Recording) -> FreeMotion | None:
