@@ -134,7 +134,7 @@ def cause(effect: Effect, alternatives: tuple[Alternative, ...] = ()) -> Cause:
     for each in effect.parameters:
         value = float(effect.values[each.name])
         sizes[each.name] = Estimate(each.name, value, None if each.integer else 0.01 * abs(value), each.unit)
-    words = "without it the model misses the training recordings by 7.3 times the noise, with it by 1.0"
+    words = "training residual falls from 7.30 to 1.00 × noise"
     return Cause(effect, sizes, 1e-300, 4.1e4, alternatives, words)
 
 
@@ -196,7 +196,7 @@ def pair() -> Diagnosis:
 
 @cache
 def undecided() -> Diagnosis:
-    """A mass on the tip of a clamped beam, or a clamp that gives way."""
+    """A mass on the tip of a clamped beam, or a compliant clamp."""
     experiment, base = payload_experiment((PAYLOAD,))
     return make_diagnosis(
         experiment,
@@ -205,7 +205,7 @@ def undecided() -> Diagnosis:
         (CLAMP,),
         verdict="set",
         causes=(cause(PAYLOAD, (Alternative(CLAMP, 0.7),)),),
-        next_experiment="to tell tip_payload from clamp_compliance: record a decay with a known mass on the tip",
+        next_experiment="to distinguish tip payload from clamp compliance: record a decay with a known mass on the tip",
     )
 
 

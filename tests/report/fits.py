@@ -114,7 +114,7 @@ def make_fit(
         status="converged",
         remedy="",
         warnings=(*experiment.warnings, "beam: five markers show two bending modes; the third is not seen"),
-        notes=("link beam: n = 4 virtual joints", "the bending stiffness is as right as the mass in the file"),
+        notes=("link beam: n = 4 virtual joints", "the bending stiffness is only as accurate as the given mass"),
     )
 
 

@@ -115,7 +115,7 @@ class IdentifyResult(Common):
     mode_shape_mac: list[float | None]
     objective: Objective
     recordings: list[FittedRecording]
-    status: Literal["converged", "not converged"]
+    status: Literal["converged", "not converged", "failed"]
     remedy: str
     identifiable: list[Identifiable]
     estimates: list[EstimateResult]
@@ -185,6 +185,9 @@ class CandidateResult(Entry):
     p_value: float | None
     size: dict[str, float | None]
     smallest_detectable: dict[str, float | None]
+    residual: float | None
+    residual_bound: Literal["lower", "upper"] | None
+    holdout_rms_m: float | None
     testable: bool
     reason: str
 
@@ -229,6 +232,13 @@ class CheckedRecording(Entry):
     kind: Literal["driven", "decay", "static", "quiet"]
     role: Literal["train", "holdout"]
     duration_s: float
+    frames: int
+    missing_cells: int
+    frames_per_s: float
+    encoder_samples_per_s: float | None
+    noise_m: float
+    motion_over_noise: float
+    modes_hz: list[float]
 
 
 class CheckResult(Common):
@@ -245,6 +255,11 @@ class UrdfResult(Common):
     file: str | None
     joints: list[str]
     urdf: str | None
+
+
+class UrdfForResult(UrdfResult):
+    simulator_file: str
+    left_out: list[str]
 
 
 class DemoResult(IdentifyResult):

@@ -32,13 +32,14 @@ from vjm.effects import BUILTIN, CameraScale, Effect, InPlaneGravity, LinearDrag
 from vjm.files import json_text
 from vjm.records import Estimate
 from vjm.report import output
-from vjm.report.diagnosis import _alternative_points, _candidate_table, _cause_table
+from vjm.report.diagnosis import _alternative_points, _candidate_table, _cause_table, _untestable_points
 from vjm.report.figures.diagnosis import _evidence, diagnosis_pictures
 from vjm.report.figures.panels import Picture
 from vjm.report.model_json import read_model
 from vjm.report.output import result_page, save
 from vjm.report.result_json import result_object
-from vjm.report.text import clause, quantity, sizes_text
+from vjm.report.text import clause, sizes_text
+from vjm.text import in_sentence, number, quantity
 
 
 @pytest.fixture(params=list(DIAGNOSES))
@@ -81,11 +82,19 @@ def test_what_is_not_finite_becomes_null() -> None:
 @pytest.mark.parametrize(
     ("of", "grade", "words"),
     [
-        (pair, "good", "A camera that lags 12.00 ± 0.12 ms behind its time stamps; and marker 3 of beam off by"),
-        (undecided, "fair", "Either an unknown mass of 13.30 ± 0.13 g on the tip of beam, or a clamp of beam that"),
-        (unknown, "poor", "Something is missing that no candidate explains: most of it in the camera of"),
-        (nothing, "good", "is needed, and an effect as small as a tip payload of 0.44 g or a clamp compliance of"),
-        (insufficient, "poor", "These recordings cannot support a diagnosis: no recording is held out"),
+        (pair, "good", "2 causes found: camera frames are 12.00 ± 0.12 ms late; marker 3 of 'beam' is off by"),
+        (
+            undecided,
+            "fair",
+            "Cause found: unknown mass of 13.30 ± 0.13 g on the tip of 'beam', or the clamp of",
+        ),
+        (unknown, "poor", "Residual not explained by any candidate: most of it in the camera of"),
+        (
+            nothing,
+            "good",
+            "improves the model. Detection limits: tip payload 0.44 g, clamp compliance 0.26 mrad/(N m).",
+        ),
+        (insufficient, "poor", "Not enough data for a diagnosis: no recording is held out"),
     ],
 )
 def test_verdict_says_it_in_a_sentence(of: object, grade: str, words: str) -> None:
@@ -96,7 +105,7 @@ def test_verdict_says_it_in_a_sentence(of: object, grade: str, words: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("after", "first"), [(3.1e-4, "Viscous friction of"), (1.4e-3, "Something is missing that no")]
+    ("after", "first"), [(3.1e-4, "Cause found: viscous friction of"), (1.4e-3, "Residual not explained by any")]
 )
 def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(after: float, first: str) -> None:
     found = named()
@@ -105,7 +114,8 @@ def test_what_is_named_leads_only_where_it_nearly_explains_what_was_held_out(aft
     found = replace(found, verdict="unknown", remaining=looks, gain=replace(found.gain, noise=3e-4, after=after))
     headline = plain(result_page(found).headline)
     assert headline.startswith(first)
-    assert all(part in headline.lower() for part in ("viscous friction", "no candidate explains", "odd in velocity"))
+    for part in ("viscous friction", "not explained by any candidate", "odd in velocity"):
+        assert part in headline.lower()
 
 
 def test_a_small_cause_is_told_after_the_headline() -> None:
@@ -113,9 +123,9 @@ def test_a_small_cause_is_told_after_the_headline() -> None:
     delay, marker = found.causes
     page = result_page(replace(found, causes=(delay, replace(marker, role="minor", holdout_gain=2e-5))))
     assert "marker" not in page.headline
-    (said,) = [plain(point) for point in page.points if point.startswith("Also present, and small: ")]
+    (said,) = [plain(point) for point in page.points if point.startswith("Minor cause: ")]
     assert "marker" in said
-    assert said.endswith("held-out error less by 0.020 mm.")
+    assert said.endswith("held-out error 0.020 mm smaller.")
 
 
 def test_the_headline_says_first_where_causes_make_predictions_worse() -> None:
@@ -125,7 +135,7 @@ def test_the_headline_says_first_where_causes_make_predictions_worse() -> None:
     page = result_page(replace(found, gain=gain))
     assert page.grade == "poor"
     assert plain(page.headline).startswith(
-        "Use the model without these causes: with these causes the held-out error grows from 0.30 mm to 0.50 mm."
+        "Use the model without these causes: with these causes the held-out error rises from 0.30 mm to 0.50 mm."
     )
     assert replace(found, gain=gain).to_dict()["recommended"] == "without causes"
 
@@ -135,19 +145,19 @@ def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     assert found.gain is not None
     gain = replace(found.gain, before=2.1e-3, after=3.1e-4, reduction=0.85, interval=(0.83, 0.87), next_best=1.2e-3)
     finding = result_page(replace(found, gain=gain))
-    assert "With them the held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(finding.headline)
-    told = "Held-out error: 85 % less (95 % interval of the reduction: 83 … 87 %)"
-    assert f"{told}; with the next best explanation it is 1.2 mm." in [plain(point) for point in finding.points]
+    assert "Held-out error falls from 2.1 mm to 0.31 mm (noise 0.30 mm)." in plain(finding.headline)
+    told = "Held-out error: 85 % less (95 % interval of the reduction 83 … 87 %)"
+    assert f"{told}; next best explanation: 1.2 mm." in [plain(point) for point in finding.points]
     called = result_page(replace(found, gain=gain, next_best=(TimeOffset(), LinearDrag(link=0))))
-    said = "with the next best explanation, time offset and linear drag, it is 1.2 mm."
+    said = "next best explanation (time offset and linear drag): 1.2 mm."
     assert f"{told}; {said}" in [plain(point) for point in called.points]
     assert "not tested" in " ".join(result_page(replace(found, gain=None)).points)
 
 
 def test_what_cannot_be_told_apart_comes_with_the_recording_that_would() -> None:
     text = " ".join(_alternative_points(undecided()))
-    assert "chi² is 0.70 larger" in text
-    assert "Next experiment: to tell tip_payload from clamp_compliance" in text
+    assert "chi² larger by 0.70" in text
+    assert "Next experiment: to distinguish tip payload from clamp compliance" in text
     assert _alternative_points(pair()) == []
 
 
@@ -166,11 +176,12 @@ def test_quantities_are_in_everyday_units() -> None:
     assert quantity(0.0133, 1.3e-4, "kg") == "13.30 ± 0.13 g"
     assert quantity(0.5, None, "kg") == "0.50 kg"
     assert quantity(math.pi / 180, None, "rad") == "1.0°"
-    assert quantity(-2.2e-3, None, "1/s") == "-0.22 %/s"
+    assert quantity(0.003366, 3e-6, "rad/(N m)", 4) == "3.3660 ± 0.0030 mrad/(N m)"  # as README.md has it
+    assert quantity(-2.2e-3, None, "1/s") == "−0.22 %/s"
     assert quantity(math.inf, None, "N m/rad") == "–"
     assert sizes_text(InPlaneGravity(), {"gx": 0.1, "gy": -1e-9}) == "gx 0.10, gy 0.00 m/s²"
     assert sizes_text(CameraScale(), {"scale": 1.008}) == "+0.80 %"
-    assert sizes_text(CameraScale(), {"scale": 4e-4}, from_null=True) == "off by 0.040 %"
+    assert sizes_text(CameraScale(), {"scale": 4e-4}, from_null=True) == "0.040 %"
     assert sizes_text(TipPayload(), {"mass": 4e-4}, from_null=True) == "0.40 g"
 
 
@@ -178,8 +189,8 @@ def test_urdf_carries_what_it_can() -> None:
     found = pair()
     model = replace(found.model, effects=(FRICTION, *found.model.effects))
     points = result_page(replace(found, model=model)).sections[-1].points
-    assert points[0] == "model.urdf and model.json hold: coulomb friction (beam)."
-    assert "Only model.json holds" in points[1]
+    assert points[0] == "In model.urdf and model.json: Coulomb friction (beam)."
+    assert "In model.json only" in points[1]
     assert "time offset, marker offset (beam)" in points[1]
 
 
@@ -189,17 +200,62 @@ def test_tables(diagnosis: Diagnosis) -> None:
     few = _candidate_table(diagnosis, 4)
     assert len(few.rows) == 4
     assert [row[2] for row in few.rows[: len(diagnosis.causes)]] == ["found"] * len(diagnosis.causes)
-    untestable = [row for row in _candidate_table(diagnosis).rows if row[2] == "not testable"]
-    assert len(untestable) == sum(not each.testable for each in diagnosis.candidates)
+    assert len(_candidate_table(diagnosis).rows) == sum(each.testable for each in diagnosis.candidates)
+
+
+def test_what_cannot_be_tested_is_one_line(diagnosis: Diagnosis) -> None:
+    untestable = [each for each in diagnosis.candidates if not each.testable]
+    lines = _untestable_points(diagnosis)
+    assert len(lines) == bool(untestable)
+    for each in untestable:
+        assert in_sentence(each.effect.title) in lines[0]
+        assert lines[0].count(each.reason) == 1
+
+
+def test_the_table_of_candidates_says_which_fits_better_and_why_one_is_not_possible() -> None:
+    found = named()
+    first, second, third, *others = (each for each in found.candidates if each.testable)
+    fitted = (
+        replace(first, residual=1.004),
+        replace(second, residual=2.5, bound="lower"),
+        replace(third, residual=7.0, bound="upper", z=0.0),
+    )
+    found = replace(found, candidates=(*fitted, *others))
+    table = _candidate_table(found)
+    rows = {row[0]: dict(zip(table.headers, row, strict=True)) for row in table.rows}
+    residual = "residual fitted alone [×\N{NO-BREAK SPACE}noise]"
+    assert rows[first.effect.title][residual] == "1.00"
+    assert rows[second.effect.title][residual] == "≥ 2.50"
+    assert rows[third.effect.title][residual] == "≤ 7.00"
+    assert rows[third.effect.title]["estimate if it were the only cause"] == "wrong sign"
+    assert found.gain is not None
+    assert rows[found.causes[0].effect.title]["held-out [mm]"] == number(1e3 * found.gain.after, 2)
+    result = DiagnoseResult.model_validate_json(json_text(result_object(found)))
+    bounds = [(each.residual, each.residual_bound) for each in result.candidates[:3]]
+    assert bounds == [(1.004, None), (2.5, "lower"), (7.0, "upper")]
+    held_out = {each.effect: each.holdout_rms_m for each in result.candidates if each.holdout_rms_m is not None}
+    (next_best,) = found.next_best
+    assert held_out == {found.causes[0].effect.id: found.gain.after, next_best.id: found.gain.next_best}
+
+
+def test_a_size_that_differs_from_the_estimate_is_explained() -> None:
+    found = named()
+    (cause,) = found.causes
+    own = {name: size.value for name, size in cause.parameters.items()}
+    for sizes, explained in ((own, False), ({name: 1.5 * value for name, value in own.items()}, True)):
+        candidates = tuple(
+            replace(each, sizes=sizes) if each.effect.key == cause.effect.key else each for each in found.candidates
+        )
+        assert ("in the fit" in _candidate_table(replace(found, candidates=candidates)).notes[0]) == explained
 
 
 def test_page_has_the_verdict_first(diagnosis: Diagnosis) -> None:
     page = result_page(diagnosis, pictures_of(diagnosis)).html()
     assert_self_contained(page)
     assert len(page) < 3e6
-    order = ["headline", "Symptoms of the model without effects</h2>"]
+    order = ['class="headline"', "<svg", "Symptoms</h2>"]
     order += ["Causes</h2>"] if diagnosis.causes else []
-    order += ["Candidates</h2>", "Method</h2>"]
+    order += ['class="plots"', "Candidates</h2>", "Method</h2>"]
     places = [page.index(each) for each in order]
     assert places == sorted(places)
     for recording in diagnosis.experiment.recordings:
@@ -218,7 +274,7 @@ def test_hostile_names_stay_text() -> None:
     )
     page = result_page(hostile, []).html()
     assert_self_contained(page)
-    assert not [tag for tag, _ in Elements(page).found if tag == "script"]
+    assert not [tag for tag, _ in Elements(page).found if tag == "img"]
 
 
 def test_figures_are_readable(diagnosis: Diagnosis) -> None:
@@ -232,11 +288,11 @@ def test_residuals_without_and_with_the_causes_are_drawn() -> None:
     assert shown.reference is not None
     assert shown.simulated is not None
     motion, residual = figure_of(diagnosis_pictures(found), "held_out_1").axes
-    assert [line.get_label() for line in motion.lines] == ["measured", "with the causes", "without the causes"]
+    assert [line.get_label() for line in motion.lines] == ["measured", "with causes", "without causes"]
     sizes = {line.get_label(): np.ptp(np.asarray(line.get_ydata())) for line in residual.lines}
-    assert sizes["with the causes"] < sizes["without the causes"]
+    assert sizes["with causes"] < sizes["without causes"]
     gain = figure_of(diagnosis_pictures(found), "gain").axes[0]
-    assert marks(gain, "with the causes")[0] == pytest.approx(1e3 * shown.simulated.marker_rms)  # held out comes first
+    assert marks(gain, "with causes")[0] == pytest.approx(1e3 * shown.simulated.marker_rms)  # held out comes first
 
 
 def test_pictures_have_their_names(diagnosis: Diagnosis) -> None:

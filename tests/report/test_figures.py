@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import itertools
+import re
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
+import vjm
 from tests.report.fits import SHARED, demo_fit, elbow_fit, hub_fit, pictures_of, torque_fit
 from vjm.identification.records import Identification
 from vjm.records import RecordingComparison, SimulatedRecording
 from vjm.report.figures.identification import _replay_pictures, identification_pictures
 from vjm.report.figures.measurements import data_pictures
-from vjm.report.figures.panels import Picture, Spectrum
+from vjm.report.figures.panels import DIVERGING, LINES, SMALLEST, Picture, Spectrum
 from vjm.report.figures.signals import Signal, _motion_panel, _residual_panel, liveliest_window
 from vjm.report.output import _PICTURES
 
@@ -65,6 +70,8 @@ def assert_readable(figure: Figure) -> None:
         if axes.yaxis.get_tick_params()["labelleft"]:  # else the panel on the left says it
             assert_labelled(axes.get_ylabel())
     assert_nothing_overlaps(figure)
+    texts = [text for text in figure.findobj(Text) if text.get_text()]
+    assert min(text.get_fontsize() for text in texts) >= SMALLEST
 
 
 def assert_labelled(label: str) -> None:
@@ -105,7 +112,7 @@ def test_every_model_stands_beside_the_noise_in_every_recording() -> None:
     figure = figure_of(pictures_of(fit), "fit")
     assert sorted(legend_labels(figure)) == ["identified model", "noise", "nominal model", "torque method"]
     (axes,) = figure.axes
-    assert axes.get_xlabel().endswith("[times the noise]")
+    assert axes.get_xlabel().endswith("[× noise]")
     expected = [each.alternative.marker_rms / each.noise[0] for each in fit.recordings if each.alternative]
     assert marks(axes, "torque method") == pytest.approx(expected)
     title = pictures_of(fit)[0].alternative
@@ -287,3 +294,21 @@ def test_strange_file_names_are_printed_as_they_are() -> None:
         warnings.filterwarnings("ignore", "Glyph")
         for picture in pictures:
             assert_nothing_overlaps(picture.figure)
+
+
+def test_text_in_figures_can_be_read_on_a_telephone() -> None:
+    """A page 400 pixels wide shows a figure at its least width, which scrolls."""
+    rem, least = 16, 9  # pixels
+    style = (Path(vjm.__file__).parent / "report" / "report.css").read_text(encoding="utf-8")
+    (width,) = re.findall(r"figure img \{[^}]*min-width: ([\d.]+)rem", style)
+    figure = pictures_of(demo_fit())[0].figure
+    shown = float(width) * rem / (figure.get_figwidth() * figure.dpi)
+    assert shown * SMALLEST * figure.dpi / 72 >= least
+
+
+def test_baselines_stay_apart_in_grey() -> None:
+    greys = sorted(np.dot(to_rgb(look["color"]), (0.3, 0.59, 0.11)) for look in LINES.values())
+    assert np.diff(greys).min() > 0.15
+    assert len({str(look["linestyle"]) for look in LINES.values()}) == len(LINES)
+    negative, positive = (np.dot(DIVERGING(place)[:3], (0.3, 0.59, 0.11)) for place in (0.0, 1.0))
+    assert positive - negative > 0.3

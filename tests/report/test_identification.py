@@ -21,7 +21,7 @@ from vjm.report.identification import (
 )
 from vjm.report.output import result_page
 from vjm.report.page import Table
-from vjm.report.text import millimetres
+from vjm.text import millimetres
 
 
 def fits_table(comparisons: Sequence[RecordingComparison]) -> Table:
@@ -29,8 +29,8 @@ def fits_table(comparisons: Sequence[RecordingComparison]) -> Table:
 
 
 def test_page_says_which_method_it_was() -> None:
-    assert "simulated open loop over its whole length" in result_page(demo_fit(), []).html()
-    assert "simulated open loop over its whole length" not in result_page(torque_fit(), []).html()
+    assert "simulated open loop over its full length" in result_page(demo_fit(), []).html()
+    assert "simulated open loop over its full length" not in result_page(torque_fit(), []).html()
 
 
 def test_page_tells_what_is_not_determined_and_what_would_be_needed() -> None:
@@ -52,9 +52,9 @@ def with_ratio(fit: Identification, ratio: float, role: str | None = None) -> tu
 @pytest.mark.parametrize(
     ("ratio", "grade", "words"),
     [
-        (1.02, "good", "to within the camera's noise"),
-        (1.3, "fair", "to 1.3 times the camera's noise"),
-        (9.0, "poor", "something is missing"),
+        (1.02, "good", "to within camera noise"),
+        (1.3, "fair", "to 1.3 × camera noise"),
+        (9.0, "poor", "is incomplete"),
     ],
 )
 def test_verdict_rests_on_held_out_recordings(ratio: float, grade: str, words: str) -> None:
@@ -72,10 +72,10 @@ def test_held_out_recordings_are_told_beside_the_torque_method() -> None:
     found, nominal, torque = (with_rms(held_out.simulated, rms) for rms in (0.31e-3, 7.6e-3, 0.4e-3))
     shown = replace(held_out, simulated=found, reference=nominal, alternative=torque)
     point = result_page(replace(fit, recordings=(shown,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
-    assert "0.31 mm RMS over its whole 10 s, open loop (torque method: 0.40 mm, nominal values: 7.6 mm)" in point
+    assert "0.31 mm RMS over all 10 s, open loop (torque method 0.40 mm, nominal 7.6 mm)" in point
     alone = replace(shown, alternative=None)
     point = result_page(replace(fit, recordings=(alone,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
-    assert "open loop (nominal values: 7.6 mm); the camera" in point
+    assert "open loop (nominal 7.6 mm); camera" in point
 
 
 def test_verdict_without_held_out_recordings_says_so() -> None:
@@ -96,7 +96,7 @@ def test_a_search_that_failed_comes_first() -> None:
 def test_points_name_what_is_not_determined_and_not_simulated() -> None:
     text = " ".join(result_page(elbow_fit()).points)
     assert "upper.hub_inertia" in text
-    assert "; it takes a driven recording whose torque changes faster)." in text
+    assert "; needs a driven recording whose torque changes faster)." in text
     assert "no_torque.csv (no torque was measured)" in text
 
 
@@ -123,9 +123,16 @@ def test_parameter_table_has_errors_and_intervals() -> None:
     chain = elbow_fit().nominal.chain
     known = Estimate("upper.bending_stiffness", 4.2, 0.0105, "N m^2")
     rows = parameter_table((known, replace(known, std=None), replace(known, std=4.2)), chain).rows
-    assert rows[0] == ("upper.bending_stiffness", "yes", "4.000", "4.200 ± 0.011", "4.179 … 4.221", "0.25", "N m²")
+    assert rows[0] == ("upper.bending_stiffness", "4.200 ± 0.011", "N m²", "4.000", "4.179 … 4.221", "0.25", "yes")
     assert rows[1][4:6] == ("–", "–")
     assert rows[2][4:6] == ("0.0 … 12.4", "100")
+
+
+def test_a_recording_at_rest_is_not_called_the_worst() -> None:
+    """Any model follows it: how far it is from the noise tells nothing."""
+    points = result_page(demo_fit()).points
+    assert not any(point.startswith("quiet.csv") for point in points)
+    assert sum("(worst training recording)" in point for point in points) == 1
 
 
 def test_whiteness_table() -> None:
@@ -152,14 +159,14 @@ def test_nominal_values_are_found_by_name() -> None:
     assert values["fore.hub_inertia"] == 2e-3
     assert values["upper.bending_stiffness"] == pytest.approx(4.0)
     unknown = Estimate("upper.colour", 1.0, None, "")
-    assert parameter_table((unknown,), chain).rows[0][2] == "–"
+    assert parameter_table((unknown,), chain).rows[0][3] == "–"
 
 
 def test_parameter_table_survives_what_is_not_finite() -> None:
     fit = demo_fit()
     lost = replace(fit.parameters[0], value=math.nan, std=math.inf, identifiable=False, reason="nothing moves")
     table = parameter_table((lost,), fit.nominal.chain)
-    assert table.rows[0][1] == "no"
+    assert table.rows[0][-1] == "no"
     assert "nan" not in " ".join(table.rows[0])
     (missing,) = _remedy_tables((lost, fit.parameters[1]))
     assert missing.rows == ((lost.name, "nothing moves", "–"),)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tests.report.fits import demo_fit, elbow_fit
 from tests.report.test_figures import figure_of
-from vjm.identification.records import Identification
+from vjm.identification.records import Identification, Whiteness
 from vjm.records import RecordingComparison, SimulatedRecording
 from vjm.report.figures.identification import identification_pictures
 from vjm.report.figures.panels import Picture, Spectrum
@@ -122,7 +122,7 @@ def test_a_marker_that_is_off_shows_in_its_cell() -> None:
     assert (table > 1.3).sum() == 1
     title = residual_pictures(changed)[0].alternative
     assert "beam.m4.y in second_mode.csv" in title
-    assert "within the noise" not in title
+    assert "within noise" not in title
 
 
 def test_columns_are_what_was_measured() -> None:
@@ -161,13 +161,13 @@ def widened(fit: RecordingComparison) -> SimulatedRecording:
 
 def test_titles_say_that_nothing_is_missing() -> None:
     table, spectra = residual_pictures(white(demo_fit()))
-    assert "within the noise" in table.alternative
-    assert "no frequency" in spectra.alternative
+    assert "within noise" in table.alternative
+    assert "no peak above noise" in spectra.alternative
     assert {axes.get_title("left").split(": ")[1] for axes in spectra.figure.axes} == {"noise only"}
 
 
 @pytest.mark.parametrize(
-    ("frequency", "words"), [(None, "Hz (mode 2), in both_modes.csv"), (3.0, "at 2.99 Hz, in"), (0.0, "(drift)")]
+    ("frequency", "words"), [(None, "Hz (mode 2) in both_modes.csv"), (3.0, "at 2.99 Hz in"), (0.0, "(drift)")]
 )
 def test_title_says_where_something_is_missing(frequency: float | None, words: str) -> None:
     fit = white(demo_fit())
@@ -182,6 +182,16 @@ def test_title_says_where_something_is_missing(frequency: float | None, words: s
     assert "both_modes.csv" in title
     if frequency is not None:
         assert "(mode" not in title
+
+
+def test_a_peak_is_named_only_where_the_table_finds_no_white_residual() -> None:
+    fit = white(demo_fit())
+    recordings = list(fit.recordings)
+    recordings[3] = noisy(recordings[3], 3, sine(recordings[3], 3.0, 5e-4))
+    called = Whiteness(recordings[3].recording.file, 1.0, 0.0, coloured=False)
+    for whiteness, words in (((), "at 2.99 Hz in"), ((called,), "no peak above noise")):
+        changed = replace(fit, recordings=tuple(recordings), whiteness=whiteness)
+        assert words in residual_pictures(changed)[1].alternative
 
 
 def test_spectra_mark_the_natural_frequencies_that_the_camera_sees() -> None:

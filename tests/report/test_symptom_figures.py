@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from tests.diagnosis.trajectories import MOTION, STILL, found, simulated
 from tests.report.test_figures import assert_readable
 from vjm.diagnosis.symptoms import Symptoms
-from vjm.report.figures.symptoms import symptom_pictures
+from vjm.diagnosis.symptoms.channels import Coefficient
+from vjm.report.figures.symptoms import _significance, symptom_pictures
 from vjm.report.output import _PICTURES
 
 NAMES = tuple(name for name in _PICTURES if name.startswith("symptom"))
@@ -56,11 +57,11 @@ def test_every_figure_is_readable(of: Callable[[], Symptoms]) -> None:
 
 def test_titles_say_what_is_wrong() -> None:
     titles = [figure.texts[0].get_text().replace("\n", " ") for figure in figures(wrong)]
-    assert titles[0].startswith("The model is off most in decay.csv: 14 times the noise")
-    assert "0.50 % slower at 1.2 Hz than the model" in titles[1]
-    assert titles[2] == "Frequency and damping while nothing drives the arm, one curve a condition"
-    assert "The camera shows the motion 3.0 ms later" in titles[4]
-    assert "at 13.0 Hz, which the model does not" in titles[5]
+    assert titles[0].startswith("Largest residual: 14 × noise over all sensors, in decay.csv")
+    assert "frequency at 1.2 Hz is 0.50 % lower than in the model" in titles[1]
+    assert titles[2] == "Frequency and damping in free motion, one curve for each condition. Marks beside their line"
+    assert "Camera is 3.0 ms late relative to the encoders" in titles[4]
+    assert "at 13.0 Hz; the model does not" in titles[5]
 
 
 @pytest.mark.parametrize("of", [wrong, right])
@@ -71,12 +72,12 @@ def test_every_figure_has_a_title_of_its_own(of: Callable[[], Symptoms]) -> None
 
 def test_titles_say_that_nothing_is_wrong() -> None:
     titles = [figure.texts[0].get_text().replace("\n", " ") for figure in figures(right)]
-    assert titles[0] == "The model follows every recording to within what noise explains"
-    assert titles[1] == "Frequency, damping, amplitude and phase of all modes are as simulated"
-    assert titles[2].startswith("Frequency and damping are as in the model")
-    assert titles[3].startswith("What the model misses depends neither")
-    assert titles[4].startswith("Camera and encoders tell the same time, to within 0.0")
-    assert titles[5] == "At rest, the sensors show white noise of the size that was supposed"
+    assert titles[0] == "The model follows every recording to within noise"
+    assert titles[1] == "Frequency, damping, amplitude and phase of all modes agree with the model"
+    assert titles[2].startswith("Frequency and damping against amplitude agree")
+    assert titles[3].startswith("Residual does not depend on position")
+    assert titles[4].startswith("Camera and encoders are synchronous to within 0.0")
+    assert titles[5] == "At rest, the sensors show white noise of the assumed size"
 
 
 def test_pictures_have_their_names_and_captions() -> None:
@@ -100,6 +101,13 @@ def test_what_there_is_nothing_of_is_not_drawn() -> None:
     assert [each.name for each in symptom_pictures(found(simulated(0, STILL, STILL, kind="quiet")))] == [
         "symptom_quiet"
     ]
+
+
+def test_colours_of_the_map_go_with_three_standard_errors() -> None:
+    assert _significance(Coefficient(2.9, 1.0)) == 0.0
+    assert _significance(Coefficient(3.1, 1.0)) == pytest.approx(0.2, abs=0.01)
+    assert _significance(Coefficient(-30.0, 1.0)) == pytest.approx(-0.6)
+    assert _significance(Coefficient(-1e4, 1.0)) == -1.0
 
 
 def test_frequency_in_the_map_is_the_difference_in_per_cent() -> None:

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vjm.report.text import interval, listed, millimetres, number, short, with_error
+from vjm.text import in_sentence, interval, listed, millimetres, number, short, with_error
 
 _EXPONENT = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def parsed(text: str) -> float:
-    mantissa, _, power = text.partition(" × 10")
+    mantissa, _, power = text.replace("\N{MINUS SIGN}", "-").partition(" × 10")
     return float(mantissa) * 10.0 ** int(power.translate(_EXPONENT) or 0)
 
 
@@ -30,7 +30,7 @@ def parsed_pair(text: str) -> tuple[float, float]:
     [
         (0.0, "0"),
         (1.2345, "1.23"),
-        (-0.0012345, "-0.00123"),
+        (-0.0012345, "−0.00123"),
         (9.999, "10.0"),
         (3.07e-7, "3.07 × 10⁻⁷"),
         (123456.0, "1.23 × 10⁵"),
@@ -97,3 +97,17 @@ def test_names_in_sentences() -> None:
     assert listed(["a", "b", "c"]) == "a, b and c"
     assert short("a" * 100, 10) == "aaaaaa…aaa"
     assert short("two\nlines") == "two lines"
+
+
+@pytest.mark.parametrize(
+    ("title", "text"),
+    [
+        ("Tip payload", "tip payload"),
+        ("In-plane gravity", "in-plane gravity"),
+        ("Coulomb friction", "Coulomb friction"),
+        ("PID controller", "PID controller"),
+        ("", ""),
+    ],
+)
+def test_titles_in_sentences(title: str, text: str) -> None:
+    assert in_sentence(title) == text

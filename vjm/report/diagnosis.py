@@ -7,37 +7,40 @@ from typing import TYPE_CHECKING
 
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.records import RecordingComparison
-from vjm.report.identification import carried_points, parameter_table, recording_table
+from vjm.report.animation import arm_animation
+from vjm.report.identification import carried_points, input_section, parameter_table, recording_table
 from vjm.report.page import Grade, Page, Section, Table
-from vjm.report.text import (
+from vjm.report.text import clause, place, sizes_text
+from vjm.report.time_histories import time_histories
+from vjm.simulation.model import Model
+from vjm.text import (
     MOST_NAMED,
     UNKNOWN,
     capital,
-    clause,
     counted,
+    in_sentence,
     listed,
     millimetres,
-    named,
     number,
-    place,
     quantity,
-    sizes_text,
+    ratio,
     unit,
     with_error,
 )
-from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
     from vjm.report.figures.panels import Picture
 
 _METHOD = (
-    "The model without effects is fitted to all training recordings at once. The error of its few virtual joints is "
-    "measured with a finer chain and corrected, so that it is not taken for an effect. Each candidate is then judged "
-    "by a score test beside it, every other parameter being free; the best ones, alone and in pairs, are fitted "
-    "together with all other parameters. The p-value is for the whole search: the probability that noise alone makes "
-    "any candidate look as necessary. Held-out recordings take no part in any of this. z is the number of standard "
-    "errors by which a candidate's size differs from zero beside the model without effects: where one thing is "
-    "missing, everything that looks like it has a large z too."
+    "The model without effects is fitted to all training recordings at once. The discretization error of its virtual "
+    "joints is measured with a finer chain and corrected, so that it is not taken for an effect. A score test then "
+    "judges each candidate added alone to that model, with every other parameter free; the best ones, alone and in "
+    "pairs, are fitted together with all other parameters. The false-alarm probability is the probability that noise "
+    "alone makes any candidate of the search this significant. Held-out recordings take no part in any of this. z is a"
+    " candidate's estimate over its standard error, linearised about the model without effects. Every effect that "
+    "resembles the true cause has a large z; the fits decide: the residual of a candidate fitted alone, with all other"
+    " parameters, is in the table where that was done. The estimate if it were the only cause is linearised, and "
+    "contains the contribution of all other causes; the size of a cause comes from the nonlinear fit with all causes."
 )
 
 
@@ -47,43 +50,53 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
     if diagnosis.causes and diagnosis.recommended is diagnosis.reference:
         headline, grade = f"{_harm(diagnosis)} {headline}", "poor"
     if diagnosis.budget.exhausted and diagnosis.budget.not_tried:
-        untried = listed([named(name).lower() for name in diagnosis.budget.not_tried[:MOST_NAMED]])
+        titles = {candidate.effect.id: in_sentence(candidate.effect.title) for candidate in diagnosis.candidates}
+        untried = listed([titles.get(name, name) for name in diagnosis.budget.not_tried[:MOST_NAMED]])
         more = len(diagnosis.budget.not_tried) - MOST_NAMED
         others = f" and {counted(more, 'other')}" if more > 0 else ""
-        headline, grade = f"{headline} The search ran out of time before it had tried {untried}{others}.", "poor"
+        headline, grade = f"{headline} Out of time before trying {untried}{others}.", "poor"
     points = _minor_points(diagnosis) + _cause_points(diagnosis) + _gain_points(diagnosis) + _residual_points(diagnosis)
     if diagnosis.verdict == "none":
         points += _small_effect_points(diagnosis)
     if diagnosis.verdict != "insufficient":
         points += _next_points(diagnosis)
-    symptoms_heading = "Symptoms of the model without effects"
     causes = [_cause_table(diagnosis)] if diagnosis.causes else []
     recordings, carried = _recording_table(diagnosis), carried_points(diagnosis.model)
+    animation = None
     if pictures is None:
         sections = [
-            Section(symptoms_heading, _symptom_points(diagnosis, 4)),
+            Section("Symptoms", _symptom_points(diagnosis, 4)),
             Section(tables=[*causes, _candidate_table(diagnosis, 6), recordings]),
             Section(points=carried),
         ]
     else:
         wrong, evidence = ([each for each in pictures if each.name.startswith(kind)] for kind in ("symptom", "cause"))
-        gained = [picture for picture in pictures if not picture.name.startswith(("symptom", "cause"))]
-        nothing_wrong = ["The model without effects follows every recording to within the noise."]
+        still = [picture for picture in pictures if picture.name.startswith("held_out")]
+        gained = [picture for picture in pictures if picture not in (*wrong, *evidence, *still)]
+        labels = {"reference": "without causes", "simulated": "with causes"}
+        labels = labels if diagnosis.causes else {"reference": "model"}
+        rig, models = diagnosis.model.rig, {"reference": diagnosis.reference, "simulated": diagnosis.model}
+        animation = arm_animation(rig, diagnosis.recordings, labels, models)
+        plots = time_histories(rig, diagnosis.recordings, labels)
+        nothing_wrong = ["None: the model without effects follows every recording to within the noise."]
         symptoms = _symptom_points(diagnosis, 8) or (nothing_wrong if diagnosis.symptoms else [])
-        parameters = parameter_table(diagnosis.parameters, diagnosis.reference.chain, "without the causes")
+        parameters = parameter_table(diagnosis.parameters, diagnosis.reference.chain, "without causes")
         noise = [("Noise", diagnosis.noise)] if diagnosis.noise else []
         notes = [("Note", note) for note in diagnosis.notes]
         gain_heading = "Gain" if diagnosis.causes else "Fit per recording"
         sections = [
-            Section(symptoms_heading, symptoms, pictures=wrong),
+            Section("Symptoms", symptoms, pictures=wrong[:1]),
+            Section("Symptoms in detail", pictures=wrong[1:], folded=True),
             Section("Causes", tables=causes, pictures=evidence),
-            Section("Causes that cannot be distinguished", _alternative_points(diagnosis)),
-            Section(gain_heading, tables=[recordings], pictures=gained),
-            Section("Candidates", tables=[_candidate_table(diagnosis)]),
-            Section("Model", carried, [parameters]),
-            Section("Method", terms=noise + notes, text=_METHOD),
+            Section("Indistinguishable causes", _alternative_points(diagnosis)),
+            Section(gain_heading, tables=[recordings], pictures=gained, plots=plots, still=still),
+            Section("Candidates", _untestable_points(diagnosis), [_candidate_table(diagnosis)], folded=True),
+            Section("Model", carried, [parameters], folded=True),
+            input_section(diagnosis.experiment),
+            Section("Method", terms=noise + notes, text=_METHOD, folded=True),
         ]
-    return Page(diagnosis.experiment.rig.name, "diagnosis", headline, grade, points, diagnosis.warnings, sections)
+    title = diagnosis.experiment.rig.name
+    return Page(title, "diagnosis", headline, grade, points, diagnosis.warnings, sections, animation)
 
 
 def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
@@ -91,26 +104,27 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
     if kind == "none":
         testable = sum(candidate.testable for candidate in diagnosis.candidates)
         small = _detectable(diagnosis)[:2]
-        as_small = f", and an effect as small as {' or '.join(small)} would have been detected" if small else ""
-        return f"Nothing is missing: none of the {counted(testable, 'candidate')} is needed{as_small}.", "good"
+        limits = f" Detection limits: {', '.join(small)}." if small else ""
+        return f"No cause found: none of the {counted(testable, 'candidate')} improves the model.{limits}", "good"
     if kind == "insufficient":
-        why = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "they show too little"
-        return f"These recordings cannot support a diagnosis: {why}.", "poor"
+        why = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "the recordings show too little"
+        return f"Not enough data for a diagnosis: {why}.", "poor"
     main = diagnosis.main_causes
-    causes = "; and ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in main)
+    causes = "; ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in main)
+    found = "Cause found" if len(main) == 1 else f"{len(main)} causes found"
     if kind == "named":
-        return f"{capital(causes)}. {_improvement(diagnosis)}".rstrip(), "good"
+        return f"{found}: {causes}. {_improvement(diagnosis)}".rstrip(), "good"
     if kind == "set":
-        choices = "; and ".join(_choice(cause, diagnosis.model) for cause in main)
-        text = f"{capital(choices)}: these recordings cannot distinguish them. {_improvement(diagnosis)}"
+        choices = "; ".join(_choice(cause, diagnosis.model) for cause in main)
+        text = f"{found}: {choices}. These recordings cannot distinguish the alternatives. {_improvement(diagnosis)}"
         return text.rstrip(), "fair"
     description = diagnosis.remaining.description.rstrip(".")
     ending = f": {description}" if description else ""
     # Causes lead where what they leave unexplained is about as large as the noise.
     if diagnosis.causes and gain is not None and gain.after < 1.5 * gain.noise:
-        return f"{capital(causes)}, and something more that no candidate explains{ending}.", "poor"
-    part = f" A part of it looks like this: {causes}." if diagnosis.causes else ""
-    return f"Something is missing that no candidate explains{ending}.{part}", "poor"
+        return f"{found}: {causes}. A further residual is not explained by any candidate{ending}.", "poor"
+    part = f" Explained in part by: {causes}." if diagnosis.causes else ""
+    return f"Residual not explained by any candidate{ending}.{part}", "poor"
 
 
 def _harm(diagnosis: Diagnosis) -> str:
@@ -119,15 +133,17 @@ def _harm(diagnosis: Diagnosis) -> str:
         return ""
     change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
     causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
-    return f"Use the model without {causes}: with {causes} the held-out error grows {change}."
+    return f"Use the model without {causes}: with {causes} the held-out error rises {change}."
 
 
 def _minor_points(diagnosis: Diagnosis) -> list[str]:
     points = []
     for cause in diagnosis.minor_causes:
         gain = cause.holdout_gain
-        held = "" if gain is None else f"; held-out error {'less' if gain >= 0 else 'more'} by {millimetres(abs(gain))}"
-        points.append(f"Also present, and small: {_choice(cause, diagnosis.model)}{held}.")
+        change = (
+            "" if gain is None else f"; held-out error {millimetres(abs(gain))} {'smaller' if gain >= 0 else 'larger'}"
+        )
+        points.append(f"Minor cause: {_choice(cause, diagnosis.model)}{change}.")
     return points
 
 
@@ -136,19 +152,17 @@ def _choice(cause: Cause, model: Model) -> str:
     others = [clause(item.effect, model) for item in cause.alternatives[:2]]
     more = len(cause.alternatives) - len(others)
     others += [f"{counted(more, 'other')} (see below)"] if more else []
-    return f"either {own}, or {', or '.join(others)}" if others else own
+    return f"{own}, or {', or '.join(others)}" if others else own
 
 
 def _detectable(diagnosis: Diagnosis) -> list[str]:
-    """Return the smallest sizes that would be found, of frequent causes first: `a tip payload of 0.4 g`."""
+    """Return detection limits, of frequent causes first: `tip payload 0.4 g`."""
     chosen: dict[str, Candidate] = {}
     for candidate in sorted(diagnosis.candidates, key=lambda candidate: not candidate.effect.common):
         if candidate.testable and len(candidate.smallest_detectable) == 1:
-            chosen.setdefault(named(candidate.effect.id).lower(), candidate)
-    sizes = {words: sizes_text(item.effect, item.smallest_detectable, from_null=True) for words, item in chosen.items()}
+            chosen.setdefault(in_sentence(candidate.effect.title), candidate)
     return [
-        f"{'an' if words[0] in 'aeiou' else 'a'} {words} {'' if size.startswith('off') else 'of '}{size}"
-        for words, size in sizes.items()
+        f"{title} {sizes_text(item.effect, item.smallest_detectable, from_null=True)}" for title, item in chosen.items()
     ]
 
 
@@ -156,33 +170,31 @@ def _improvement(diagnosis: Diagnosis) -> str:
     gain = diagnosis.gain
     if gain is None:
         return ""
-    with_them = f"With {'it' if len(diagnosis.causes) == 1 else 'them'}"
     change = f"{'falls' if gain.after < gain.before else 'rises'} from {millimetres(gain.before)}"
-    return f"{with_them} the held-out error {change} to {millimetres(gain.after)} (noise {millimetres(gain.noise)})."
+    return f"Held-out error {change} to {millimetres(gain.after)} (noise {millimetres(gain.noise)})."
 
 
 def _cause_points(diagnosis: Diagnosis) -> list[str]:
     points = []
     for cause in diagnosis.causes:
         evidence = f": {cause.evidence.rstrip('.')}" if cause.evidence else ""
-        chance = f"noise alone makes any candidate look as necessary is {_probability(cause.p_value)}"
-        points.append(f"{named(cause.effect.id)}{evidence}; the probability that {chance}.")
+        chance = f"false-alarm probability (whole search) {_probability(cause.p_value)}"
+        points.append(f"{cause.effect.title}{evidence}; {chance}.")
     return points
 
 
 def _gain_points(diagnosis: Diagnosis) -> list[str]:
     gain = diagnosis.gain
     if gain is None:
-        return ["No recording was held out: what the causes gain is not tested."] if diagnosis.causes else []
+        return ["No recording was held out: the gain is not tested."] if diagnosis.causes else []
     if not diagnosis.causes:
         return [f"Held-out error {millimetres(gain.before)}, noise {millimetres(gain.noise)}."]
     low, high = (f"{100 * bound:.0f}" for bound in gain.interval)
     less = f"{abs(100 * gain.reduction):.0f} % {'less' if gain.reduction >= 0 else 'more'}"
-    text = f"Held-out error: {less} (95 % interval of the reduction: {low} … {high} %)"
+    text = f"Held-out error: {less} (95 % interval of the reduction {low} … {high} %)"
     if gain.next_best is not None:
-        others = listed([named(effect.id).lower() for effect in diagnosis.next_best])
-        next_best = f"the next best explanation{f', {others},' if others else ''}"
-        text += f"; with {next_best} it is {millimetres(gain.next_best)}"
+        others = listed([in_sentence(effect.title) for effect in diagnosis.next_best])
+        text += f"; next best explanation{f' ({others})' if others else ''}: {millimetres(gain.next_best)}"
     return [f"{text}."]
 
 
@@ -194,18 +206,18 @@ def _residual_points(diagnosis: Diagnosis) -> list[str]:
         return [f"Residual: {remaining.description.rstrip('.')}."]
     chance = f"p = {_probability(remaining.p_value)}".replace("= <", "<")
     if remaining.p_value < 1e-3:  # seldom by chance; the verdict judges by size what this test shows in long recordings
-        return [f"The residual is slightly more than noise ({chance}), and too little to matter."]
-    return [f"The residual looks like noise ({chance})."]
+        return [f"Residual slightly exceeds noise ({chance}), too little to matter."]
+    return [f"Residual is consistent with noise ({chance})."]
 
 
 def _small_effect_points(diagnosis: Diagnosis) -> list[str]:
     """Return what else would have been detected, and what is significant but too small to matter."""
     more = _detectable(diagnosis)[2 : 2 + MOST_NAMED]
-    points = [f"Also, {listed(more)} would have been detected."] if more else []
+    points = [f"Further detection limits: {', '.join(more)}."] if more else []
     # Each p-value is of the whole search, of all candidates: one in a hundred of such searches is wrong.
-    certain = [item.effect.id for item in diagnosis.candidates if item.p_value is not None and item.p_value < 0.01]
-    names = [named(name).lower() for name in dict.fromkeys(certain)][:MOST_NAMED]
-    return points + ([f"Significant by their p-values, but too small to matter: {listed(names)}."] if names else [])
+    certain = [item.effect.title for item in diagnosis.candidates if item.p_value is not None and item.p_value < 0.01]
+    names = [in_sentence(title) for title in dict.fromkeys(certain)][:MOST_NAMED]
+    return points + ([f"Significant, but too small to matter: {listed(names)}."] if names else [])
 
 
 def _next_points(diagnosis: Diagnosis) -> list[str]:
@@ -218,10 +230,10 @@ def _alternative_points(diagnosis: Diagnosis) -> list[str]:
     for cause in diagnosis.causes:
         for item in cause.alternatives:
             own, other = clause(cause.effect, diagnosis.model), clause(item.effect, diagnosis.model)
-            worse = f"chi² is {number(item.worse, 2)} larger" if item.worse >= 0 else "chi² is no larger"
-            points.append(f"{capital(own)}, or {other}: with the latter, {worse}.")
+            worse = f"chi² larger by {number(item.worse, 2)}" if item.worse >= 0 else "chi² no larger"
+            points.append(f"{capital(own)}, or {other} ({worse}).")
             apart = item.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
-            points += [f"{named(item.effect.id)} would be distinguished from the rest by {apart}."] if apart else []
+            points += [f"{item.effect.title} would be distinguished by {apart}."] if apart else []
     return points + (_next_points(diagnosis) if diagnosis.next_experiment not in diagnosis.warnings else [])
 
 
@@ -240,39 +252,70 @@ def _recording_table(diagnosis: Diagnosis) -> Table:
 def _cause_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for cause in diagnosis.causes:
-        where = place(cause.effect, diagnosis.model) or "everywhere"
+        where = place(cause.effect, diagnosis.model) or "whole system"
         for name, size in cause.parameters.items():
-            value = f"{size.value:.6g}" if size.std is None else with_error(size.value, size.std)
-            everyday = UNKNOWN if size.std is None else quantity(size.value, size.std, size.unit)
+            value, everyday = with_error(size.value, size.std), quantity(size.value, size.std, size.unit, 4)
             gained = UNKNOWN if cause.holdout_gain is None else number(1e3 * cause.holdout_gain, 2)
-            rows.append((named(cause.effect.id), cause.role, where, name, value, unit(size.unit), everyday, gained))
-    uncertain = ("parameter", "value ± standard error", "unit", "in everyday units")
-    headers = ("cause", "role", "where", *uncertain, "held-out gain [mm]")
-    return Table("Causes", headers, tuple(rows), words=3)
+            rows.append((cause.effect.title, name, everyday, gained, where, cause.role, value, unit(size.unit)))
+    headers = ("cause", "parameter", "estimate ± standard error", "held-out gain [mm]", "where", "role")
+    optional = ("in SI units", "unit", "role", "where")
+    return Table("Causes", (*headers, "in SI units", "unit"), tuple(rows), words=2, optional=optional)
+
+
+_BOUNDS = {None: "", "lower": "≥ ", "upper": "≤ "}
 
 
 def _candidate_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
-    """Return candidates as judged beside the model without effects, causes first; so many testable ones, or all."""
-    causes = {cause.effect.key for cause in diagnosis.causes}
-    shown = sorted(diagnosis.candidates, key=lambda candidate: candidate.effect.key not in causes)
-    if most is not None:
-        shown = [candidate for candidate in shown if candidate.testable][:most]
-    rows = []
+    """Return testable candidates as judged beside the model without effects, causes first; so many, or all."""
+    causes = {cause.effect.key: cause for cause in diagnosis.causes}
+    testable = [candidate for candidate in diagnosis.candidates if candidate.testable]
+    shown = sorted(testable, key=lambda candidate: candidate.effect.key not in causes)[:most]
+    held_out, rows, notes = diagnosis.held_out_alone, [], []
     for candidate in shown:
-        effect = candidate.effect
+        effect, alone = candidate.effect, held_out.get(candidate.effect.key)
+        estimate = sizes_text(effect, candidate.sizes) if candidate.z != 0 else "wrong sign"
         row = (
-            named(effect.id),
-            place(effect, diagnosis.model) or "everywhere",
-            "found" if effect.key in causes else "" if candidate.testable else "not testable",
+            effect.title,
+            place(effect, diagnosis.model) or "whole system",
+            "found" if effect.key in causes else "",
             number(candidate.z, 3),
-            _probability(candidate.p_value) if candidate.testable else UNKNOWN,
-            sizes_text(effect, candidate.sizes),
+            _probability(candidate.p_value),
+            UNKNOWN if candidate.residual is None else _BOUNDS[candidate.bound] + ratio(candidate.residual),
+            UNKNOWN if alone is None else number(1e3 * alone, 2),
+            estimate,
             sizes_text(effect, candidate.smallest_detectable, from_null=True),
         )
         rows.append(row)
-    headers = ("candidate", "where", "", "z", "p, whole search", "size, by itself", "smallest detectable")
-    caption = "Candidates, each by itself beside the model without effects (linearised)"
-    return Table(caption, headers, tuple(rows), words=3, notes=tuple(candidate.reason for candidate in shown))
+        notes.append(candidate.reason or _why_it_differs(causes.get(effect.key), estimate))
+    estimate, alarm = "estimate if it were the only cause", "false-alarm probability (whole search)"
+    fitted = ("residual fitted alone [×\N{NO-BREAK SPACE}noise]", "held-out [mm]")
+    headers = ("candidate", "where", "", "z", alarm, *fitted, estimate, "detection limit")
+    caption = "Candidate causes, each added alone (linearised)"
+    table = Table(caption, headers, tuple(rows), 3, tuple(notes), (alarm, "where", "detection limit"))
+    return table.without_empty(*fitted)
+
+
+def _why_it_differs(cause: Cause | None, estimate: str) -> str:
+    """Explain why a cause has another size than the candidate alone; empty where it has not."""
+    if cause is None:
+        return ""
+    found = sizes_text(cause.effect, {name: size.value for name, size in cause.parameters.items()})
+    if found == estimate:
+        return ""
+    why = "which is nonlinear and has all causes; this row's estimate is linearised, for this cause alone"
+    return f"{found} in the fit, {why}"
+
+
+def _untestable_points(diagnosis: Diagnosis) -> list[str]:
+    """Return one line that lists the candidates that the recordings cannot show, by reason; none without any."""
+    by_reason: dict[str, list[str]] = {}
+    for candidate in diagnosis.candidates:
+        if not candidate.testable:
+            where = place(candidate.effect, diagnosis.model)
+            name = f"{in_sentence(candidate.effect.title)} ({where})".removesuffix(" ()")
+            by_reason.setdefault(candidate.reason, []).append(name)
+    texts = [f"{listed(names)} ({reason})" for reason, names in by_reason.items()]
+    return [f"Not testable: {'; '.join(texts)}."] if texts else []
 
 
 def _probability(value: float | None) -> str:

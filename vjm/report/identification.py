@@ -4,48 +4,50 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison, Identification, ModeComparison, Whiteness
-from vjm.records import Estimate, RecordingComparison
+from vjm.records import Estimate, Experiment, RecordingComparison
+from vjm.report.animation import arm_animation
 from vjm.report.page import Grade, Page, Section, Table
 from vjm.report.result_json import result_object
-from vjm.report.text import (
+from vjm.report.text import place
+from vjm.report.time_histories import time_histories
+from vjm.simulation.model import Model
+from vjm.text import (
     MOST_NAMED,
     UNKNOWN,
     counted,
+    in_sentence,
     interval,
     listed,
     millimetres,
-    named,
     number,
-    place,
     short,
     unit,
     with_error,
 )
-from vjm.simulation.model import Model
 
 if TYPE_CHECKING:
     from vjm.report.figures.panels import Picture
 
 _TORQUE_METHOD = (
     "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
-    "A shape function fitted to the markers gives the joint angles; the parameters are those that make the equation of "
-    "motion hold best (Yoshikawa, Ohta and Kanaoka, ICRA 2001). Standard errors hold if the model is right: where the "
-    "fit is worse than the noise, the true errors are larger."
+    "A shape function fitted to the markers gives the joint angles; the parameters minimise the torque errors of the "
+    "equation of motion (Yoshikawa, Ohta and Kanaoka, ICRA 2001). Standard errors assume that the model is complete: "
+    "where the residual exceeds the noise, true errors are larger."
 )
 _TRAJECTORY_METHOD = (
     "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper "
     "(Yoshikawa, Ohta and Kanaoka, ICRA 2001). The parameters are the most likely ones given everything measured: "
-    "every training recording is simulated open loop over its whole length, from an initial state estimated with the "
+    "every training recording is simulated open loop over its full length, from an initial state estimated with the "
     "parameters. The search starts from the torque method's result, where there is one. Standard errors and 95 % "
-    "intervals hold if the model is right; residuals beyond the noise widen them, and may make"
-    " the values wrong by more."
+    "intervals assume that the model is complete; residuals beyond the noise widen them, and values may be off by more."
 )
 
 
@@ -58,8 +60,10 @@ def identification_page(result: Comparison | Check, pictures: Sequence[Picture] 
 
 def _fit_page(fit: Identification, pictures: Sequence[Picture] | None) -> Page:
     headline, grade = _closeness(fit.recordings, "identified")
-    if fit.status != "converged":
-        headline, grade = f"The search has not converged: {fit.remedy or 'do not use this model'}.", "poor"
+    if fit.status == "failed":
+        headline, grade = f"Identification failed: {fit.remedy}.", "poor"
+    elif fit.status != "converged":
+        headline, grade = f"Not converged: {fit.remedy or 'do not use this model'}.", "poor"
     points = [
         *_recording_points(fit.recordings),
         *_stiffness_points(fit),
@@ -78,13 +82,16 @@ def _fit_page(fit: Identification, pictures: Sequence[Picture] | None) -> Page:
         method = _TRAJECTORY_METHOD if fit.trajectory else _TORQUE_METHOD
         sections = [
             Section("Parameters", tables=[parameters, modes]),
-            Section("Fit per recording", tables=[comparisons], pictures=simulated),
-            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=residual),
-            Section("Identifiability", fit.notes, _remedy_tables(fit.parameters), correlated),
-            Section("Data", pictures=data),
-            Section("Settings", terms=_settings(fit), text=method),
+            _followed_section(fit, comparisons, simulated, "identified"),
+            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=residual, folded=True),
+            Section("Identifiability", fit.notes, _remedy_tables(fit.parameters), correlated, folded=True),
+            Section("Data", pictures=data, folded=True),
+            input_section(fit.experiment),
+            Section("Settings", terms=_settings(fit), text=method, folded=True),
         ]
-    return Page(fit.experiment.rig.name, "identification", headline, grade, points, fit.warnings, sections)
+    animation = None if pictures is None else _animation(fit, "identified")
+    title = fit.experiment.rig.name
+    return Page(title, "identification", headline, grade, points, fit.warnings, sections, animation)
 
 
 def _comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None) -> Page:
@@ -95,8 +102,41 @@ def _comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None)
     if pictures is None:
         sections = [Section(tables=[table]), Section(points=carried)]
     else:
-        sections = [Section("Fit per recording", tables=[table], pictures=pictures), Section("Effects", carried)]
-    return Page(comparison.experiment.rig.name, "simulation", headline, grade, points, comparison.warnings, sections)
+        followed = _followed_section(comparison, table, pictures, "given")
+        sections = [followed, Section("Effects", carried), input_section(comparison.experiment)]
+    animation = None if pictures is None else _animation(comparison, "given")
+    title = comparison.experiment.rig.name
+    return Page(title, "simulation", headline, grade, points, comparison.warnings, sections, animation)
+
+
+def _labels(name: str) -> dict[str, str]:
+    return {"reference": "nominal model", "simulated": f"{name} model"}
+
+
+def _followed_section(result: Comparison, table: Table, pictures: Sequence[Picture], name: str) -> Section:
+    still = [picture for picture in pictures if picture.name.startswith("tip")]
+    plots = time_histories(result.model.rig, result.recordings, _labels(name))
+    others = [picture for picture in pictures if picture not in still]
+    return Section("Fit per recording", tables=[table], pictures=others, plots=plots, still=still)
+
+
+def _animation(result: Comparison, name: str) -> dict[str, Any] | None:
+    models = {"reference": result.nominal, "simulated": result.model}
+    return arm_animation(result.model.rig, result.recordings, _labels(name), models)
+
+
+def input_section(experiment: Experiment) -> Section:
+    """Return what went into a result: the experiment file, and its recordings."""
+    rows = []
+    for recording in experiment.recordings:
+        role = "held out" if recording.role == "holdout" else "train"
+        duration = number(float(recording.time[-1] - recording.time[0]), 3)
+        rows.append((recording.file, recording.kind, role, duration, str(recording.frames.size)))
+    headers = ("recording", "kind", "role", "duration [s]", "frames")
+    file = "none, built in Python" if experiment.file is None else str(experiment.file)
+    trained, held_out = (len(experiment.with_role(role)) for role in ("train", "holdout"))
+    terms = [("Experiment file", file), ("Recordings", f"{trained} for training, {held_out} held out")]
+    return Section("Input", tables=[Table("Recordings", headers, tuple(rows), words=3)], terms=terms, folded=True)
 
 
 def _check_page(check: Check) -> Page:
@@ -105,16 +145,44 @@ def _check_page(check: Check) -> Page:
     joints = ", ".join(f"{link.name} {count}" for link, count in links)
     points = (
         f"virtual joints: {joints or 'none'}",
-        f"natural frequencies expected: {', '.join(number(frequency) for frequency in check.modes[:5])} Hz",
+        f"expected natural frequencies: {', '.join(number(frequency) for frequency in check.modes[:5])} Hz",
         *(f"--parameters {kind}: {_share(estimates)}" for kind, estimates in check.identifiable.items()),
     )
-    headline = f"{counted(trained, 'recording')} to train on, {held_out} held out."
+    headline = f"{counted(trained, 'training recording')}, {held_out} held out."
     grade: Grade = "poor" if check.problem else "fair" if check.warnings else "good"
-    return Page(check.experiment.rig.name, "check", headline, grade, points, check.warnings, ())
+    sections = [Section(tables=[_overview_table(check)])] if check.overviews else []
+    return Page(check.experiment.rig.name, "check", headline, grade, points, check.warnings, sections)
+
+
+def _overview_table(check: Check) -> Table:
+    """Return the recordings in numbers, narrow enough for a terminal of 80 columns."""
+    rows = []
+    for item in check.overviews:
+        rates = [item.frame_rate] + ([] if item.sensor_rate is None else [item.sensor_rate])
+        row = (
+            short(Path(item.recording.file).stem, 14),
+            number(item.duration, 2),
+            "/".join(number(rate, 3) for rate in rates),
+            str(item.frames),
+            str(item.missing),
+            number(1e3 * item.noise, 2),
+            number(item.motion, 2),
+            " ".join(number(frequency, 3) for frequency in item.modes) or UNKNOWN,
+        )
+        rows.append(row)
+    encoder = any(item.sensor_rate is not None for item in check.overviews)
+    rate = "camera/ encoder [Hz]" if encoder else "camera [Hz]"
+    headers = ("recording", "[s]", rate, "frames", "cells missing", "noise [mm]", "motion/ noise", "modes [Hz]")
+    return Table("", headers, tuple(rows))
 
 
 def _ratio(comparison: RecordingComparison) -> float:
     return 0.0 if comparison.simulated is None else comparison.simulated.marker_rms / comparison.noise[0]
+
+
+def _telling(comparison: RecordingComparison) -> tuple[bool, float]:
+    """Return what recordings are sorted by: at rest, any model follows."""
+    return comparison.recording.kind != "quiet", _ratio(comparison)
 
 
 def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[str, Grade]:
@@ -123,33 +191,34 @@ def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[s
     if not simulated:
         return "No recording could be simulated.", "poor"
     worst = max(_ratio(item) for item in held_out or simulated)
-    ending = "" if held_out else " No recording was held out: prediction is not tested."
+    ending = "" if held_out else " No recording was held out: prediction not tested."
     what = "predicts every held-out recording" if held_out else "follows every training recording"
     if len(held_out) == 1:
         what = f"predicts the held-out recording {short(held_out[0].recording.file)}"
     if worst <= 1.1:  # a tenth above the noise is half of it in quadrature: not to be seen in a picture
-        return f"The {name} model {what} to within the camera's noise.{ending}", "good" if held_out else "fair"
+        return f"The {name} model {what} to within camera noise.{ending}", "good" if held_out else "fair"
     if worst <= 1.5:  # what is missing is about as large as the noise
-        return f"The {name} model {what} to {number(worst, 2)} times the camera's noise.{ending}", "fair"
+        return f"The {name} model {what} to {number(worst, 2)} × camera noise.{ending}", "fair"
     roles = "held-out" if held_out else "training"
-    missed = f"misses {roles} recordings by up to {number(worst, 2)} times the camera's noise"
-    return f"The {name} model {missed}: something is missing from it.{ending}", "poor"
+    missed = f"residual up to {number(worst, 2)} × camera noise in {roles} recordings"
+    remedy = "" if name == "given" else " 'vjm diagnose' looks for the cause."
+    return f"The {name} model is incomplete: {missed}.{ending}{remedy}", "poor"
 
 
 def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     points = []
-    for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "train", 1)):
-        group = sorted((item for item in comparisons if item.recording.role == role), key=_ratio, reverse=True)
+    for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "training", 1)):
+        group = sorted((item for item in comparisons if item.recording.role == role), key=_telling, reverse=True)
         shown = [(item, item.simulated) for item in group if item.simulated is not None]
-        name = words if len(shown) == 1 or role == "holdout" else f"worst of {words}"
+        name = words if len(shown) == 1 or role == "holdout" else f"worst {words} recording"
         for item, simulated in shown[:most]:
             recording = item.recording
             duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
-            others = [("torque method", item.alternative), ("nominal values", item.reference)]
-            beside = ", ".join(f"{other}: {millimetres(sim.marker_rms)}" for other, sim in others if sim is not None)
-            rms = f"{millimetres(simulated.marker_rms)} RMS over its whole {duration}, open loop"
+            others = [("torque method", item.alternative), ("nominal", item.reference)]
+            beside = ", ".join(f"{other} {millimetres(sim.marker_rms)}" for other, sim in others if sim is not None)
+            rms = f"{millimetres(simulated.marker_rms)} RMS over all {duration}, open loop"
             text = f"{short(recording.file)} ({name}): {rms}{f' ({beside})' if beside else ''}"
-            points.append(f"{text}; the camera's noise is {millimetres(item.noise[0])}.")
+            points.append(f"{text}; camera noise {millimetres(item.noise[0])}.")
     return points
 
 
@@ -180,7 +249,7 @@ def _undetermined_points(estimates: Sequence[Estimate]) -> list[str]:
     missing = _undetermined(estimates)
     if len(missing) > MOST_NAMED:
         names = listed([estimate.name for estimate in missing[:MOST_NAMED]])
-        return [f"{len(missing)} of {len(estimates)} parameters are not determined by these recordings: {names} …"]
+        return [f"{len(missing)} of {len(estimates)} parameters not determined by these recordings: {names} …"]
     return [f"Not determined by these recordings: {_explained(estimate)}." for estimate in missing]
 
 
@@ -195,18 +264,18 @@ def _share(estimates: Sequence[Estimate]) -> str:
 
 
 def _explained(estimate: Estimate) -> str:
-    return f"{estimate.name} ({estimate.reason}{f'; it takes {estimate.remedy}' if estimate.remedy else ''})"
+    return f"{estimate.name} ({estimate.reason}{f'; needs {estimate.remedy}' if estimate.remedy else ''})"
 
 
 def carried_points(model: Model) -> list[str]:
     """Return which effects the URDF carries and which only model.json has, a sentence each; none without effects."""
     points = []
     for carried, words in (
-        (True, "model.urdf and model.json hold"),
-        (False, "Only model.json holds, because URDF cannot express it"),
+        (True, "In model.urdf and model.json"),
+        (False, "In model.json only (URDF cannot express it)"),
     ):
         effects = [effect for effect in model.effects if effect.in_urdf is carried]
-        names = [f"{named(effect.id).lower()} ({place(effect, model)})".removesuffix(" ()") for effect in effects]
+        names = [f"{in_sentence(effect.title)} ({place(effect, model)})".removesuffix(" ()") for effect in effects]
         points += [f"{words}: {', '.join(names)}."] if names else []
     return points
 
@@ -221,11 +290,12 @@ def parameter_table(estimates: Sequence[Estimate], nominal: Chain, beside: str =
         value, std = estimate.value, estimate.error
         state = "no" if not estimate.identifiable else "yes" if std is not None else "fixed"
         relative = None if std is None or value == 0 else abs(100 * std / value)
-        uncertain = with_error(value, std), interval(value, std), number(relative, 2)
-        rows.append((estimate.name, state, number(compared.get(estimate.name), 4), *uncertain, unit(estimate.unit)))
-    uncertain_headers = ("identified ± standard error", "95 % interval", "error [%]")
-    headers = ("parameter", "determined", beside, *uncertain_headers, "unit")
-    return Table("Table 1. Parameters", headers, tuple(rows), words=2)
+        uncertain = interval(value, std), number(relative, 2)
+        before = number(compared.get(estimate.name), 4)
+        rows.append((estimate.name, with_error(value, std), unit(estimate.unit), before, *uncertain, state))
+    headers = ("parameter", "identified ± standard error", "unit", beside)
+    optional = ("95 % interval", "error [%]", "determined")
+    return Table("Table 1. Parameters", (*headers, *optional), tuple(rows), optional=optional)
 
 
 def _values_by_name(chain: Chain) -> dict[str, float]:
@@ -244,7 +314,7 @@ def _values_by_name(chain: Chain) -> dict[str, float]:
 def _remedy_tables(estimates: Sequence[Estimate]) -> list[Table]:
     rows = tuple((item.name, item.reason, item.remedy or UNKNOWN) for item in _undetermined(estimates))
     headers = ("parameter", "reason", "recording that would determine it")
-    return [Table("Parameters that these recordings do not determine", headers, rows, words=3)] if rows else []
+    return [Table("Parameters not determined by these recordings", headers, rows, words=3)] if rows else []
 
 
 def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
@@ -252,8 +322,8 @@ def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
     for item in whiteness:
         rms = math.sqrt(item.chi2) if item.chi2 >= 0 else None
         rows.append((item.file, "no" if item.coloured else "yes", number(rms, 3), number(item.correlation, 2)))
-    headers = ("recording", "white", "residual / noise, all sensors", "largest correlation up to 10 samples later")
-    caption = "Residuals of the recordings that the model was fitted to"
+    headers = ("recording", "white", "residual / noise, all sensors", "largest correlation (lags up to 10)")
+    caption = "Residuals of the training recordings"
     return [Table(caption, headers, tuple(rows), words=2)] if rows else []
 
 
@@ -266,10 +336,10 @@ def _mode_table(modes: Sequence[ModeComparison]) -> Table:
         row = (
             f"mode {k + 1}",
             number(mode.frequency_model, 5),
-            "not seen" if measured is None else with_error(measured, mode.frequency_std),
-            UNKNOWN if difference is None else f"{difference:+.2f}".replace("-", "−"),
+            "no peak" if measured is None else with_error(measured, mode.frequency_std),
+            UNKNOWN if difference is None else f"{difference:+.2f}".replace("-", "\N{MINUS SIGN}"),
             number(100 * mode.damping_model, 3),
-            "not seen" if damping is None else number(100 * damping, 3),
+            "no peak" if damping is None else number(100 * damping, 3),
             UNKNOWN if mode.mac is None else f"{mode.mac:.4f}",
         )
         rows.append(row)
@@ -301,13 +371,14 @@ def recording_table(
         rows.append(row)
         remarks = [f"not simulated: {item.problem}"] if simulated is None else []
         if simulated is not None and simulated.status != "converged":
-            remarks.append("the search for the initial state has not converged: the residual may be too large")
+            remarks.append("initial state not converged: residual may be too large")
         if simulated is not None and item.left_out:
             remarks.append(f"{counted(item.left_out, 'marker coordinate')} left out")
         notes.append("; ".join(remarks))
-    numbers = (reference, alternative, model, "noise", f"{model} / noise", "encoder [mrad]")
-    caption = "Fit per recording: RMS marker residual of an open-loop simulation"
-    table = Table(caption, ("recording", "role", "kind", *numbers), tuple(rows), words=3, notes=tuple(notes))
+    numbers = (reference, alternative, model, "noise", f"{model}\N{NO-BREAK SPACE}/ noise", "encoder [mrad]")
+    caption = "Fit per recording: RMS marker residual, open loop"
+    headers, optional = ("recording", "role", "kind", *numbers), ("kind", "encoder [mrad]", "noise")
+    table = Table(caption, headers, tuple(rows), words=3, notes=tuple(notes), optional=optional)
     return table.without_empty(reference, alternative, "encoder [mrad]")
 
 
@@ -324,8 +395,8 @@ def _settings(fit: Identification) -> list[tuple[str, str]]:
         rows.append(("Encoder noise", encoder))
     if trajectory is not None:
         mean, searched = number(trajectory.misfit**2, 4), counted(trajectory.iterations, "simulation")
-        text = f"mean square residual {mean} times the noise's, over {trajectory.point.count} measured values"
-        rows.append(("Trajectories", f"{text}; {searched} of all recordings in the last search"))
+        text = f"mean square residual {mean} × that of noise, over {trajectory.point.count} measured values"
+        rows.append(("Trajectories", f"{text}; {searched} of every recording in the last search"))
     if fit.objective is not None:
         before, after = number(fit.objective_nominal, 4), number(fit.objective, 4)
         rows.append(("J, eq. (15)", f"nominal model {before}, identified {after}"))
@@ -334,10 +405,10 @@ def _settings(fit: Identification) -> list[tuple[str, str]]:
         rows += [(f"Shape functions, {link.name}", f"{shape.family}, order {shape.order}") for shape in shapes]
     for data in fit.torque_data:
         smoothing = data.derivatives.smoothing
-        how = "interpolated" if smoothing is None else f"smoothing spline, penalty 10^{smoothing:.1f}"
-        text = f"{data.angles.time.size} frames, {data.angles.unsolved} without a solution; {how}"
+        how = "interpolated" if smoothing is None else f"smoothing spline, penalty {number(10**smoothing, 2)}"
+        text = f"{data.angles.time.size} frames, {data.angles.unsolved} unsolved; {how}"
         noise = data.derivatives.noise(np.sqrt(np.diag(data.angles.covariance))).max(axis=1)
         values = f"{number(1e3 * noise[0], 2)} mrad, {number(noise[1], 2)} rad/s, {number(noise[2], 2)} rad/s²"
         rows.append((f"Used from {data.recording.file}", text))
-        rows.append((f"Noise in {data.recording.file}", f"angle, rate and acceleration of the worst joint: {values}"))
+        rows.append((f"Noise in {data.recording.file}", f"worst joint's angle, rate and acceleration: {values}"))
     return rows

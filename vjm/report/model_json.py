@@ -17,10 +17,10 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects import BUILTIN
 from vjm.effects.effect import Effect, Parameter
 from vjm.errors import ExperimentError, ModelFileError, ShapeError, shown
-from vjm.experiment.schema import STRICT
+from vjm.experiment.schema import STRICT, table_model
 from vjm.experiment.spectrum import sensor_noise
-from vjm.files import json_text, plain
-from vjm.records import Array, Estimate, Experiment, Recording, Rig
+from vjm.files import json_text, plain, read_file
+from vjm.records import Array, Estimate, Experiment, Link, Recording, Rig
 from vjm.report.text import place
 from vjm.simulation.model import Model
 
@@ -114,7 +114,7 @@ def read_model(
         ShapeError: a model of another arm than the experiment's.
     """
     with _faults_of(path):
-        entry = _ModelEntry.model_validate_json(Path(path).read_bytes())
+        entry = _ModelEntry.model_validate_json(read_file(Path(path)))
         _check(entry)
     rig = experiment.rig if experiment else entry.rig
     recordings = experiment.cleaned_recordings if experiment else ()
@@ -167,7 +167,11 @@ def _fault(error: ValidationError) -> tuple[str, str, str]:
         return place, "missing", "this key"
     if detail["type"] == "json_invalid":
         return place, f"no usable JSON ({detail['ctx']['error']})", "a model.json written by vjm"
-    return place, f"got {shown(detail['input'])}", detail["msg"].removeprefix("Input should be ")
+    expected, names = detail["msg"].removeprefix("Input should be "), [str(part) for part in detail["loc"]]
+    if names[:1] == ["rig"]:  # whose fields say in words what they expect
+        fields = table_model(Link if "links" in names else Rig).model_fields
+        expected = next((fields[name].description or "" for name in reversed(names) if name in fields), expected)
+    return place, f"got {shown(detail['input'])}", expected
 
 
 def _effect(

@@ -9,6 +9,7 @@ from vjm.diagnosis.records import Diagnosis
 from vjm.files import check_folder, json_text, write_folder
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison
+from vjm.records import Progress
 from vjm.report.diagnosis import diagnosis_page
 from vjm.report.figures.diagnosis import diagnosis_pictures
 from vjm.report.figures.identification import identification_pictures
@@ -35,12 +36,16 @@ def result_page(result: Check | Comparison | Diagnosis, pictures: Sequence[Pictu
     return identification_page(result, pictures)
 
 
-def save(result: Comparison | Diagnosis, directory: Path | str) -> Path:
+def save(
+    result: Comparison | Diagnosis, directory: Path | str, command: str = "", progress: Progress | None = None
+) -> Path:
     """Write a result as a folder; all of it or, if anything fails, nothing.
 
     Args:
         result: of an identification, of a comparison, or of a diagnosis.
         directory: made if need be (its parent exists). Files of an earlier result are replaced, others stay.
+        command: the command line, for the report to tell; empty where there is none.
+        progress: told (text, done, total) before each picture.
 
     Returns:
         The folder.
@@ -53,11 +58,15 @@ def save(result: Comparison | Diagnosis, directory: Path | str) -> Path:
         pictures, covariance = diagnosis_pictures(result), None
     else:
         pictures, covariance = identification_pictures(result), result.covariance
+    images: dict[str, bytes] = {}
+    for k, picture in enumerate(pictures):
+        if progress is not None:
+            progress(f"drawing {picture.name}", k, len(pictures))
+        images[f"figures/{picture.name}.png"] = picture.png
     texts = {
-        REPORT: result_page(result, pictures).html(),
+        REPORT: result_page(result, pictures).html(command=command),
         "model.urdf": result.model.arm.urdf(),
         "model.json": model_text(result.model, covariance),
         "result.json": json_text(result_object(result)),  # last: it describes the others
     }
-    images = {f"figures/{picture.name}.png": picture.png for picture in pictures}
     return write_folder(folder, {**images, **texts}, [f"figures/{name}.png" for name in _PICTURES])

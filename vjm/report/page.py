@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import base64
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from functools import cache
 from importlib import resources
 from importlib.metadata import version
 from io import StringIO
 from itertools import compress
-from typing import TYPE_CHECKING, Literal, TextIO
+from typing import TYPE_CHECKING, Any, Literal, TextIO
 
 from jinja2 import Environment, StrictUndefined, Template
 from rich import box
@@ -19,14 +20,17 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from vjm.report.text import UNKNOWN
+from vjm.errors import printable
+from vjm.text import UNKNOWN, short
 
 if TYPE_CHECKING:
     from vjm.report.figures.panels import Picture
 
-_WIDTH = 110  # columns where the output is no terminal
+_WIDTH = 80  # columns where the output is no terminal
 _MOST_ROWS = 16  # of a table on a terminal
 _MOST_WARNINGS = 8  # on a terminal
+_RECORDING = "recording"  # header of a first column with names of files
+_SHORTEST_NAME = 12  # characters of one, of which the first seven and the last four are left
 _COLORS = {"good": "green", "fair": "yellow", "poor": "red"}
 
 # As close as the noise allows; something small is missing; not to be trusted yet.
@@ -42,17 +46,33 @@ class Table:
     rows: tuple[tuple[str, ...], ...]  # cells as text
     words: int = 1  # number of columns, from the left, that hold words; the others hold numbers
     notes: tuple[str, ...] = ()  # at the end of a row, a remark that needs room; empty where there is none
+    optional: tuple[str, ...] = ()  # columns that a narrow terminal leaves out, as many as it must, the first first
+
+    def without(self, *columns: str) -> Table:
+        """Return the table without the named columns."""
+        kept = [name not in columns for name in self.headers]
+        headers, *rows = (tuple(compress(row, kept)) for row in (self.headers, *self.rows))
+        return replace(self, headers=headers, rows=tuple(rows), words=sum(kept[: self.words]))
 
     def without_empty(self, *columns: str) -> Table:
         """Return the table without those of the named columns that hold nothing but dashes."""
-        kept = [name not in columns or {row[k] for row in self.rows} - {UNKNOWN} for k, name in enumerate(self.headers)]
-        headers, *rows = (tuple(compress(row, kept)) for row in (self.headers, *self.rows))
-        return replace(self, headers=headers, rows=tuple(rows))
+        places = {name: self.headers.index(name) for name in columns if name in self.headers}
+        return self.without(*(name for name, k in places.items() if all(row[k] == UNKNOWN for row in self.rows)))
+
+    def widths(self, wrapped: bool = False) -> list[int]:
+        """Return how wide its columns must be with their headers wrapped; words are wrapped from 30 characters on.
+
+        Where cells are `wrapped`, they are so at commas.
+        """
+        pieces = [[row[k].split(", ") if wrapped else [row[k]] for row in self.rows] for k in range(len(self.headers))]
+        cells = [max((len(part) for own in column for part in own), default=1) for column in pieces]
+        cells[: self.words] = [min(width, 30) for width in cells[: self.words]]
+        return [max(width, *map(len, head.split(" ")), 1) for head, width in zip(self.headers, cells, strict=True)]
 
 
 @dataclass(frozen=True)
 class Section:
-    """Part of a page: a heading, sentences, tables, pictures, terms with their descriptions, a paragraph."""
+    """Part of a page: a heading, sentences, tables, plots, pictures, terms with their descriptions, a paragraph."""
 
     heading: str = ""
     points: Sequence[str] = ()
@@ -60,6 +80,19 @@ class Section:
     pictures: Sequence[Picture] = ()
     terms: Sequence[tuple[str, str]] = ()
     text: str = ""
+    plots: Mapping[str, Any] | None = None  # time histories, as report.js plots them
+    still: Sequence[Picture] = ()  # pictures of these, where no script may run
+    folded: bool = False  # details: shown in HTML when they are asked for
+
+    @property
+    def anchor(self) -> str:
+        """Name of the section in links."""
+        return self.heading.lower().replace(" ", "-")
+
+    @property
+    def filled(self) -> bool:
+        """True if there is anything in it beside a paragraph."""
+        return any((self.points, self.tables, self.pictures, self.terms, self.plots, self.still))
 
 
 @dataclass(frozen=True)
@@ -73,10 +106,15 @@ class Page:
     points: Sequence[str]  # what supports the verdict
     warnings: Sequence[str]
     sections: Sequence[Section]
+    animation: Mapping[str, Any] | None = None  # of rig and motion, as report.html.jinja draws it
 
-    def html(self, fragment: bool = False) -> str:
-        """Return it as a self-contained HTML file, or as a fragment for notebooks."""
-        return _template().render(page=self, fragment=fragment, vjm=version("vjm"), embedded=_embedded)
+    def html(self, fragment: bool = False, command: str = "") -> str:
+        """Return it as a self-contained HTML file, or as a fragment for notebooks.
+
+        The file tells the `command` that made it, if one did, and the time.
+        """
+        made = {"vjm": version("vjm"), "date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %z}", "command": command}
+        return _template().render(page=self, fragment=fragment, made=made, embedded=_embedded, asset=_asset)
 
     def text(self) -> str:
         """Return as plain text what a terminal shows."""
@@ -86,7 +124,7 @@ class Page:
 
     def brief(self, kind: str, most: int = 20) -> str:
         """Return the verdict as plain text under a line with a kind of result, so many lines at most."""
-        lines = [f"<{kind} of {self.title!r}>", *textwrap.wrap(self.headline, _WIDTH)]
+        lines = [f"<{kind} of {self.title!r}>", *textwrap.wrap(printable(self.headline), _WIDTH)]
         for point in self.points:
             lines += _item(point, _WIDTH).splitlines()
         return "\n".join(lines if len(lines) <= most else [*lines[: most - 1], "  …"])
@@ -96,8 +134,8 @@ class Page:
         width = None if stream.isatty() else _WIDTH
         console = Console(file=stream, markup=False, highlight=False, emoji=False, width=width)
         title = f"Diagnosis: {self.title}" if self.kind == "diagnosis" else self.title
-        console.print(Text(title, style="bold"))
-        console.print(Text(self.headline, style=_COLORS[self.grade]))
+        console.print(Text(printable(title), style="bold"))
+        console.print(Text(printable(self.headline), style=_COLORS[self.grade]))
         _print_points(console, self.points)
         for section in self.sections:
             if section.heading and (section.points or section.tables):
@@ -117,10 +155,16 @@ def _embedded(picture: Picture) -> str:
 
 
 @cache
+def _asset(name: str) -> str:
+    """Return a template, a style sheet or a script of the report."""
+    return resources.files("vjm.report").joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
 def _template() -> Template:
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    text = resources.files("vjm.report").joinpath("report.html.jinja").read_text(encoding="utf-8")
-    return environment.from_string(text)
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "ensure_ascii": False}
+    return environment.from_string(_asset("report.html.jinja"))
 
 
 def _print_points(console: Console, points: Sequence[str], mark: str = "-") -> None:
@@ -129,26 +173,39 @@ def _print_points(console: Console, points: Sequence[str], mark: str = "-") -> N
 
 
 def _item(text: str, width: int, mark: str = "-") -> str:
-    return textwrap.fill(text, width - 1, initial_indent=f"  {mark} ", subsequent_indent="    ", break_on_hyphens=False)
+    return textwrap.fill(
+        printable(text), width - 1, initial_indent=f"  {mark} ", subsequent_indent="    ", break_on_hyphens=False
+    )
+
+
+def _with_short_names(table: Table, width: int) -> Table:
+    """Return the table with names of recordings as short as it takes to fit; they are in full in the report."""
+    first, *others = table.widths()
+    room = width - sum(others) - 2 * len(table.headers)
+    if table.headers[0] != _RECORDING or first <= room or room < _SHORTEST_NAME:
+        return table
+    return replace(table, rows=tuple((short(row[0], room), *row[1:]) for row in table.rows))
 
 
 def _print_table(console: Console, table: Table) -> None:
-    """Print a table; headers are wrapped, but no cell is unless it is far too long or a terminal too narrow."""
+    """Print a table; optional columns are left out and headers wrapped where it is too wide, and at last cells."""
+    table = replace(table, rows=tuple(tuple(map(printable, row)) for row in table.rows))
+    for name in table.optional:
+        if sum(table.widths()) + 2 * len(table.headers) > console.width:
+            table = table.without(name)
+    table = _with_short_names(table, console.width)
     rich = RichTable(box=box.SIMPLE_HEAD, title=table.caption, title_justify="left", title_style="bold")
     rich.collapse_padding = True
     rich.pad_edge = False
-    cells = [max((len(row[k]) for row in table.rows), default=1) for k in range(len(table.headers))]
-    cells[: table.words] = [min(width, 30) for width in cells[: table.words]]
-    least = [max(width, *map(len, header.split()), 1) for header, width in zip(table.headers, cells, strict=True)]
-    room = console.width - 2 * len(least)
-    wrapped = sum(map(max, cells, map(len, table.headers))) > room
-    broken = console.is_terminal and sum(least) > room
-    for k, header in enumerate(table.headers):
+    least = table.widths(wrapped=sum(table.widths()) + 2 * len(table.headers) > console.width)
+    fits = sum(least) + 2 * len(least) <= console.width
+    roomy = sum(map(max, least, map(len, table.headers))) + 2 * len(least) <= console.width
+    for k, (header, width) in enumerate(zip(table.headers, least, strict=True)):
         justify: Literal["left", "right"] = "left" if k < table.words else "right"
-        width = least[k] if wrapped and not broken else None
-        rich.add_column(Text(header), justify=justify, overflow="fold", min_width=width, max_width=width)
+        fixed = None if roomy or (console.is_terminal and not fits) else width
+        rich.add_column(Text(header), justify=justify, overflow="fold", min_width=fixed, max_width=fixed)
     # Names are copied: they are not broken even where other cells have to be.
-    rich.columns[0].no_wrap = cells[0] < 30
+    rich.columns[0].no_wrap = least[0] < 30
     for row in table.rows[:_MOST_ROWS]:
         rich.add_row(*map(Text, row))
     console.print(rich, crop=False)

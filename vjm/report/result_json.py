@@ -16,6 +16,7 @@ from vjm.effects.effect import Effect
 from vjm.files import plain
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison, Identification
+from vjm.model.urdf_document import Spring
 from vjm.records import Array, Estimate, RecordingComparison, SimulatedRecording
 from vjm.report.text import place
 from vjm.simulation.model import Model
@@ -107,10 +108,27 @@ def result_object(result: Check | Comparison | Diagnosis) -> Result:
     return cast(Result, plain({**common, **content}))
 
 
-def urdf_result(chain: Chain, text: str, file: str | None) -> Result:
-    """Return the result object of `vjm urdf`; it holds the text itself where no file was asked for."""
-    content = {"file": file, "joints": list(chain.joint_names), "urdf": text if file is None else None}
+def urdf_result(
+    chain: Chain, text: str, file: str | None, beside: str | None = None, left_out: Sequence[str] = ()
+) -> Result:
+    """Return the result object of `vjm urdf`; it holds the text itself where no file was asked for.
+
+    With a file `beside` for a simulator, it names the effects left out of both.
+    """
+    content: Result = {"file": file, "joints": list(chain.joint_names), "urdf": text if file is None else None}
+    if beside is not None:
+        content |= {"simulator_file": beside, "left_out": list(left_out)}
     return {**_common("urdf", chain.name, ()), **content}
+
+
+def flexify_result(robot: str, springs: Sequence[Spring], text: str, file: str | None) -> Result:
+    """Return the result object of `vjm flexify`; it holds the text itself where no file was asked for."""
+    content = {
+        "file": file,
+        "springs": [spring._asdict() for spring in springs],
+        "urdf": text if file is None else None,
+    }
+    return {**_common("flexify", robot, ()), **content}
 
 
 def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
@@ -189,8 +207,13 @@ def _check(check: Check) -> Result:
         "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in check.modes],
         "recordings": [
-            {"file": item.file, "kind": item.kind, "role": item.role, "duration_s": item.time[-1] - item.time[0]}
-            for item in check.experiment.recordings
+            {
+                **{"file": item.recording.file, "kind": item.recording.kind, "role": item.recording.role},
+                **{"duration_s": item.duration, "frames": item.frames, "missing_cells": item.missing},
+                **{"frames_per_s": item.frame_rate, "encoder_samples_per_s": item.sensor_rate},
+                **{"noise_m": item.noise, "motion_over_noise": item.motion, "modes_hz": item.modes},
+            }
+            for item in check.overviews
         ],
         "identifiable": {kind: _estimates(estimates, *_IDENTIFIABLE) for kind, estimates in check.identifiable.items()},
     }
@@ -222,7 +245,7 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
             "reduction": gain.reduction,
             "ci95": gain.interval,
         },
-        "candidates": [_candidate(candidate, model) for candidate in diagnosis.candidates],
+        "candidates": [_candidate(candidate, diagnosis) for candidate in diagnosis.candidates],
         "remaining": vars(diagnosis.remaining),
         "next_experiment": diagnosis.next_experiment,
         "symptoms": [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines()],
@@ -257,13 +280,16 @@ def _cause(cause: Cause, model: Model) -> Result:
     }
 
 
-def _candidate(candidate: Candidate, model: Model) -> Result:
+def _candidate(candidate: Candidate, diagnosis: Diagnosis) -> Result:
     return {
-        **_place(candidate.effect, model),
+        **_place(candidate.effect, diagnosis.model),
         "z": candidate.z,
         "p_value": candidate.p_value,
         "size": candidate.sizes,
         "smallest_detectable": candidate.smallest_detectable,
+        "residual": candidate.residual,
+        "residual_bound": candidate.bound,
+        "holdout_rms_m": diagnosis.held_out_alone.get(candidate.effect.key),
         "testable": candidate.testable,
         "reason": candidate.reason,
     }

@@ -1,4 +1,4 @@
-"""The figures of a diagnosis: what is wrong, the evidence for each cause, and what the causes gain."""
+"""The figures of a diagnosis: symptoms, the evidence for each cause, and the gain."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from vjm.records import REFERENCE, Array, RecordingComparison, SimulatedRecordin
 from vjm.report.figures.panels import MARKS, Color, PanelFigure, Picture, Spectrum, binned_means, rms_figure
 from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, moving_recordings
 from vjm.report.figures.symptoms import symptom_pictures
-from vjm.report.text import capital, clause, millimetres, named, place, recording_label, short
+from vjm.report.text import clause, place, recording_label
 from vjm.simulation.model import Model
+from vjm.text import capital, millimetres, short
 
-_LABELS = {"reference": "without the causes", "alternative": "next best explanation", "simulated": "with the causes"}
-_WITHOUT_AND_WITH = ("without the cause", "with it")
+_LABELS = {"reference": "without causes", "alternative": "next best explanation", "simulated": "with causes"}
+_WITHOUT_AND_WITH = ("without this cause", "with it")
 
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> list[Picture]:
-    """Return all pictures of a diagnosis: what is wrong, the evidence, what is gained."""
+    """Return all pictures of a diagnosis: symptoms, evidence, gain."""
     wrong = [] if diagnosis.symptoms is None else symptom_pictures(diagnosis.symptoms)
     return [*wrong, *_cause_pictures(diagnosis), *_gain_pictures(diagnosis)]
 
@@ -42,9 +43,9 @@ def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
             shown = [first if cause.without is None else replace(first, reference=cause.without)]
             beside = "the same model without this cause"
         caption = (
-            f"{named(cause.effect.id)}, in the recording where the causes gain most, beside {beside}. Left: the "
-            "residual against the quantity on which this cause depends. Right: the residual without the cause against "
-            "what the cause adds to the simulation; on the dashed line the two are equal."
+            f"{cause.effect.title}, in the recording with the largest gain, compared with {beside}. Left: residual "
+            "against the quantity on which this cause depends. Right: residual without the cause against its "
+            "contribution to the simulation; equal on the dashed line."
         )
         yield Picture(f"cause_{k + 1}", caption, partial(_evidence, cause, diagnosis.model, shown))
 
@@ -53,17 +54,17 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     shown = [each for each in diagnosis.recordings if each.reference is not None]
     shown.sort(key=lambda each: each.recording.role != "holdout")  # these are what counts
     if shown:
-        gain, title = diagnosis.gain, "Residual of the model without any effect"
+        gain, title = diagnosis.gain, "Residual of the model without effects"
         labels = _LABELS if diagnosis.causes else {"reference": "model"}
         if gain is not None and diagnosis.causes:
-            best = "" if gain.next_best is None else f", {millimetres(gain.next_best)} with the next best explanation"
-            sizes = f"{millimetres(gain.before)} without the causes, {millimetres(gain.after)} with them"
-            title = f"Held-out recordings: {sizes}{best}; noise {millimetres(gain.noise)}"
-        caption = "Open-loop simulation of each whole recording; a complete model lies on the noise mark."
+            best = "" if gain.next_best is None else f", next best explanation {millimetres(gain.next_best)}"
+            sizes = f"{millimetres(gain.before)} without causes, {millimetres(gain.after)} with causes"
+            title = f"Held-out residual, all markers: {sizes}{best}; noise {millimetres(gain.noise)}"
+        caption = "RMS of all marker coordinates, open loop. A complete model lies on the noise mark."
         yield Picture("gain", caption, partial(rms_figure, title, shown[:40], labels, in_noise=False))
     for k, (comparison, signal) in enumerate(_held_out(diagnosis) if diagnosis.causes else ()):
         sensor = "Tip marker" if signal.is_marker else "Joint angle"
-        caption = f"{sensor} in {short(comparison.recording.file)}: measured, and simulated before and after."
+        caption = f"{sensor} in {short(comparison.recording.file)}: measured and simulated, without and with causes."
         yield Picture(f"held_out_{k + 1}", caption, partial(_before_and_after, comparison, signal))
 
 
@@ -79,10 +80,10 @@ def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure
     before, after = comparison.reference, comparison.simulated
     assert before is not None
     assert after is not None
-    sizes = f"{signal.rms_text(before)} RMS without the causes, {signal.rms_text(after)} with them"
-    title = f"{recording_label(comparison.recording)}, {signal.name}: residual {sizes}"
+    sizes = f"{signal.rms_text(before)} RMS without causes, {signal.rms_text(after)} with causes"
+    title = f"{recording_label(comparison.recording)}: residual of {signal.name} alone: {sizes}"
     window = liveliest_window(signal.time, np.nan_to_num(signal.residual(before)))
-    heading = "" if signal.is_whole(window) else "Where the model without the causes is off most"
+    heading = "" if signal.is_whole(window) else "Where the residual without causes is largest"
     return motion_figure(title, [(signal, comparison, [(window, heading)])], _LABELS)
 
 
@@ -156,8 +157,8 @@ def _torque_evidence(effect: Effect, model: Model, comparisons: Sequence[Recordi
         if profile is None:
             return None
         points.append((np.degrees(profile.position if by_angle else profile.velocity), 1e3 * profile.fit.own))
-    labels = "joint angle [°]" if by_angle else "joint velocity [°/s]", "missing torque [mN m]"
-    return _Evidence(tuple(points), labels, 0.0, title="Torque at the joint that the model lacks")
+    labels = "joint angle [°]" if by_angle else "joint velocity [°/s]", "unmodelled torque [mN m]"
+    return _Evidence(tuple(points), labels, 0.0, title="Unmodelled joint torque")
 
 
 def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
@@ -191,9 +192,9 @@ def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecordin
     most = max(float(np.percentile(np.abs(x), 99.5)), 3 * noise) * 1.15
     ends = np.array([-most, most])
     axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=Color.BAND, linewidth=0, label="noise")
-    axes.plot(ends, ends, "--", color=Color.MEASURED, linewidth=1.2, label="residual equals what the cause adds")
+    axes.plot(ends, ends, "--", color=Color.MEASURED, linewidth=1.2, label="residual = contribution")
     axes.plot(*_thinned(x, y), ".", color=Color.IDENTIFIED, markersize=2.2, zorder=3)
     axes.set(xlim=ends, ylim=1.15 * ends)
-    axes.set(xlabel="added by the cause to the simulated markers [mm]", ylabel="residual without the cause [mm]")
+    axes.set(xlabel="contribution of the cause [mm]", ylabel="residual without the cause [mm]")
     share = 1 - float(np.sum((y - x) ** 2)) / max(float(np.sum(y**2)), 1e-300)
-    axes.set_title(f"Explained: {max(100 * share, 0.0):.1f} % of the residual, in mean square")
+    axes.set_title(f"{max(100 * share, 0.0):.1f} % of the mean square residual explained")

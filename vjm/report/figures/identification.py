@@ -1,12 +1,11 @@
-"""The figures of an identification, or of a model compared with recordings: how well it follows, and what it leaves."""
+"""The figures of an identification, or of a model compared with recordings: simulation and residual."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from scipy import stats
@@ -14,10 +13,21 @@ from scipy import stats
 from vjm.identification.records import Comparison, Identification
 from vjm.records import Array, Estimate, RecordingComparison, Rig
 from vjm.report.figures.measurements import data_pictures
-from vjm.report.figures.panels import FALSE_ALARM, Color, PanelFigure, Picture, Spectrum, heatmap, rms_figure
+from vjm.report.figures.panels import (
+    DIVERGING,
+    FALSE_ALARM,
+    SMALLEST,
+    Color,
+    PanelFigure,
+    Picture,
+    Spectrum,
+    heatmap,
+    rms_figure,
+)
 from vjm.report.figures.signals import Signal, motion_figure, moving_recordings, one_of_each_repeat
-from vjm.report.text import number, recording_label, short
+from vjm.report.text import recording_label
 from vjm.simulation.model import Model
+from vjm.text import number, short
 
 _MOST_ROWS = 40  # recordings in the RMS figure
 _MOST_MAP_ROWS, _MOST_MAP_COLUMNS = 24, 14
@@ -38,14 +48,14 @@ def identification_pictures(result: Comparison) -> list[Picture]:
 def _replay_pictures(comparisons: Sequence[RecordingComparison], model: Model, name: str) -> list[Picture]:
     labels = {"reference": "nominal model", "alternative": "torque method", "simulated": f"{name} model"}
     caption = (
-        "Open-loop simulation of each whole recording: only its initial state is estimated from it. "
-        f"A complete model lies on the noise mark.{_first_of(comparisons, _MOST_ROWS)}"
+        "RMS of all marker coordinates, open loop: only the initial state is estimated from each recording. A complete "
+        f"model lies on the noise mark.{_first_of(comparisons, _MOST_ROWS)}"
     )
     title = _rms_title(comparisons, labels)
     pictures = [Picture("fit", caption, partial(rms_figure, title, comparisons[:_MOST_ROWS], labels, in_noise=True))]
     shown = _shown_tips(model.rig, comparisons)
     for k, (comparison, signal) in enumerate(shown):
-        more = "" if k or len(shown) == len(comparisons) else f" For {len(shown)} of {len(comparisons)} recordings."
+        more = "" if k or len(shown) == len(comparisons) else f" {len(shown)} of {len(comparisons)} recordings shown."
         caption = f"{signal.name} in {short(comparison.recording.file)}, measured and simulated; residual below.{more}"
         pictures.append(Picture(f"tip_{k + 1}", caption, partial(_tip_figure, comparison, signal, labels)))
     return pictures
@@ -67,7 +77,7 @@ def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[str, str
             parts.append(f"{labels[role]} {' to '.join(ends)}")
     if not parts:
         return "No recording could be simulated"
-    return f"Residual over noise in {'held-out' if held_out else 'training'} recordings: {', '.join(parts)}"
+    return f"Residual / noise in {'held-out' if held_out else 'training'} recordings: {', '.join(parts)}"
 
 
 def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tuple[RecordingComparison, Signal]]:
@@ -84,9 +94,10 @@ def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[st
     rms = {role: signal.rms(simulated) for role, simulated in simulations.items()}
     # A second residual is drawn where it is neither hidden by the first one nor hides it.
     least: tuple[tuple[str, float], ...] = (("alternative", 1.05), ("reference", 0.0))
-    second = [role for role, low in least if low < rms.get(role, np.nan) / rms["simulated"] <= 4][:1]
+    own = rms["simulated"]  # zero where nothing moves
+    second = [role for role, low in least if low * own < rms.get(role, np.nan) <= 4 * own][:1]
     sizes = [f"{labels[role]} {signal.rms_text(simulations[role])}" for role in reversed(simulations)]
-    title = f"{recording_label(comparison.recording)}, {signal.name}: residual of {', '.join(sizes)} RMS"
+    title = f"{recording_label(comparison.recording)}: residual of {signal.name} alone, RMS: {', '.join(sizes)}"
     hidden = {"alternative", "reference"} - {*second}
     return motion_figure(title, [(signal, comparison, signal.windows())], labels, hidden)
 
@@ -96,19 +107,20 @@ def _residual_pictures(fit: Identification) -> Iterator[Picture]:
     if not replayed:
         return
     caption = (
-        "Residual of each marker coordinate, RMS over the whole recording in units of the camera's noise. Pale "
-        "throughout: nothing is missing; a dark column: a marker that is not where the file says, or a mode that only "
-        f"it shows; a dark row: something that happens in that recording only.{_first_of(replayed, _MOST_MAP_ROWS)}"
+        "RMS residual of each marker coordinate in units of camera noise. Pale: complete model; dark column: "
+        "misplaced marker, or a mode that only it shows; dark row: specific to that recording."
+        f"{_first_of(replayed, _MOST_MAP_ROWS)}"
     )
     yield Picture("residual_map", caption, partial(_residual_map, fit.model.rig, replayed[:_MOST_MAP_ROWS]))
     shown = [(each, Spectrum.of(each.simulated)) for each, _ in _shown_tips(fit.model.rig, replayed) if each.simulated]
     spectra = [(each, spectrum) for each, spectrum in shown if spectrum is not None]
     if spectra:
         caption = (
-            "Amplitude of the residual, root mean square over all marker coordinates. A peak above the dashed line at "
-            "a natural frequency: its frequency or damping is off; elsewhere: something that is not in the model."
+            "Amplitude of the residual, RMS over all marker coordinates. A peak above the dashed line at a natural "
+            "frequency: its frequency or damping is off; elsewhere: unmodelled dynamics."
         )
-        yield Picture("residual_spectra", caption, partial(_residual_spectra, fit.model, spectra))
+        white = {item.file for item in fit.whiteness if not item.coloured}  # the table says so
+        yield Picture("residual_spectra", caption, partial(_residual_spectra, fit.model, spectra, white))
 
 
 def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figure:
@@ -116,10 +128,10 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     # RMS that white noise passes anywhere in one such table of a thousand, and never less than 10 % above the noise.
     limit = np.sqrt(stats.chi2.isf(FALSE_ALARM / table.size, np.maximum(count, 1)) / np.maximum(count, 1))
     row, column = divmod(int(np.nanargmax(table)), table.shape[1])
-    worst = f"at most {number(float(table[row, column]), 3)} times the noise"
+    worst = f"at most {number(float(table[row, column]), 3)} × noise"
     white = bool(np.nanmax(table / np.maximum(limit, 1.1)) <= 1)
-    title = "Every marker is followed to within the noise" if white else "Residual marker by marker"
-    title = f"{title}: {worst}, {names[column]} in {short(comparisons[row].recording.file)}"
+    title = "All markers within noise" if white else "Residual of each marker"
+    title = f"{title}: {worst} ({names[column]} in {short(comparisons[row].recording.file)})"
     page = PanelFigure.of(title, [(0.65 + 0.28 * max(len(comparisons), 2), 1)])
     axes = page.axes[0][0]
     scales = ((1.0, 1.5, 3.0, 10.0), (1.0, 3.0, 10.0, 100.0), (1.0, 10.0, 100.0, 1000.0))
@@ -130,9 +142,9 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     heads = [name.partition(".")[2] if len(rig.links) == 1 else name.replace(".", " ", 1) for name in names]
     roomy = len(names) <= _MOST_MAP_COLUMNS
     text = (lambda value: f"{value:.0f}" if value >= 10 else f"{value:.2f}") if len(names) <= 28 else None
-    heatmap(axes, table, (colors, norm), (rows, [short(head, 14) for head in heads]), text, 8.5 if roomy else 6.5)
+    heatmap(axes, table, (colors, norm), (rows, [short(head, 14) for head in heads]), text, 8.5 if roomy else SMALLEST)
     axes.set(xlabel="marker coordinate", ylabel="recording")
-    words = [f"{level:g} times the noise" for level in levels]
+    words = [f"{level:g} × noise" for level in levels]
     words = [f"{words[0]} or less", *words[1:-1], f"{words[-1]} or more"]
     return page.finish(areas=dict(zip(words, colors(norm(levels)), strict=True)))
 
@@ -153,29 +165,35 @@ def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tup
     return names, np.sqrt(table / np.where(count > 0, count, np.nan)), count
 
 
-def _residual_spectra(model: Model, spectra: Sequence[tuple[RecordingComparison, Spectrum]]) -> Figure:
-    comparison, spectrum = max(spectra, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].limit)))
-    title = "Spectrum of the residual: no frequency at which it is larger than noise"
-    if (where := _peak(model, comparison, spectrum)) is not None:
-        times = f"{float(f'{spectrum.amplitude.max() / spectrum.white:.2g}'):g} times white noise"
-        title = f"Spectrum of the residual: largest {where}, in {short(comparison.recording.file)}: {times}"
+def _residual_spectra(
+    model: Model, spectra: Sequence[tuple[RecordingComparison, Spectrum]], white: Collection[str]
+) -> Figure:
+    judged = [pair for pair in spectra if pair[0].recording.file not in white] or spectra
+    comparison, spectrum = max(judged, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].limit)))
+    title = "Residual spectrum: no peak above noise"
+    if (where := _peak(model, comparison, spectrum, white)) is not None:
+        times = f"{number(float(spectrum.amplitude.max() / spectrum.white), 2)} × white noise"
+        title = f"Residual spectrum: largest {where} in {short(comparison.recording.file)}, {times}"
     page = PanelFigure.grid(title, len(spectra), (2.8, 2.3))
     for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
         other = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
         drawn = [(other, "torque method", Color.TORQUE)] if other is not None else []
         modes = model.modes(comparison.recording.payload).frequencies
         Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
-        where = _peak(model, comparison, spectrum)
+        where = _peak(model, comparison, spectrum, white)
         axes.set_title(
             f"{recording_label(comparison.recording, 20)}: {'noise only' if where is None else f'largest {where}'}"
         )
     return page.finish()
 
 
-def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum) -> str | None:
-    """Tell the frequency of the largest residual, and its mode; None where nothing is above the limit of noise."""
+def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum, white: Collection[str]) -> str | None:
+    """Tell the frequency of the largest residual, and its mode; None where nothing is above the limit of noise.
+
+    Residuals of the files in `white` are noise by the test of their correlation.
+    """
     at = int(np.argmax(spectrum.amplitude))
-    if spectrum.amplitude[at] <= spectrum.limit:
+    if spectrum.amplitude[at] <= spectrum.limit or comparison.recording.file in white:
         return None
     peak, line = float(spectrum.frequency[at]), float(spectrum.frequency[0])
     if at < 2:  # not even two periods in the recording
@@ -197,7 +215,7 @@ def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> I
         correlation = np.clip(covariance[np.ix_(kept, kept)] / np.outer(std, std), -1.0, 1.0)
         caption = (
             "Correlation of the estimates' errors. Near +1 or −1 the recordings determine only one combination of the "
-            "two parameters, however small the noise."
+            "two parameters."
         )
         yield Picture("correlations", caption, partial(_correlation_map, [names[k] for k in kept], correlation))
 
@@ -213,10 +231,10 @@ def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
     shown = np.where(np.eye(count, dtype=bool), np.nan, matrix[:count, :count])
     rows = [f"{short(name, 30)}  {k + 1}" for k, name in enumerate(names[:count])]
     columns = [str(k + 1) for k in range(count)]
-    colors, norm = colormaps["PuOr_r"], Normalize(-1.0, 1.0)
-    heatmap(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else 6.0)
+    colors, norm = DIVERGING, Normalize(-1.0, 1.0)
+    heatmap(axes, shown, (colors, norm), (rows, columns), _signed if roomy else None, 8.5 if roomy else SMALLEST)
     axes.set(xlabel="parameter", ylabel="parameter")
-    words = ("+1: rise together", "0: independent", "−1: one for the other")
+    words = ("+1", "0: independent", "−1")
     return page.finish(areas=dict(zip(words, colors(norm([1.0, 0.0, -1.0])), strict=True)))
 
 
@@ -226,12 +244,12 @@ def _correlation_title(names: Sequence[str], matrix: Array) -> str:
     pair = f"{short(names[row], 30)} and {short(names[column], 30)} ({_signed(float(matrix[row, column]))})"
     strong = int(np.count_nonzero(size > 0.9))
     if strong > 1:
-        return f"{strong} pairs of parameters are correlated beyond 0.9, above all {pair}"
+        return f"{strong} pairs of parameters correlated beyond 0.9, strongest: {pair}"
     if strong == 1:
         return f"The recordings hardly distinguish {pair}"
     if size.max() < 0.5:
-        return f"The recordings distinguish all parameters; most correlated are {pair}"
-    return f"Correlation of the estimates: strongest between {pair}"
+        return f"All parameters distinguishable; strongest correlation: {pair}"
+    return f"Correlation of the estimates, strongest: {pair}"
 
 
 def _signed(value: float) -> str:

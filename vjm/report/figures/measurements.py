@@ -18,7 +18,7 @@ from vjm.identification.training_data import PreparedRecording
 from vjm.records import Array, Indices, Recording, Rig
 from vjm.report.figures.panels import LINES, MARKS, Color, PanelFigure, Picture, draw_marks, log_axis
 from vjm.report.figures.signals import Signal, liveliest_window, moving_axis, one_of_each_repeat
-from vjm.report.text import counted, listed, millimetres, number, short
+from vjm.text import counted, listed, millimetres, number, short
 
 _MOST_LINKS = 3  # beside each other
 
@@ -35,14 +35,14 @@ def data_pictures(fit: Identification) -> Iterator[Picture]:
         caption = f"Angles from the markers of {short(moving[0].recording.file)}, with rates and accelerations."
         yield Picture("angles", caption, partial(_joint_angles, chain, moving[0]))
         caption = (
-            "Residual of the equation of motion, joint by joint (eq. 14). Of a complete model, it is what the noise of "
-            "the accelerations explains."
+            "Residual of the equation of motion at each joint (eq. 14). A complete model leaves only the noise of the "
+            "accelerations."
         )
         yield Picture("torque_errors", caption, partial(_torque_errors, fit))
     shown = _spread_over(recordings, 8 // min(len(rig.links), _MOST_LINKS))
     if shown:
         part = "" if len(shown) == len(recordings) else f" ({len(shown)} of {len(recordings)})"
-        caption = f"Measured marker coordinates of the recordings{part}, where they move most."
+        caption = f"Measured marker coordinates of the recordings{part}, at their largest motion."
         yield Picture("markers", caption, partial(_raw_markers, rig, shown))
 
 
@@ -98,9 +98,9 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
 def _link_shapes(rig: Rig, chain: Chain, recordings: Sequence[PreparedRecording]) -> Figure:
     residuals = np.concatenate([fit.residuals.ravel() for data in recordings for fit in data.angles.shapes])
     rms = float(np.sqrt(np.nanmean(residuals**2))) if np.isfinite(residuals).any() else 0.0
-    title = f"Shape functions pass the markers of all links within {millimetres(rms)} RMS"
+    title = f"Shape functions fit the markers of all links to {millimetres(rms)} RMS"
     if all(fit.order == fit.residuals.shape[1] for fit in recordings[0].angles.shapes):
-        title = "Shape of the link: as many functions as markers, so the curve passes through them and is not tested"
+        title = "Shape functions: as many as markers, so the fit is exact and not a test"
     page = PanelFigure.of(title, [(3.1, len(recordings))] * len(rig.links))
     for i, row in enumerate(page.axes):
         for axes, data in zip(row, recordings, strict=True):
@@ -156,8 +156,8 @@ def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
     ratios = np.max(std / np.maximum(noise[:, chain.passive], 1e-300), axis=1)
     times = listed([f"{ratio:.0f}" if ratio >= 2 else f"{ratio:.1f}" for ratio in ratios])
     window = liveliest_window(derivatives.time[inside], known[0][:, int(np.argmax(std[0]))])
-    title = f"Virtual joint angles of {short(data.recording.file)}: angle, rate and acceleration are {times} times "
-    page = PanelFigure.of(f"{title}their noise", [(1.75, len(links))] * 3)
+    title = f"Virtual joint angles of {short(data.recording.file)}: signal/noise of angle, rate and acceleration "
+    page = PanelFigure.of(f"{title}{times}", [(1.75, len(links))] * 3)
     time = np.linspace(*window, 800)  # a camera may take no more than four frames a period
     lines = CubicSpline(derivatives.time, signals, axis=1)(time)
     frames = (data.angles.time >= window[0]) & (data.angles.time <= window[1])
@@ -198,9 +198,9 @@ def _torque_errors(fit: Identification) -> Figure:
     variances = [np.diag(data.noise_covariance(chain)) for data in recordings]
     noise = np.sqrt(np.average(variances, axis=0, weights=samples))
     total = [f"{number(1e3 * float(np.sqrt(np.nansum(rms**2))), 2)} mN m" for rms in (before, after, noise)]
-    title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, noise alone "
+    title = f"Torque errors of the training recordings: nominal model {total[0]}, identified {total[1]}, expected "
     rows = [(2.35, 1), (0.7 + 0.28 * chain.size, 1)] if chain.size > 1 else [(2.35, 1)]
-    page = PanelFigure.of(f"{title}would give {total[2]} (RMS, all joints)", rows)
+    page = PanelFigure.of(f"{title}from noise {total[2]} (RMS, all joints)", rows)
     trace, time = page.axes[0][0], data.derivatives.time
     start, stop = liveliest_window(time, np.nan_to_num(data.derivatives.value[:, joint]))
     time = time[data.derivatives.interior]
@@ -208,7 +208,7 @@ def _torque_errors(fit: Identification) -> Figure:
     trace.axhline(0.0, color=Color.AXIS, linewidth=0.6)
     trace.plot(time[shown], 1e3 * identified[worst][shown, joint], label="identified", **LINES["simulated"])
     trace.plot(time[shown], 1e3 * nominal[worst][shown, joint], label="nominal", **LINES["reference"])
-    heading = f"{chain.joint_names[joint]}, where the nominal model errs most, in {short(data.recording.file)}"
+    heading = f"{chain.joint_names[joint]} in {short(data.recording.file)} (largest nominal error)"
     trace.set(xlabel="time [s]", ylabel="error [mN m]", title=heading)
     if chain.size > 1:
         lower, values = page.axes[1][0], 1e3 * np.stack([noise, before, after])

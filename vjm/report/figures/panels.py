@@ -19,7 +19,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import Collection
-from matplotlib.colors import Colormap, Normalize
+from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 from matplotlib.ticker import AutoLocator, LogLocator, NullLocator
@@ -36,17 +36,21 @@ class Color:
     """Colours that stay apart in grey as well; each comes with a line style or a marker of its own."""
 
     IDENTIFIED = "#0b2f5c"
-    NOMINAL = "#e07b00"
-    TORQUE = "#4aa3c7"
+    NOMINAL = "#b85c00"
+    TORQUE = "#66b9dd"
     MEASURED = "#7d7d7d"
     BAND = "#d6d6d6"
     AXIS = "#444444"
 
 
+SMALLEST = 7.5  # points; 9 pixels where the report shows a figure at its least width
+# From dark through white to light, so that signs stay apart in grey as well.
+DIVERGING = LinearSegmentedColormap.from_list("diverging", ["#2d004b", "#8073ac", "#f9f9f9", "#fbd9a5", "#e8a13c"])
+
 # Lines and marks of a RecordingComparison's simulations, in the order in which they are drawn.
 LINES: dict[str, dict[str, Any]] = {
     "reference": {"color": Color.NOMINAL, "linestyle": (0, (4, 2))},
-    "alternative": {"color": Color.TORQUE, "linestyle": "-"},
+    "alternative": {"color": Color.TORQUE, "linestyle": (0, (6, 1.5, 1.5, 1.5))},
     "simulated": {"color": Color.IDENTIFIED, "linestyle": "-"},
 }
 MARKS: dict[str, dict[str, Any]] = {
@@ -163,18 +167,19 @@ def log_axis(axis: Axis, low: float, high: float) -> None:
 
 def heatmap(
     axes: Axes, table: Array, shades: tuple[Colormap, Normalize], names: tuple[Sequence[str], Sequence[str]],
-    text: Callable[[float], str] | None, fontsize: float = 8.5,
+    text: Callable[[float], str] | None, fontsize: float = 8.5, levels: Array | None = None,
 ) -> None:  # fmt: skip
     """Draw a table (R, C) as coloured cells, the first row at the top; cells that are NaN are grey and empty.
 
-    `names` are those of the rows and of the columns; `text`, if any, is written into the cells.
+    `names` are those of the rows and of the columns; `text`, if any, is written into the cells. Colours are those of
+    `levels` (R, C), or of the table itself.
     """
-    colors, norm = shades
+    (colors, norm), levels = shades, table if levels is None else levels
     axes.set_facecolor(Color.BAND)
-    axes.pcolormesh(np.ma.masked_invalid(table), cmap=colors, norm=norm, edgecolors="#bbbbbb", linewidth=0.6)
+    axes.pcolormesh(np.ma.masked_invalid(levels), cmap=colors, norm=norm, edgecolors="#bbbbbb", linewidth=0.6)
     for (row, column), value in np.ndenumerate(table):
         if text is not None and np.isfinite(value):
-            luma = float(np.dot(colors(norm(value))[:3], (0.3, 0.59, 0.11)))
+            luma = float(np.dot(colors(norm(levels[row, column]))[:3], (0.3, 0.59, 0.11)))
             look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": fontsize, "in_layout": False}
             axes.text(column + 0.5, row + 0.5, text(value), color="#222222" if luma > 0.55 else "white", **look)
     axes.invert_yaxis()
@@ -256,7 +261,11 @@ class Spectrum:
         last = spectra[-1][0]
         axes.axhline(1e6 * last.white, color=Color.MEASURED, linewidth=1.6, label="white noise")
         axes.axhline(
-            1e6 * last.limit, color=Color.MEASURED, linestyle=(0, (4, 2)), linewidth=1.1, label="its limit (99.9 %)"
+            1e6 * last.limit,
+            color=Color.MEASURED,
+            linestyle=(0, (4, 2)),
+            linewidth=1.1,
+            label="limit of noise (99.9 %)",
         )
         low, high = float(last.frequency[0]), float(last.frequency[-1])
         look: dict[str, Any] = {"color": "#a03060", "linestyle": (0, (1, 1.5)), "zorder": 1}
@@ -308,6 +317,6 @@ def rms_figure(
     axes.hlines(range(len(names)), np.fmin.reduce(every[1:]), np.fmax.reduce(every[1:]), color="#bbbbbb", zorder=1)
     draw_marks(axes, names, marks)
     log_axis(axes.xaxis, np.nanmin(every) / 1.15, np.nanmax(every) * 1.15)
-    unit_name = "times the noise" if in_noise else "mm"
-    axes.set(xlabel=f"marker residual over the whole recording, open loop, RMS [{unit_name}]", ylabel="recording")
+    unit_name = "× noise" if in_noise else "mm"
+    axes.set(xlabel=f"RMS residual of all markers, open loop [{unit_name}]", ylabel="recording")
     return page.finish()

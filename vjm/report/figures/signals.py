@@ -15,9 +15,10 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import detrend
 
 from vjm.errors import ChoiceError, InsufficientDataError
-from vjm.records import Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording, Simulation
+from vjm.records import REFERENCE, Array, Indices, Recording, RecordingComparison, Rig, SimulatedRecording, Simulation
 from vjm.report.figures.panels import LINES, Color, PanelFigure
-from vjm.report.text import millimetres, number, recording_label, short
+from vjm.report.text import recording_label
+from vjm.text import millimetres, number, short
 
 Window = tuple[float, float]  # first and last instant [s]
 _Item = TypeVar("_Item")
@@ -98,6 +99,20 @@ class Signal:
         return [((start, start + length), first), ((stop - length, stop), last)]
 
 
+def measured_signals(rig: Rig, recording: Recording) -> list[Signal]:
+    """Return every coordinate of a marker and every joint angle that was measured, from the base outwards."""
+    names = [column for link in rig.links for column in link.marker_columns]
+    channels: list[tuple[str, tuple[int, ...]]] = [(name, divmod(k, 2)) for k, name in enumerate(names)]
+    channels += [(f"{rig.links[link].name}.theta", (joint,)) for joint, link in enumerate(rig.active_links)]
+    signals = []
+    for name, index in channels:
+        values = _channel(recording, index)
+        rows = np.flatnonzero(np.isfinite(values))
+        if rows.size:
+            signals.append(Signal(name, index, rows, recording.time[rows], values[rows]))
+    return signals
+
+
 def _channel(source: Recording | Simulation, index: tuple[int, ...]) -> Array:
     return source.markers[:, index[0], index[1]] if len(index) == 2 else source.theta[:, index[0]]
 
@@ -139,6 +154,21 @@ def moving_recordings(
     pairs = [(each, Signal.of(rig, each.recording)) for each in comparisons if each.recording.kind != "quiet"]
     usable = [(each, signal) for each, signal in pairs if signal is not None and getattr(each, role) is not None]
     return sorted(usable, key=lambda pair: -getattr(pair[0], role).marker_rms / pair[0].noise[0])
+
+
+def ranked_recordings(comparisons: Sequence[RecordingComparison], roles: Collection[str]) -> list[RecordingComparison]:
+    """Return recordings that a model of these roles can simulate, those first that tell a reader most.
+
+    Held-out ones come first; of these the ones that may show what has changed; then the largest residual of the model
+    that is compared with, or of the one that is judged.
+    """
+
+    def rank(comparison: RecordingComparison) -> tuple[bool, bool, float]:
+        first = next(getattr(comparison, role) for role in LINES if role in roles and getattr(comparison, role))
+        recording = comparison.recording
+        return recording.role != "holdout", recording.condition == REFERENCE, -first.marker_rms / comparison.noise[0]
+
+    return sorted((each for each in comparisons if any(getattr(each, role) for role in roles)), key=rank)
 
 
 def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Recording]) -> list[_Item]:

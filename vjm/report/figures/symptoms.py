@@ -1,4 +1,4 @@
-"""Pictures of the symptoms: what is wrong, before any cause is named."""
+"""Pictures of the symptoms: how recordings differ from the model without effects."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import FuncNorm
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from vjm.diagnosis.symptoms import RecordingSymptoms, Symptoms
@@ -17,9 +16,19 @@ from vjm.diagnosis.symptoms.channels import Coefficient, SensorAtRest
 from vjm.diagnosis.symptoms.joints import JointProfile
 from vjm.diagnosis.symptoms.modes import FreeMotion, ModeDifference
 from vjm.records import Array, RecordingComparison
-from vjm.report.figures.panels import Color, PanelFigure, Picture, Spectrum, binned_means, draw_marks, heatmap, log_axis
+from vjm.report.figures.panels import (
+    DIVERGING,
+    Color,
+    PanelFigure,
+    Picture,
+    Spectrum,
+    binned_means,
+    draw_marks,
+    heatmap,
+    log_axis,
+)
 from vjm.report.figures.signals import Signal, liveliest_window, motion_figure, one_of_each_repeat
-from vjm.report.text import number, short
+from vjm.text import number, ratio, short
 
 _MOST_ROWS = 24  # recordings on a page: more could not be read
 _DOTS, _POOLED = "#cfcfcf", "#c9d6e6"
@@ -31,34 +40,35 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
     headlines, told, pictures = found.headlines(len(found.found)), set[str](), []
     moving = sorted((one for one in found.recordings if one.modes.remaining), key=_times_noise, reverse=True)
     worst = one_of_each_repeat(moving, lambda one: one.simulated.recording)[:3]
-    overview = "The model follows every recording to within what noise explains"
+    overview = "The model follows every recording to within noise"
     if worst and headlines:
         size = number(_times_noise(worst[0]), 2)
-        overview = f"The model is off most in {_file(worst[0], 36)}: {size} times the noise over all sensors"
+        overview = f"Largest residual: {size} × noise over all sensors, in {_file(worst[0], 36)}"
     lag = number(1e3 * (abs(found.lag.value) + 2 * found.lag.std), 2)  # it may differ from zero by so much
     # Name, kinds of symptoms it shows, title without any, caption, function and content.
     table: list[tuple[str, Sequence[str], str, str, Callable[..., Figure], Any]] = [
         ("overview", (), overview,
-         "The recordings that the model follows worst, and their residuals: one that grows is a wrong frequency, one "
-         "that keeps the motion's shape a wrong size or time.", _overview, worst),
+         "Recordings with the largest residuals. A growing residual: wrong frequency; one shaped like the motion: "
+         "wrong amplitude or time.", _overview, worst),
         ("bands", ("frequency", "damping", "amplitude", "phase", "slow_amplitude", "slow_delay"),
-         "Frequency, damping, amplitude and phase of all modes are as simulated",
-         "Each mode, measured against the model: a column of one colour is off in every recording, a row of one colour "
-         "is that recording's own.", _modes, [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]),
+         "Frequency, damping, amplitude and phase of all modes agree with the model",
+         "Modes, measured minus model; colours by significance. A column of one colour: off in every recording; a row: "
+         "specific to that recording.",
+         _modes, [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]),
         ("amplitude", ("frequency", "damping", "frequency_with_amplitude", "damping_with_amplitude"),
-         "Frequency and damping are as in the model, and change with amplitude as they do there",
-         "Frequency and damping while nothing drives the arm, one curve a condition: marks beside their line are off; "
-         "marks with another slope depend on amplitude as the model does not.", _with_amplitude, _free_motion(found)),
+         "Frequency and damping against amplitude agree with the model",
+         "Frequency and damping in free motion, one curve for each condition. Marks beside their line: offset from the "
+         "model; another slope: amplitude dependence that the model lacks.", _with_amplitude, _free_motion(found)),
         ("profiles", ("against_angle", "against_velocity", "against_sign"),
-         "What the model misses depends neither on where the arm is nor on how fast or which way it moves",
-         "Residuals against position, velocity and direction, each without what the other two explain: a slope goes "
-         "with the motion, a step changes with its direction.", _profiles, _profiles_shown(found)),
-        ("lag", ("camera_lag",), f"Camera and encoders tell the same time, to within {lag} ms",
-         "Delay of each sensor against the model: dark marks off the zero line are two clocks that disagree.",
+         "Residual does not depend on position, velocity or direction",
+         "Residual against position, velocity and direction, each corrected for the other two. Slope: spring or "
+         "damper; step: dry friction.", _profiles, _profiles_shown(found)),
+        ("lag", ("camera_lag",), f"Camera and encoders are synchronous to within {lag} ms",
+         "Delay of each sensor relative to the model. Dark marks off zero: camera and encoder clocks disagree.",
          _lags, _with_lag(found)),
         ("quiet", ("quiet_tone", "noise_size", "noise_correlation"),
-         "At rest, the sensors show white noise of the size that was supposed",
-         "The sensors at rest: a line above the dashed one is no noise, a slope is noise that is not white.",
+         "At rest, the sensors show white noise of the assumed size",
+         "Sensors at rest. A line above the dashed one: a disturbance; a slope: coloured noise.",
          _quiet, _at_rest(found)),
     ]  # fmt: skip
     for name, kinds, nothing, caption, draw, shown in table:
@@ -87,42 +97,42 @@ def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -
         signal = Signal.of(found.rig, simulated.recording)
         assert signal is not None  # a recording that moves was measured
         window = liveliest_window(signal.time, np.nan_to_num(signal.residual(simulated)))
-        heading = f"{_file(one, 18)}{'' if signal.is_whole(window) else ', worst stretch'}"
+        heading = f"{_file(one, 18)}{'' if signal.is_whole(window) else ', largest residual'}"
         comparison = RecordingComparison(simulated.recording, simulated.noise, simulated)
         drawn.append((signal, comparison, [(window, heading)]))
         size = signal.rms(simulated) / simulated.noise[0 if signal.is_marker else 1]
-        headings.append(f"{number(size, 2)} times the noise")
+        headings.append(f"{signal.name}: {number(size, 2)} × noise")
     return motion_figure(title, drawn, {"simulated": "model"}, headings=headings)
 
 
 def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
     modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
-    page, colors = PanelFigure.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), colormaps["PuOr_r"]
-    values: Sequence[tuple[str, Callable[[ModeDifference], float]]] = (
-        ("frequency [%]", lambda mode: 100 * _sure(mode.frequency)),
-        ("damping ratio [10⁻³]", lambda mode: 1e3 * _sure(mode.damping)),
-        ("amplitude [%]", lambda mode: 100 * np.expm1(_sure(mode.gain))),
-        ("phase [deg]", lambda mode: np.degrees(_sure(mode.phase))),
+    page, colors = PanelFigure.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), DIVERGING
+    kinds: Sequence[tuple[str, Callable[[ModeDifference], Coefficient], Callable[[float], float]]] = (
+        ("frequency [%]", lambda mode: mode.frequency, lambda value: 100 * value),
+        ("damping ratio [10⁻³]", lambda mode: mode.damping, lambda value: 1e3 * value),
+        ("amplitude [%]", lambda mode: mode.gain, lambda value: 100 * float(np.expm1(value))),
+        ("phase [°]", lambda mode: mode.phase, lambda value: float(np.degrees(value))),
     )
-    for k, (axes, (heading, value)) in enumerate(zip(page.axes[0], values, strict=True)):
+    for k, (axes, (heading, estimate, scaled)) in enumerate(zip(page.axes[0], kinds, strict=True)):
         rest = ["rest"] if heading.startswith("amplitude") else []  # the motion outside the modes
         table = np.full((len(rows), len(modes) + len(rest)), np.nan)
+        levels = table.copy()
         for r, one in enumerate(rows):
-            for mode in one.modes.modes:
-                if mode.mode in modes:
-                    table[r, modes.index(mode.mode)] = value(mode)
+            cells = {modes.index(mode.mode): estimate(mode) for mode in one.modes.modes if mode.mode in modes}
             if rest and one.modes.slow_gain.known:
-                table[r, -1] = 100 * _sure(one.modes.slow_gain)
-        largest = float(np.nanmax(np.abs(table), initial=1e-12))
-        # Small differences show as well.
-        norm = FuncNorm((lambda x: np.sign(x) * np.sqrt(np.abs(x)), lambda y: y * np.abs(y)), -largest, largest)
+                cells[len(modes)] = one.modes.slow_gain
+            for column, value in cells.items():
+                table[r, column] = (100 * _sure(value)) if column == len(modes) else scaled(_sure(value))
+                levels[r, column] = _significance(value)
         names = [_frequency(found, mode, 2) for mode in modes] + rest
-        heatmap(axes, table, (colors, norm), ([_file(one, 22) for one in rows], names), _signed, 8.0)
+        files = [_file(one, 22) for one in rows]
+        heatmap(axes, table, (colors, Normalize(-1.0, 1.0)), (files, names), _signed, 8.0, levels)
         axes.tick_params(labelleft=k == 0)
-        axes.set(title=heading, xlabel="mode, or outside the modes [Hz]" if rest else "mode [Hz]")
+        axes.set(title=heading, xlabel="mode, or rest of motion [Hz]" if rest else "mode [Hz]")
     page.axes[0][0].set_ylabel("recording")
-    same = "0: as the model, within three standard errors"
-    areas = {"more than the model": colors(0.95), same: "white", "less": colors(0.05), "does not move": Color.BAND}
+    same = "0: within three standard errors"
+    areas = {"above the model": colors(0.99), same: colors(0.5), "below": colors(0.01), "no motion": Color.BAND}
     return page.finish(areas=areas)
 
 
@@ -135,6 +145,12 @@ def _frequency(found: Symptoms, mode: int, digits: int) -> str:
 
 def _sure(value: Coefficient) -> float:
     return value.value if abs(value.value) > 3 * value.std else 0.0
+
+
+def _significance(value: Coefficient) -> float:
+    """Return a signed shade: 0 within three standard errors, 0.2 beyond, 1 at a hundred times as much."""
+    times = abs(value.value) / max(3 * value.std, 1e-300)
+    return 0.0 if times <= 1 else float(np.copysign(min(0.2 + 0.4 * np.log10(times), 1.0), value.value))
 
 
 def _signed(value: float) -> str:
@@ -182,7 +198,7 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
             axes.set_ylim(low - margin, high + margin)
             log_axis(axes.xaxis, float(every.min()) / 1.15, float(every.max()) * 1.15)
             axes.ticklabel_format(axis="y", useOffset=False)
-        upper.set(ylabel="frequency, off the model's [%]", title=f"mode at {_frequency(found, mode, 3)} Hz")
+        upper.set(ylabel="frequency, relative [%]", title=f"mode at {_frequency(found, mode, 3)} Hz")
         upper.tick_params(labelbottom=False)
         lower.set(ylabel="damping ratio [1]", xlabel=f"amplitude [{unit}]")
     marks: Any = {"linestyle": "", "marker": "o"}
@@ -236,8 +252,8 @@ def _draw_profile(row: Sequence[Axes], profile: JointProfile) -> None:
     factor, motion_unit = _UNITS[profile.motion_unit]
     parts = scale * (profile.fit.parts - profile.fit.parts.mean(axis=0))
     values = scale * profile.fit.remaining[:, None] + parts
-    trend: Any = {"color": Color.NOMINAL, "linestyle": "-", "zorder": 2, "label": "trend, or jump"}
-    quantity = "missing torque" if profile.quantity == "torque" else profile.quantity
+    trend: Any = {"color": Color.NOMINAL, "linestyle": "-", "zorder": 2, "label": "trend or step"}
+    quantity = "unmodelled torque" if profile.quantity == "torque" else profile.quantity
     for k, (x, label) in enumerate((
         (factor * profile.position, f"{short(profile.motion, 16)} [{motion_unit}]"),
         (factor * profile.velocity, f"its velocity [{motion_unit}/s]"),
@@ -311,7 +327,7 @@ def _quiet(title: str, _: Symptoms, shown: Sequence[tuple[RecordingSymptoms, Sen
         if rest.tone is not None:
             peak = 1.25e6 * float(np.interp(rest.tone.frequency, spectrum.frequency, spectrum.amplitude))
             axes.plot(rest.tone.frequency, peak, "v", color=Color.NOMINAL, label="a tone")
-        size = f"{number(1 + rest.size.value, 3)} times the noise"
+        size = f"{ratio(1 + rest.size.value)} × noise"
         tone = "" if rest.tone is None else f", tone at {number(rest.tone.frequency, 3)} Hz"
         axes.set_title(f"{_file(one, 18)}, {rest.channels.sensor}: {size}{tone}")
     return page.finish()

@@ -1,0 +1,153 @@
+"""The animation at the top of a report: measured markers over the simulated arm, as coordinates of an SVG picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from vjm.chain.curve import marker_poses, rotate
+from vjm.chain.virtual_links import Chain
+from vjm.records import Array, Indices, Mask, Recording, RecordingComparison, Rig, SimulatedRecording
+from vjm.report.figures.panels import LINES
+from vjm.report.figures.signals import Signal, Window, liveliest_window, ranked_recordings
+from vjm.report.text import recording_label
+from vjm.simulation.model import Model
+from vjm.text import number
+
+_MOST_FRAMES = 150  # 25 in each of the six periods that are shown, as many as a film has in a second
+_ARC_POINTS = 24  # of a link's curve: straight pieces between them are off by less than a pixel
+_WIDTH = 1000.0  # of the picture, in its own unit: about a pixel of a wide screen
+_SECONDS = (8.0, 14.0)  # that it takes: six periods are then slow enough for the eye
+_VISIBLE = 0.06  # deflections smaller than this fraction of the arm are magnified
+_MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
+
+def arm_animation(
+    rig: Rig, comparisons: Sequence[RecordingComparison], labels: Mapping[str, str], models: Mapping[str, Model]
+) -> dict[str, Any] | None:
+    """Return an animation of the few periods in which a recording moves most, as report.html.jinja draws it.
+
+    It shows the first one of `ranked_recordings` in motion.
+
+    Args:
+        rig: the arm.
+        comparisons: recordings beside their simulations.
+        labels: names of the simulations to draw, by their role in a comparison.
+        models: what simulated them, by role.
+
+    Returns:
+        Size, duration, words and coordinates; None where no recording moves.
+    """
+    moving = [each for each in comparisons if each.recording.kind != "quiet"]
+    pairs = ((each, Signal.of(rig, each.recording)) for each in ranked_recordings(moving, labels))
+    comparison, signal = next(((each, signal) for each, signal in pairs if signal and signal.is_marker), (None, None))
+    if comparison is None or signal is None:
+        return None
+    recording, window = comparison.recording, liveliest_window(signal.time, signal.value)
+    rows = _frame_rows(recording, window)
+    time = recording.time[rows]
+    arms = {role: (models[role].arm_in(recording).chain, getattr(comparison, role)) for role in LINES if role in labels}
+    arms = {role: (chain, simulated) for role, (chain, simulated) in arms.items() if simulated is not None}
+    judged, simulated = arms[role := [*arms][-1]]
+    factor = _magnification(judged, simulated.simulation.q[rows])
+    curves = {
+        own: _magnified(chain, sim.simulation.q[rows], _arcs(chain), factor)[0] for own, (chain, sim) in arms.items()
+    }
+    places, measured, seen = _markers(rig, judged, simulated, rows, factor)
+    points = np.concatenate([each.reshape(-1, 2) for each in (*curves.values(), places, measured, np.zeros(2))])
+    low, scale = points.min(axis=0), _WIDTH / max(float(np.ptp(points, axis=0).max()), 1e-9)
+
+    def drawn(values: Array) -> Array:  # y points down in a picture
+        result: Array = np.round((values - low) * [scale, -scale] + [0.0, scale * float(np.ptp(points[:, 1]))], 1)
+        return result
+
+    seconds = float(np.clip(time[-1] - time[0], *_SECONDS))
+    ends = np.cumsum([0, *(_ARC_POINTS for _ in judged.links)])[:-1]
+    roots = [int(end) for end, link in zip(ends, judged.links, strict=True) if link.joint == "revolute"]
+    # The picture that does not move is that of the largest deflection.
+    still = int(np.argmax(np.abs(curves[role] - curves[role].mean(axis=0)).max(axis=(1, 2))))
+    times = (time - time[0]) / (time[-1] - time[0])
+    return {
+        "recording": recording_label(recording),
+        "width": round(float(np.ptp(points[:, 0])) * scale),
+        "height": round(float(np.ptp(points[:, 1])) * scale),
+        "seconds": round(seconds, 2),
+        "times": ";".join(f"{instant:.4g}" for instant in times.tolist()),
+        "pace": _pace(seconds / float(time[-1] - time[0])),
+        "magnification": factor,
+        "still": still,
+        "still_second": round(seconds * float(times[still]), 2),
+        "clamp": drawn(np.zeros(2)).tolist() if judged.links[0].joint == "clamped" else None,
+        "curves": [(own, labels[own], [_line(frame) for frame in drawn(curve)]) for own, curve in curves.items()],
+        "joints": [_path(drawn(curves[role][:, root])) for root in roots],
+        "simulated": [_path(drawn(places[:, k])) for k in range(places.shape[1])],
+        "measured": [
+            {**_path(drawn(measured[:, k])), "seen": seen[:, k].astype(int).tolist()}
+            for k in range(places.shape[1])
+            if seen[:, k].any()
+        ],
+    }
+
+
+def _frame_rows(recording: Recording, window: Window) -> Indices:
+    """Return rows of at most so many camera frames of a recording, evenly over a window [s]."""
+    frames = recording.frames
+    time = recording.time[frames]
+    inside = frames[(time >= window[0]) & (time <= window[1])]
+    chosen = np.unique(np.linspace(0, inside.size - 1, min(inside.size, _MOST_FRAMES)).round().astype(int))
+    rows: Indices = inside[chosen]
+    return rows
+
+
+def _arcs(chain: Chain) -> list[Array]:
+    return [np.linspace(0.0, link.length, _ARC_POINTS) for link in chain.links]
+
+
+def _magnified(chain: Chain, q: Array, arcs: Sequence[Array], factor: float) -> tuple[Array, Array]:
+    """Return points (F, k, 2) [m] of the links in the base frame, their deflection magnified; and headings (F, k)."""
+    rigid = np.zeros_like(q)
+    rigid[:, chain.active] = q[:, chain.active]
+    in_base = [False] * len(chain.links)
+    positions, headings = marker_poses(chain, q, arcs, in_base)
+    undeformed, _ = marker_poses(chain, rigid, arcs, in_base)
+    return undeformed + factor * (positions - undeformed), headings
+
+
+def _magnification(chain: Chain, q: Array) -> int:
+    """Return by how much deflections are magnified to be seen."""
+    arcs, reach = _arcs(chain), sum(link.length for link in chain.links)
+    deflection = np.abs(_magnified(chain, q, arcs, 1.0)[0] - _magnified(chain, q, arcs, 0.0)[0]).max()
+    return next((factor for factor in _MAGNIFICATIONS if factor * deflection >= _VISIBLE * reach), 1)
+
+
+def _markers(
+    rig: Rig, chain: Chain, simulated: SimulatedRecording, rows: Indices, factor: float
+) -> tuple[Array, Array, Mask]:
+    """Return simulated and measured markers (F, k, 2) [m] in the base frame, and which of these were measured.
+
+    A measured marker is off the simulated one by its residual, in which the camera's own effects do not count; along
+    an axis that was not measured it is not off.
+    """
+    q, arcs = simulated.simulation.q[rows], [np.array(link.markers) for link in rig.links]
+    places, headings = _magnified(chain, q, arcs, factor)
+    _, own_headings = marker_poses(chain, q, arcs, [link.markers_frame == "link" for link in rig.links])
+    residual = simulated.marker_residual[rows]
+    offset = rotate(np.nan_to_num(residual), headings - own_headings)
+    seen: Mask = np.asarray(np.isfinite(residual).any(axis=2))
+    return places, places + factor * offset, seen
+
+
+def _pace(slower: float) -> str:
+    if 0.9 < slower < 1.1:
+        return "real time"
+    return f"{number(slower, 2)} × slower" if slower > 1 else f"{number(1 / slower, 2)} × faster"
+
+
+def _line(points: Array) -> str:
+    return " ".join(f"{x:g},{y:g}" for x, y in points.tolist())
+
+
+def _path(points: Array) -> dict[str, list[float]]:
+    return {"x": points[:, 0].tolist(), "y": points[:, 1].tolist()}
