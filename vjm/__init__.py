@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # `typing` itself is as slow to import as the rest of this
 if TYPE_CHECKING:
+    from typing import Any
+
     from vjm import effects
     from vjm.diagnosis import Diagnosis, diagnose
     from vjm.diagnosis.check_effect import check_effect
@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from vjm.identification.check import Check, check
     from vjm.identification.comparison import compare
     from vjm.identification.records import Comparison
+    from vjm.identification.robot import RobotIdentification, identify_stiffness
+    from vjm.model.flexible import FlexibleModel
+    from vjm.model.flexify import flexify
     from vjm.records import Experiment, Link, Recording, Rig
     from vjm.report.model_json import load_model
     from vjm.report.output import save
@@ -25,12 +28,14 @@ __all__ = [
     "Comparison",
     "Diagnosis",
     "Experiment",
+    "FlexibleModel",
     "Identification",
     "InputError",
     "Link",
     "Model",
     "Recording",
     "Rig",
+    "RobotIdentification",
     "VjmError",
     "bootstrap",
     "check",
@@ -38,7 +43,9 @@ __all__ = [
     "compare",
     "diagnose",
     "effects",
+    "flexify",
     "identify",
+    "identify_stiffness",
     "load_experiment",
     "load_model",
     "profile_interval",
@@ -56,6 +63,9 @@ _HOMES = {
         "vjm.identification": "Identification bootstrap identify profile_interval",
         "vjm.identification.check": "Check check",
         "vjm.identification.comparison": "Comparison compare",
+        "vjm.identification.robot": "RobotIdentification identify_stiffness",
+        "vjm.model.flexible": "FlexibleModel",
+        "vjm.model.flexify": "flexify",
         "vjm.records": "Experiment Link Recording Rig",
         "vjm.report.model_json": "load_model",
         "vjm.report.output": "save",
@@ -70,6 +80,8 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("vjm")
+    from importlib import import_module
+
     if name == "effects":
         return import_module("vjm.effects")
     if name not in _HOMES:

@@ -3,34 +3,37 @@
 from __future__ import annotations
 
 import inspect
+import re
 import subprocess
 import sys
 import time
 
 import pytest
 
-from vjm.cli import METHODS, PARAMETERS, _parse
+from vjm.cli.arguments import METHODS, PARAMETERS, SIMULATORS, parse
 from vjm.diagnosis import diagnose
 from vjm.identification import METHODS as KNOWN_METHODS
 from vjm.identification import PARAMETRISATIONS, identify
+from vjm.model.simulators import SIMULATORS as KNOWN_SIMULATORS
 
 
 def test_choices_are_those_of_the_identification() -> None:
     assert METHODS == KNOWN_METHODS
+    assert SIMULATORS == KNOWN_SIMULATORS
     assert PARAMETERS == PARAMETRISATIONS
     signature = inspect.signature(identify)
-    assert signature.parameters["method"].default == _parse(["identify", "x.toml"]).method
-    assert signature.parameters["parameters"].default == _parse(["identify", "x.toml"]).parameters
+    assert signature.parameters["method"].default == parse(["identify", "x.toml"]).method
+    assert signature.parameters["parameters"].default == parse(["identify", "x.toml"]).parameters
 
 
 def test_defaults_are_those_of_the_diagnosis() -> None:
-    arguments, signature = _parse(["diagnose", "x.toml"]), inspect.signature(diagnose)
+    arguments, signature = parse(["diagnose", "x.toml"]), inspect.signature(diagnose)
     for name in ("effects", "max_effects", "jobs", "seed", "budget"):
         assert getattr(arguments, name) == signature.parameters[name].default
 
 
 def test_effects_are_a_list_of_names() -> None:
-    arguments = _parse(["diagnose", "x.toml", "--effects", "tip_payload, linear_drag", "--seed", "0"])
+    arguments = parse(["diagnose", "x.toml", "--effects", "tip_payload, linear_drag", "--seed", "0"])
     assert arguments.effects == ("tip_payload", "linear_drag")
     assert arguments.seed == 0
 
@@ -53,14 +56,19 @@ def test_help_is_quick() -> None:
     assert min(once() for _ in range(4)) < 0.4
 
 
-@pytest.mark.parametrize("command", ["demo", "check", "identify", "simulate", "diagnose", "urdf"])
+COMMANDS = ["demo", "init", "check", "identify", "simulate", "diagnose", "urdf", "flexify"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        _parse([command, "--help"])
+        parse([command, "--help"])
     assert stop.value.code == 0
     text = capsys.readouterr().out
     for option in ("--out", "--json", "--quiet", "--no-progress", "Exit status"):
         assert option in text
+    # A help text can be read alone: "length of the first link", not "of the first link".
+    assert not {"of", "in", "at"} & {*re.findall(r"^  -.*?\s{2,}(\w+)", text, re.MULTILINE)}
 
 
 @pytest.mark.parametrize(
@@ -83,22 +91,39 @@ def test_every_command_explains_itself(command: str, capsys: pytest.CaptureFixtu
         ["diagnose", "x.toml", "--budget", "inf"],
         ["diagnose", "x.toml", "--seed", "-1"],
         ["urdf"],
+        ["flexify"],
+        ["flexify", "x.urdf", "--joints", "0"],
+        ["flexify", "x.urdf", "--stiffness", "-1"],
+        ["flexify", "x.urdf", "--bending-stiffness", "stiff"],
+        ["flexify", "x.urdf", "--ends", "0,0,0"],
         ["demo", "extra"],
+        ["check", "x.toml", "\x1b[2J"],
     ],
 )
 def test_senseless_arguments_end_with_status_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
-        _parse(arguments)
+        parse(arguments)
     assert stop.value.code == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "usage: vjm" in captured.err
+    assert "\x1b" not in captured.err
 
 
 def test_common_options() -> None:
-    arguments = _parse(["identify", "x.toml", "-o", "here", "--json", "-q", "--no-progress", "--virtual-joints", "4"])
+    arguments = parse(["identify", "x.toml", "-o", "here", "--json", "-q", "--no-progress", "--virtual-joints", "4"])
     assert (str(arguments.out), arguments.json, arguments.quiet, arguments.no_progress) == ("here", True, True, True)
     assert arguments.virtual_joints == 4
-    assert str(_parse(["demo"]).out) == "vjm-out"
-    assert _parse(["check", "x.toml"]).out is None
-    assert _parse(["urdf", "x.toml"]).out is None
+    assert str(parse(["demo"]).out) == "vjm-out"
+    for command, *model in (("identify",), ("diagnose",), ("simulate", "model.json")):  # none overwrites another's
+        assert str(parse([command, "experiment.toml", *model]).out) == f"vjm-{command}"
+    assert parse(["check", "x.toml"]).out is None
+    assert parse(["urdf", "x.toml"]).out is None
+    assert parse(["flexify", "x.urdf"]).out is None
+
+
+def test_two_files_need_a_name(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse(["urdf", "model.json", "--for", "mujoco"])
+    assert ended.value.code == 2
+    assert "-o FILE.urdf" in capsys.readouterr().err

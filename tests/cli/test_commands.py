@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +18,42 @@ from pydantic import BaseModel
 
 from tests.model.chains import write_model
 from tests.model.urdf_contents import extension_from, robot_from, springs_from
-from tests.report.diagnoses import nothing, undecided
-from tests.report.fits import DEMO, demo_fit, elbow_fit
-from tests.report.schema import CheckResult, DemoResult, DiagnoseResult, IdentifyResult, SimulateResult, UrdfResult
+from tests.report.diagnoses import nothing, pair, undecided, unknown
+from tests.report.fits import DEMO, demo_fit, elbow_fit, torque_fit
+from tests.report.schema import (
+    CheckResult,
+    DemoResult,
+    DiagnoseResult,
+    IdentifyResult,
+    SimulateResult,
+    UrdfForResult,
+    UrdfResult,
+)
 from vjm.cli import commands, main
 from vjm.cli.commands import _progress
+from vjm.effects import CubicStiffness, TipPayload
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import Check
 from vjm.identification.comparison import Comparison
+from vjm.identification.overview import overviews_of
 from vjm.model.urdf import chain_to_urdf
 from vjm.report import output
 
 Raise = Callable[[BaseException], None]
+
+
+@cache
+def checked() -> Check:
+    fit = demo_fit()
+    doubts = ("careful", f"{fit.recordings[0].recording.file}: {'something is doubtful, ' * 9}")
+    identifiable = {"uniform": fit.parameters, "joints": elbow_fit().parameters}
+    overviews = overviews_of(fit.experiment)
+    return Check(fit.experiment, doubts, np.array([1.2, 7.4]), (4,), identifiable, overviews=overviews)
+
+
+def compared() -> Comparison:
+    fit = demo_fit()
+    return Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, fit.recordings, ("careful",))
 
 
 @pytest.fixture(autouse=True)
@@ -37,16 +64,12 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
         progress("pretending", 1, 2)
         return fit
 
-    def compare(*_: object, progress: Callable[[str, int, int], None]) -> Comparison:
-        return Comparison(fit.experiment, fit.model, fit.nominal, fit.covariance, fit.recordings, ("careful",))
-
     monkeypatch.setattr(commands, "identify", identify)
-    monkeypatch.setattr(commands, "compare", compare)
+    monkeypatch.setattr(commands, "compare", lambda *_, progress: compared())
     monkeypatch.setattr(output, "identification_pictures", lambda fit: [])
     monkeypatch.setattr(output, "diagnosis_pictures", lambda _: [])
     monkeypatch.setattr(commands, "diagnose", lambda *_, **__: undecided())
-    checked = Check(fit.experiment, ("careful",), np.array([1.2, 7.4]), (4,), {"uniform": fit.parameters})
-    monkeypatch.setattr(commands, "check", lambda experiment: checked)
+    monkeypatch.setattr(commands, "check", lambda experiment: checked())
 
 
 @pytest.fixture
@@ -62,6 +85,11 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
     return status, captured.out, captured.err
 
 
+def too_wide(out: str) -> list[str]:
+    """Lines that a terminal of 80 columns would break; the path of a report may be as long as it is."""
+    return [line for line in out.splitlines() if len(line.rstrip()) > 80 and not line.startswith("Report: ")]
+
+
 def test_identify_prints_a_short_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, "identify", DEMO, "-o", tmp_path / "out")
     assert (status, err) == (0, "")
@@ -70,9 +98,9 @@ def test_identify_prints_a_short_summary(tmp_path: Path, capsys: pytest.CaptureF
         assert words in out
     for note in demo_fit().notes:
         assert f"  - {note}" in out
-    assert "(torque method: " in " ".join(out.split())
+    assert "(torque method " in " ".join(out.split())
     assert len(out.splitlines()) < 50
-    assert max(map(len, out.splitlines())) <= 110 or "Report" in max(out.splitlines(), key=len)
+    assert too_wide(out) == []
     assert (tmp_path / "out" / "report.html").is_file()
 
 
@@ -89,11 +117,12 @@ def test_json_prints_the_object_alone(
 def test_demo_identifies_then_diagnoses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, "demo", "-o", tmp_path / "out")
     assert (status, err) == (0, "")
-    assert out.index("beam.bending_stiffness") < out.index("Diagnosis: ") < out.index("Either an unknown mass of 13.30")
+    assert out.index("beam.bending_stiffness") < out.index("Diagnosis: ") < out.index("Cause found: unknown mass")
     place = tmp_path / "out"
     IdentifyResult.model_validate_json((place / "result.json").read_bytes())
     DiagnoseResult.model_validate_json((place / "diagnosis" / "result.json").read_bytes())
     assert (place / "diagnosis" / "report.html").is_file()
+    assert too_wide(out) == []
     assert run(capsys, "demo", "-o", place, "-q") == (0, "", "")
     status, out, _ = run(capsys, "demo", "-o", place, "--json")
     assert DemoResult.model_validate_json(out).diagnosis.verdict == "set"
@@ -114,10 +143,10 @@ def test_diagnose_prints_the_finding(
     assert (status, err) == (0, "")
     told = " ".join(out.split())
     for words in (
-        "Either an unknown mass of 13.30 ± 0.13 g on the tip of beam",
-        "Next experiment: to tell tip_payload from clamp_compliance",
-        "Symptoms of the model without effects",
-        "model.urdf and model.json hold: tip payload (beam).",
+        "Cause found: unknown mass of 13.30 ± 0.13 g on the tip of 'beam'",
+        "Next experiment: to distinguish tip payload from clamp compliance",
+        "Symptoms",
+        "In model.urdf and model.json: tip payload (beam).",
         f"Report: {tmp_path / 'out'}",
     ):
         assert words in told
@@ -134,7 +163,7 @@ def test_diagnose_prints_the_finding(
         "--budget",
         "90",
     ]
-    assert "Nothing is missing" in run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", *chosen)[1]
+    assert "No cause found" in run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", *chosen)[1]
     assert asked == [(None, 3, 1, 0, None), (("tip_payload", "linear_drag"), 2, 2, 5, 90.0)]
     assert run(capsys, "diagnose", DEMO, "-o", tmp_path / "out", "-q") == (0, "", "")
 
@@ -160,7 +189,7 @@ def test_check_writes_only_where_it_is_told(
     monkeypatch.chdir(tmp_path)
     status, out, _ = run(capsys, "check", DEMO)
     assert status == 0
-    assert "3 recordings to train on, 1 held out" in out
+    assert "3 training recordings, 1 held out" in out
     assert "careful" in out
     assert not list(tmp_path.iterdir())
     status, out, _ = run(capsys, "check", DEMO, "--json", "-o", tmp_path / "out")
@@ -169,13 +198,22 @@ def test_check_writes_only_where_it_is_told(
 
 
 def test_check_of_hopeless_recordings_ends_with_status_2(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    hopeless = Check(demo_fit().experiment, (), np.array([1.2]), (), {}, "identification: nothing moves; excite it")
+    hopeless = Check(
+        demo_fit().experiment,
+        (),
+        np.array([1.2]),
+        (),
+        {},
+        "identification: nothing moves; excite it",
+        overviews_of(demo_fit().experiment),
+    )
     monkeypatch.setattr(commands, "check", lambda experiment: hopeless)
-    status, out, err = run(capsys, "check", DEMO)
+    status, out, err = run(capsys, "check", DEMO, "-o", tmp_path / "out")
     assert status == 2
-    assert err == "vjm: identification: nothing moves; excite it\n"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["check.png"]
+    assert err == f"vjm: {DEMO}: identification: nothing moves; excite it\n"
     assert "virtual joints: none" in out
 
 
@@ -204,6 +242,21 @@ def test_urdf_of_a_model(tmp_path: Path, model: Path, capfdbinary: pytest.Captur
     capfdbinary.readouterr()
     assert main(["urdf", str(model), "--json"]) == 0
     assert UrdfResult.model_validate_json(capfdbinary.readouterr().out).urdf == expected
+
+
+def test_urdf_for_a_simulator_says_what_is_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    effects = (CubicStiffness(coefficient=2.0, link=0), TipPayload(mass=0.01, link=0))
+    write_model(replace(demo_fit().model, effects=effects), tmp_path / "model.json")
+    file = tmp_path / "arm.urdf"
+    status, out, _ = run(capsys, "urdf", tmp_path / "model.json", "--for", "mujoco", "-o", file)
+    assert status == 0
+    assert "arm.xml: for mujoco" in out
+    assert "In neither (mujoco cannot express it): cubic stiffness (beam)." in out
+    _, out, _ = run(capsys, "urdf", tmp_path / "model.json", "--for", "gazebo", "-o", file, "--json")
+    result = UrdfForResult.model_validate_json(out)
+    assert (result.simulator_file, result.left_out) == (str(file.with_suffix(".sdf")), ["cubic stiffness (beam)"])
+    assert file.with_suffix(".sdf").exists()
+    assert run(capsys, "urdf", tmp_path / "model.json", "--for", "mujoco", "-o", tmp_path / "arm.xml")[0] == 2
 
 
 def test_urdf_of_an_experiment_has_its_nominal_values(tmp_path: Path) -> None:
@@ -251,9 +304,10 @@ def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("error", "status", "text"),
     [
-        (InsufficientDataError("modes", "nothing moves", "excite it"), 2, "vjm: modes: nothing moves; excite it"),
+        (InsufficientDataError("modes", "nothing moves", "excite it"), 2, f"{DEMO}: modes: nothing moves; excite it"),
         (SimulationDivergedError(1.0, 0.01, "check the masses"), 1, "check the masses"),
         (ZeroDivisionError("two\nlines"), 1, "vjm: internal error: ZeroDivisionError: two lines"),
+        (MemoryError("9 GiB"), 1, "vjm: not enough memory; give fewer or shorter recordings (9 GiB)"),
         (KeyboardInterrupt(), 130, "vjm: interrupted"),
     ],
 )
@@ -302,8 +356,9 @@ def test_progress_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     for stream, wanted in ((Terminal(), True), (io.StringIO(), False)):
         monkeypatch.setattr("sys.stderr", stream)
         with _progress(options) as report:
-            report("fitting [bold]", 1, 2)
+            report("fitting [bold]", 0.5)
         assert ("fitting [bold]" in stream.getvalue()) == wanted
+        assert ("s left" in stream.getvalue()) == wanted
     for silent in (
         argparse.Namespace(quiet=True, no_progress=False),
         argparse.Namespace(quiet=False, no_progress=True),
@@ -311,8 +366,47 @@ def test_progress_only_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         stream = Terminal()
         monkeypatch.setattr("sys.stderr", stream)
         with _progress(silent) as report:
-            report("fitting", 1, 2)
+            report("fitting", 0.5)
         assert stream.getvalue() == ""
+
+
+def with_long_names(result: Any) -> Any:
+    """The same result of recordings whose names are as long as those of files often are."""
+
+    def renamed(item: Any, k: int) -> Any:
+        return replace(item, recording=replace(item.recording, file=f"2024-05-0{k}_steel_beam_free_decay_{k}.csv"))
+
+    field = "overviews" if isinstance(result, Check) else "recordings"
+    return replace(result, **{field: tuple(renamed(item, k) for k, item in enumerate(getattr(result, field)))})
+
+
+RESULTS = [checked, demo_fit, elbow_fit, torque_fit, compared, pair, undecided, unknown, nothing]
+
+
+@pytest.mark.parametrize("of", RESULTS, ids=lambda of: of.__name__)
+@pytest.mark.parametrize("terminal", [False, True])
+@pytest.mark.parametrize("long_names", [False, True])
+def test_nothing_is_wider_than_80_columns(
+    of: Callable[[], Any], terminal: bool, long_names: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = Terminal() if terminal else io.StringIO()
+    monkeypatch.setenv("COLUMNS", "80")
+    result = with_long_names(of()) if long_names else of()
+    output.result_page(result).write(stream)
+    said = re.sub(r"\x1b\[[\d;]*m", "", stream.getvalue())
+    assert too_wide(said) == []
+    if long_names:  # and what tells one from the other is left of them
+        rows = {line.split()[0] for line in said.splitlines() if line.startswith(" 2024-05-0")}
+        assert len(rows) == len(result.experiment.recordings)
+
+
+def test_arguments_in_the_wrong_order_are_recognised(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = run(capsys, "simulate", model, DEMO, "-o", tmp_path / "out")
+    assert (status, out) == (2, "")
+    assert "a model stands where the experiment belongs" in err
+    assert f"vjm simulate {DEMO} {model}" in err
 
 
 def test_warnings_and_names_are_printed_as_they_are(
@@ -331,3 +425,8 @@ def test_terminal_without_unicode(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(raw, encoding="ascii"))
     assert main(["check", str(DEMO)]) == 0
     assert b"stainless steel beam" in raw.getvalue()
+
+
+def test_a_terminal_without_unicode_keeps_signs_and_powers() -> None:
+    text = "−0.72 ± 0.01, (3.1 ± 0.1) × 10⁻⁴, ≥ 2 µm … 3°"
+    assert text.encode("ascii", commands._PLAIN).decode() == "-0.72 +- 0.01, (3.1 +- 0.1) x 10-4, >= 2 um .. 3deg"

@@ -61,6 +61,15 @@ def test_reader_that_goes_away() -> None:
     assert (result.returncode, result.stderr) == (1, "")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device of Linux")
+def test_output_that_cannot_be_written() -> None:
+    command = [sys.executable, "-m", "vjm", "urdf", str(DEMO)]
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert (result.returncode, result.stderr.count("\n")) == (1, 1)
+    assert result.stderr.startswith("vjm: the output cannot be written")
+
+
 def test_version_and_no_command() -> None:
     assert vjm("--version").stdout.startswith("vjm ")
     result = vjm()

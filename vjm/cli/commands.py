@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import codecs
+import inspect
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -14,46 +17,73 @@ from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as ProgressBar
 
 from vjm.chain.layout import nominal_chain, rig_layouts
-from vjm.chain.virtual_links import Chain
+from vjm.cli.init import init, stdin_is_terminal
 from vjm.diagnosis import Diagnosis, diagnose
-from vjm.effects.effect import Effect
-from vjm.errors import InputError, ModelFileError
+from vjm.errors import MistakeError, ModelFileError, printable
 from vjm.experiment.load import load_experiment
-from vjm.files import check_folder, json_text, write_folder, write_text
+from vjm.files import check_file, check_folder, json_text, write_folder, write_text
 from vjm.identification import identify
 from vjm.identification.check import Check, check
 from vjm.identification.comparison import compare
 from vjm.identification.records import Comparison
 from vjm.identification.training_data import JointChoice
+from vjm.model.flexify import flexify
+from vjm.model.urdf_document import UrdfDocument, springs_of
 from vjm.records import Progress
+from vjm.report.figures.check import check_picture
 from vjm.report.model_json import load_model, read_model
 from vjm.report.output import REPORT, result_page, save
-from vjm.report.result_json import result_object, urdf_result
-from vjm.report.text import counted
-from vjm.simulation.arm import Arm
+from vjm.report.result_json import flexify_result, result_object, urdf_result
+from vjm.simulation.model import Model
+from vjm.text import counted, number
 
 Saved = Comparison | Diagnosis
 
 
+_COMPUTING = 0.9  # share of the bar; drawing takes the rest
+
+
 @contextmanager
-def _progress(arguments: argparse.Namespace) -> Iterator[Progress]:
-    """Give a function (text, done, total) that moves the bar; one that does nothing where no bar is wanted."""
+def _progress(arguments: argparse.Namespace) -> Iterator[Callable[[str, float], None]]:
+    """Give a function of a stage's name and the share done that moves the bar, or does nothing where none is wanted."""
     if arguments.quiet or arguments.no_progress or not sys.stderr.isatty():
-        yield lambda text, done, total: None
+        yield lambda text, share: None
         return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn())
+    left = TextColumn("{task.fields[left]}", markup=False)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(20), TimeElapsedColumn(), left)
     with ProgressBar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None)
-        yield lambda text, done, total: bar.update(task, description=text, completed=done, total=total)
+        task = bar.add_task("reading", total=None, left="")
+
+        def show(text: str, share: float) -> None:
+            elapsed, left = bar.tasks[0].elapsed or 0.0, ""
+            if share > 0.1:  # before, next to nothing is known
+                left = f"about {number(elapsed * (1 / share - 1), 1)} s left"
+            bar.update(task, description=printable(text), completed=share, total=1.0, left=left)
+
+        yield show
 
 
 def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], Saved]) -> Saved:
     check_folder(folder)
-    with _progress(arguments) as report:
-        result = compute(report)
-        report("drawing the report", 0, 1)
-        save(result, folder)
+    with _progress(arguments) as show:
+        result = compute(lambda text, done, total: show(text, _COMPUTING * done / max(total, 1)))
+        drawing = 1 - _COMPUTING
+        report = lambda text, done, total: show(text, _COMPUTING + drawing * done / max(total, 1))  # noqa: E731
+        save(result, folder, arguments.line, report)
     return result
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """Write what an encoding lacks in plain characters: a minus sign must not get lost."""
+    assert isinstance(error, UnicodeEncodeError)
+    lost = error.object[error.start : error.end]
+    return "".join(_SUBSTITUTES.get(character, "?") for character in lost), error.end
+
+
+_PLAIN = "vjm-plain"
+_SUBSTITUTES = {"−": "-", "±": "+-", "×": "x", "µ": "u", "…": "..", "°": "deg", "²": "^2", "³": "^3", "χ": "chi"}
+_SUBSTITUTES |= dict(zip("⁻⁰¹⁴⁵⁶⁷⁸⁹", "-01456789", strict=True)) | {"≥": ">=", "–": "-", "─": "-"}
+codecs.register_error(_PLAIN, _plain)
 
 
 def _print(text: str) -> None:
@@ -68,12 +98,11 @@ def _show(arguments: argparse.Namespace, result: Saved | Check, folder: Path | N
         # A terminal without Unicode shows a substitute instead of failing.
         reconfigure = getattr(sys.stdout, "reconfigure", None)
         if reconfigure is not None:
-            reconfigure(
-                errors="replace" if sys.stdout.encoding.lower() not in ("utf-8", "utf8") else "backslashreplace"
-            )
+            unicode = sys.stdout.encoding.lower() in ("utf-8", "utf8")
+            reconfigure(errors="backslashreplace" if unicode else _PLAIN)
         result_page(result).write(sys.stdout)
         if folder is not None:
-            print(f"Report: {folder / REPORT}")
+            print(printable(f"Report: {folder / REPORT}"))
 
 
 def _run(arguments: argparse.Namespace, compute: Callable[[Progress], Saved]) -> None:
@@ -92,6 +121,9 @@ def _diagnose(arguments: argparse.Namespace) -> None:
 
 def _simulate(arguments: argparse.Namespace) -> None:
     def compute(report: Progress) -> Comparison:
+        if _is_json(arguments.experiment) and not _is_json(arguments.model):
+            usage = f"vjm simulate {arguments.model} {arguments.experiment}"
+            raise ModelFileError(arguments.experiment, "a model stands where the experiment belongs", usage)
         experiment = load_experiment(arguments.experiment)
         return compare(experiment, *read_model(arguments.model, experiment), progress=report)
 
@@ -115,54 +147,100 @@ def _demo(arguments: argparse.Namespace) -> None:
         _print(json_text({**identified, "diagnosis": diagnosed}))
 
 
+def _init(arguments: argparse.Namespace) -> None:
+    if arguments.out is not None:
+        check_folder(arguments.out)
+    file, missing = init(arguments, stdin_is_terminal() and not arguments.quiet)
+    if not (arguments.quiet or arguments.json):
+        todo = f"Fill in {', '.join(dict.fromkeys(missing))}, and correct" if missing else "Correct"
+        shown = printable(str(file))
+        print(f"{shown} is written. {todo} what it guesses.\n\n$ vjm check {shown}", flush=True)
+    arguments.experiment = file
+    _check(arguments)
+
+
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.out is not None:
         check_folder(arguments.out)
     with _progress(arguments):
         checked = check(load_experiment(arguments.experiment))
     if arguments.out is not None:
-        write_folder(arguments.out, {"result.json": json_text(result_object(checked))})
+        files: dict[str, str | bytes] = {"check.png": check_picture(checked).png}  # shows what is refused as well
+        if not checked.problem:
+            files["result.json"] = json_text(result_object(checked))
+        write_folder(arguments.out, files)
     _show(arguments, checked)
     if checked.problem:
-        raise InputError(checked.problem)
+        raise MistakeError(checked.problem.split("\n"))
 
 
 def _urdf(arguments: argparse.Namespace) -> None:
-    arm = Arm.of(*_chain(arguments.source))
-    chain, text, file = arm.chain, arm.urdf(), arguments.out
-    if file is not None:
+    model, file, simulator = _model(arguments.source), arguments.out, arguments.simulator
+    chain, text = model.arm.chain, model.arm.urdf()
+    beside = None
+    if simulator is not None:
+        _, beside = model.export(file, simulator)
+    elif file is not None:
         write_text(file, text)
+    left_out = model.arm.not_in_simulators if simulator else ()
     if arguments.json:
-        _print(json_text(urdf_result(chain, text, None if file is None else str(file))))
+        files = [None if path is None else str(path) for path in (file, beside)]
+        _print(json_text(urdf_result(chain, text, files[0], files[1], left_out)))
     elif file is None:
         _print(text)
     elif not arguments.quiet:
-        print(f"{file}: {counted(chain.size, 'joint')}, {counted(len(chain.links), 'flexible link')}")
+        print(printable(f"{file}: {counted(chain.size, 'joint')}, {counted(len(chain.links), 'flexible link')}"))
+        if beside is not None:
+            print(printable(f"{beside}: for {simulator}, with springs, dampers, friction and gravity"))
+        if left_out:
+            print(f"In neither ({simulator} cannot express it): {', '.join(left_out)}.")
 
 
-def _chain(source: Path) -> tuple[Chain, tuple[Effect, ...]]:
-    """Return chain and effects of a model.json, or the nominal chain of an experiment file; the content tells which."""
-    try:
-        with source.open("rb") as stream:
-            is_json = source.suffix == ".json" or stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
-    except (OSError, ValueError) as error:
-        problem = f"cannot be read ({getattr(error, 'strerror', None) or error})"
-        raise ModelFileError(source, problem, "a model.json or an experiment file (TOML)") from error
-    if is_json:
-        model = load_model(source)
-        return model.chain, model.effects
+def _flexify(arguments: argparse.Namespace) -> None:
+    options = {key: value for key, value in vars(arguments).items() if key in inspect.signature(flexify).parameters}
+    file, text = arguments.out, flexify(**options)
+    if file is not None:
+        write_text(file, text)
+    document = UrdfDocument.read(text)
+    springs = springs_of(document)
+    if arguments.json:
+        robot = document.robot.attributes.get("name", "")
+        _print(json_text(flexify_result(robot, springs, text, None if file is None else str(file))))
+    elif file is None:
+        _print(text)
+    elif not arguments.quiet:
+        print(printable(f"{file}: {counted(len(springs), 'joint')} with a spring"))
+
+
+def _model(source: Path) -> Model:
+    """Return the model of a model.json, or the nominal one of an experiment file; the content tells which."""
+    if _is_json(source):
+        return load_model(source)
     rig = load_experiment(source).rig
     joints = [  # right for as many modes as there are markers to show them (eq. 1)
         JointChoice.of(link, max(len(link.markers), 1), link.virtual_joints).joints for link in rig.links
     ]
-    return nominal_chain(rig, rig_layouts(rig, joints)), ()
+    return replace(Model.nominal(rig), chain=nominal_chain(rig, rig_layouts(rig, joints)))
+
+
+def _is_json(source: Path) -> bool:
+    """Return True if a file is named or begins as JSON does, as models do and experiments do not."""
+    try:
+        check_file(source)
+        with source.open("rb") as stream:
+            return source.suffix == ".json" or stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+    except OSError as error:
+        expected = "a model.json or an experiment file (TOML)"
+        raise ModelFileError(source, f"cannot be read ({error.strerror})", expected) from error
 
 
 COMMANDS: dict[str, Callable[[argparse.Namespace], None]] = {
     "demo": _demo,
+    "init": _init,
     "check": _check,
     "identify": _identify,
     "simulate": _simulate,
     "diagnose": _diagnose,
     "urdf": _urdf,
+    "flexify": _flexify,
 }

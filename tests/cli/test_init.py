@@ -1,0 +1,150 @@
+"""`vjm init`: what it proposes, what it asks, what it leaves to be filled in, and that its file is one vjm reads."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from vjm.cli import main
+from vjm.experiment.load import load_experiment
+
+DEMO = Path(__file__).parents[2] / "vjm" / "demo"
+RIG = ["--length", "1", "--mass", "0.44", "--bending-stiffness", "1.9"]
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
+    status = main([str(each) for each in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("quiet", "first_mode", "second_mode"):
+        shutil.copy(DEMO / f"{name}.csv", tmp_path)
+    return tmp_path
+
+
+def hub_file(path: Path, torque: float, count: int = 200) -> None:
+    """Two markers of a turning link as a motion-capture system may write them, and the motor in a file of its own."""
+    time = 0.01 * np.arange(count)
+    angle = 0.4 * np.sin(3.0 * time)
+    columns: dict[str, np.ndarray] = {"Frame": np.arange(count), "Time (ms)": 1e3 * time}
+    for k, arc in enumerate((250.0, 500.0), start=1):
+        columns |= {f"Marker{k} X": arc * np.cos(angle), f"Marker{k} Y": 900 + 0 * angle}
+        columns[f"Marker{k} Z"] = arc * np.sin(angle)
+    pd.DataFrame(columns).to_csv(path, index=False)
+    motors = {"Time (ms)": 1e3 * time, "Motor angle (deg)": np.rad2deg(angle), "Torque": torque * np.cos(3.0 * time)}
+    pd.DataFrame(motors).to_csv(path.with_stem(f"{path.stem}_motors"), index=False)
+
+
+def test_what_is_given_makes_a_whole_experiment(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "init", folder, *RIG)
+    assert (status, err) == (0, "")
+    assert "experiment.toml is written. Correct what it guesses.\n" in out
+    assert "training recordings, 1 held out" in out
+    assert [line for line in out.splitlines() if len(line.rstrip()) > 80 and str(folder) not in line] == []
+    experiment = load_experiment(folder / "experiment.toml")
+    (link,) = experiment.rig.links
+    assert (link.name, link.joint, link.length, link.mass) == ("beam", "clamped", 1.0, 0.44)
+    assert link.markers == pytest.approx((0.2, 0.4, 0.6, 0.8, 1.0), abs=2e-3)
+    found = {each.file: (each.kind, each.role) for each in experiment.recordings}
+    assert found == {
+        "first_mode.csv": ("decay", "train"),
+        "quiet.csv": ("quiet", "train"),
+        "second_mode.csv": ("decay", "holdout"),
+    }
+
+
+def test_names_units_axes_and_motors_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, torque in (("a", 0.2), ("b", 0.0), ("c", 0.1)):
+        hub_file(tmp_path / f"{name}.csv", torque)
+    run(capsys, "init", tmp_path, "--length", "0.5", "--mass", "0.2", "--bending-stiffness", "3", "-q")
+    text = (tmp_path / "experiment.toml").read_text()
+    for line in (
+        'length = "mm"  # guessed',
+        'angle = "deg"  # the column',
+        'time = "ms"',
+        'axes = ["x", "z"]',
+        '"Marker1 X"',
+    ):
+        assert line in text
+    experiment = load_experiment(tmp_path / "experiment.toml")
+    first = experiment.recordings[0]
+    assert [each.kind for each in experiment.recordings] == ["driven", "decay", "driven"]
+    assert [each.role for each in experiment.recordings] == ["train", "train", "holdout"]
+    np.testing.assert_allclose(first.markers[:, 1, 1], 0.5 * np.sin(first.theta[:, 0]), atol=1e-9)
+    np.testing.assert_allclose(first.time, 0.01 * np.arange(200), atol=1e-12)
+    assert experiment.rig.links[0].markers == (0.25, 0.5)
+    assert experiment.unused_columns == ("Frame",)
+
+
+def test_what_is_missing_is_left_open_and_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "init", folder, "--mass", "0.44")
+    assert status == 2
+    assert "Fill in length, bending_stiffness, and correct what it guesses.\n" in out
+    assert "key 'length': got '?' (and 1 more fault in this file); expected a finite positive number [m]" in err
+    text = (folder / "experiment.toml").read_text()
+    (folder / "experiment.toml").write_text(text.replace('length = "?"', "length = 1", 1).replace('= "?"', "= 1.9"))
+    assert run(capsys, "check", folder / "experiment.toml", "-q")[0] == 0
+
+
+def test_it_overwrites_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "experiment.toml").write_text("mine")
+    status, out, err = run(capsys, "init", folder, *RIG)
+    assert (status, out) == (2, "")
+    assert "experiment.toml: it exists already, and is left as it is; choose another folder" in err
+    assert (folder / "experiment.toml").read_text() == "mine"
+
+
+def test_folders_and_files_that_will_not_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is no such folder" in run(capsys, "init", tmp_path / "none")[2]
+    assert "there is no CSV file in it" in run(capsys, "init", tmp_path)[2]
+    (tmp_path / "a.csv").write_text("t,force\n0,1\n1,2\n")
+    assert "a.csv: row 1: no column looks like a marker's coordinate" in run(capsys, "init", tmp_path)[2]
+    (tmp_path / "a.csv").write_text("name\nx\n")
+    assert "no column of numbers" in run(capsys, "init", tmp_path)[2]
+    (tmp_path / "a.csv").write_bytes(b"t,x\n\xff,1\n")
+    assert "cannot be read" in run(capsys, "init", tmp_path)[2]
+    (tmp_path / "a.csv").unlink()
+    os.mkfifo(tmp_path / "a.csv")
+    assert "a.csv: cannot be read (this is a pipe or a device, not a file)" in run(capsys, "init", tmp_path)[2]
+    assert not (tmp_path / "experiment.toml").exists()
+
+
+def test_names_of_files_and_columns_may_be_odd(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    odd = folder / "a\x7fb\u2028"
+    odd.mkdir()
+    columns = pd.read_csv(folder / "first_mode.csv")
+    columns.assign(**{"no\x1bise": 1.0}).to_csv(odd / "one\n\x7f.csv", index=False)
+    status, out, err = run(capsys, "init", odd, *RIG)
+    assert (status, err) == (0, "")
+    assert r"a\u007fb\u2028" in out
+    assert r"no\u001bise" in out
+    assert load_experiment(odd / "experiment.toml").recordings[0].file == "one\n\x7f.csv"
+
+
+def test_it_asks_on_a_terminal(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = "\n".join(["", "one", "1.0", "0.44", "", "1.93e11", "0.035", "0.0015", "", "", ""]) + "\n"
+    monkeypatch.setattr(sys, "stdin", io.StringIO(answers))
+    monkeypatch.setattr("vjm.cli.commands.stdin_is_terminal", lambda: True)
+    status, _, err = run(capsys, "init", folder)
+    assert status == 0, err
+    (link,) = load_experiment(folder / "experiment.toml").rig.links
+    assert (link.joint, link.length, link.thickness) == ("clamped", 1.0, 0.0015)
+
+
+def test_files_elsewhere_are_named_from_the_folder(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "described").mkdir()
+    files = [folder / "first_mode.csv", folder / "second_mode.csv"]
+    assert run(capsys, "init", folder / "described", *RIG, "--csv", *files, "-q") == (0, "", "")
+    assert load_experiment(folder / "described" / "experiment.toml").recordings[0].file == "../first_mode.csv"

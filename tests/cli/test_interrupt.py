@@ -1,0 +1,161 @@
+"""Ctrl-C at any moment ends the command with one line and status 130, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+import weakref
+from pathlib import Path
+
+import pytest
+
+from tests.report.fits import DEMO
+from vjm.cli import _Interrupts, main
+
+_PATIENCE = 60.0  # s, on a busy machine
+
+
+def experiment(folder: Path) -> Path:
+    """The demo's beam, the first second and a half of two recordings to train on and of one held out."""
+    rig = DEMO.read_text(encoding="utf-8").partition("[[recording]]")[0]
+    for name, role in (("first_mode.csv", "train"), ("second_mode.csv", "train"), ("both_modes.csv", "holdout")):
+        lines = (DEMO.parent / name).read_text(encoding="utf-8").splitlines()
+        (folder / name).write_text("\n".join(lines[:46]) + "\n", encoding="utf-8")
+        rig += f'[[recording]]\nfile = "{name}"\nkind = "decay"\nrole = "{role}"\n'
+    (folder / "experiment.toml").write_text(rig, encoding="utf-8")
+    return folder / "experiment.toml"
+
+
+def interrupted(stage: str, *arguments: str | Path) -> tuple[int, str]:
+    """Run a command as in a terminal, press Ctrl-C when the bar shows a stage; return its status and its last words."""
+    terminal, other = pty.openpty()
+    command = [sys.executable, "-m", "vjm", *map(str, arguments)]
+    environment = os.environ | {"COLUMNS": "120", "TERM": "xterm"}
+    process = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=other, env=environment, start_new_session=True
+    )
+    os.close(other)
+    seen, began, pressed = "", time.monotonic(), False
+    while True:
+        try:
+            part = os.read(terminal, 65536)
+        except OSError:  # nobody writes any more
+            break
+        if not part:
+            break
+        seen += part.decode("utf-8", "replace")
+        if not pressed and stage in seen:
+            os.killpg(process.pid, signal.SIGINT)  # a terminal tells all processes of the group
+            pressed, seen = True, ""
+        assert time.monotonic() - began < _PATIENCE, seen
+    os.close(terminal)
+    assert pressed, seen
+    status = process.wait(_PATIENCE)
+    return status, re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", seen)
+
+
+@pytest.mark.parametrize(
+    ("stage", "command"),
+    [
+        ("reading", ("identify",)),
+        ("fitting trajectories", ("identify",)),
+        ("drawing", ("identify",)),
+        ("drawing shapes", ("identify",)),
+        ("testing candidates", ("diagnose", "--effects", "tip_payload,linear_drag,clamp_compliance", "--jobs", "2")),
+    ],
+)
+def test_the_command_ends_with_one_line(stage: str, command: tuple[str, ...], tmp_path: Path) -> None:
+    name, *options = command
+    status, said = interrupted(stage, name, experiment(tmp_path), "-o", tmp_path / "out", *options)
+    assert status == 130, said
+    assert said.rstrip().splitlines()[-1].endswith("vjm: interrupted")
+    assert "Traceback" not in said
+    assert "Error" not in said
+    assert not (tmp_path / "out").exists()
+
+
+# Presses Ctrl-C when a module is looked for, and once more at Python's own end.
+_PRESS = """
+import atexit, os, signal, sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{module}":
+            sys.meta_path.remove(self)
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
+sys.argv = ["vjm", "check", {experiment!r}]
+from vjm.cli import main
+sys.exit(main())
+"""
+
+
+# From the first that `main` imports to those that libraries' C code asks for, and would report as an ImportError.
+@pytest.mark.parametrize(
+    "module",
+    ["shlex", "argparse", "vjm.cli.commands", "rich.console", "numpy._core.multiarray", "datetime",
+     "scipy.linalg._fblas", "pinocchio.pinocchio_pywrap_default", "matplotlib"],
+)  # fmt: skip
+def test_imports_are_interrupted_quietly(module: str) -> None:
+    code = _PRESS.format(module=module, experiment=str(DEMO))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=_PATIENCE)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "vjm: interrupted\n")
+
+
+@pytest.mark.parametrize("delay", [0.02, 0.05, 0.1, 0.2, 0.3, 0.5])  # s
+def test_a_command_that_has_just_started_is_interrupted_quietly(delay: float, tmp_path: Path) -> None:
+    """The delay counts from the moment where Python itself has started: until then Python answers, with a traceback."""
+    code = f"print(flush=True); import sys; sys.argv = ['vjm', 'identify', {str(DEMO)!r}]; import vjm.__main__"
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(delay)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=_PATIENCE)
+    assert (process.returncode, said) == (130, b"vjm: interrupted\n")
+    assert not (tmp_path / "vjm-identify").exists()
+
+
+def test_nothing_slow_is_imported_before_the_handler() -> None:
+    """Ctrl-C ends in a traceback before; it must be over in a millisecond or two."""
+    slow = {"argparse", "dataclasses", "inspect", "pathlib", "shlex", "threading", "typing", "warnings"}
+    code = f"import sys; import vjm.cli; print(*sorted({slow} & {{*sys.modules}}))"
+    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_that_is_dropped_is_told_again() -> None:
+    """Python drops what a weak reference's callback raises."""
+
+    class Thing:
+        pass
+
+    before = signal.getsignal(signal.SIGINT)
+    interrupts = _Interrupts()
+    try:
+        thing = Thing()
+        reference = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGINT))
+        del thing  # calls it
+        assert reference() is None
+        with pytest.raises(KeyboardInterrupt):
+            time.sleep(10)
+    finally:
+        interrupts.end()
+    assert interrupts.any
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_handlers_are_given_back() -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGALRM)) == before
