@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.hidden.plans import Rig
+from tests.hidden import two_links
 from tests.hidden.rigs import PLAIN, Conditions
+from tests.hidden.settings import Rig
 from tests.hidden.severities import EFFECTS, Planted, draw, effects_of, of_size, twins
 
 MULTIPLES = (1.0, 2.0, 5.0, 20.0)  # of the smallest detectable size
@@ -21,7 +22,7 @@ class Case:
 
     Attributes:
         suite: its suite.
-        rig: "hub" or "clamped".
+        rig: its kind.
         effects: ids of what is hidden.
         seed: draws the rig, its recordings, their noise, and the effects' sizes.
         multiple: of the smallest detectable size; 0: everyday sizes.
@@ -62,6 +63,11 @@ class Case:
 
     def planted(self, smallest: Mapping[str, Mapping[str, float]]) -> list[Planted]:
         """What is hidden; `smallest` holds detectable sizes of parameters, by effect, as a clean diagnosis said."""
+        if self.suite in ("arms", "elbow"):  # from hardly visible to plain
+            factor = float(0.3 * 10.0 ** np.random.default_rng([self.seed, 7]).uniform())
+            if self.suite == "elbow":
+                return [two_links.drawn(effect, self.seed, factor) for effect in self.effects]
+            return [draw(effect, self.seed, self.rig, factor) for effect in self.effects]
         if not self.multiple:
             return [draw(effect, self.seed, self.rig) for effect in self.effects]
         return [of_size(effect, self.seed, smallest.get(effect, {}), self.multiple) for effect in self.effects]
@@ -76,6 +82,8 @@ SUITES: Mapping[str, str] = {
     "pairs": "two everyday effects at once",
     "missing": "one everyday effect that is not among the candidates, nor is anything that looks like it",
     "clamped": "one everyday effect on a clamped link, free decays only",
+    "arms": "one effect of any size, or none, on an arm of any size with other sensors and drives, all drawn anew",
+    "elbow": "one effect of any size, or none, on an arm of two links with an elbow motor, drawn anew, by MuJoCo",
     "reference": "one everyday effect, and recordings known to be without it",
 }
 
@@ -98,6 +106,15 @@ def _of_seed(suite: str, seed: int) -> Iterator[Case]:
             yield from (Case(suite, rig, (), seed) for rig in ("hub", "clamped"))
         case "clamped":
             yield from (Case(suite, "clamped", (effect,), seed) for effect in effects_of("clamped"))
+        case "arms":
+            kinds: tuple[Rig, ...] = ("arm", "clamped_arm")
+            every = [(kind, (effect,)) for kind in kinds for effect in effects_of(kind)] + [
+                (kind, ()) for kind in kinds
+            ]
+            yield from (Case(suite, kind, effects, 100 * seed + k) for k, (kind, effects) in enumerate(every))
+        case "elbow":
+            every_one = [(), *((effect,) for effect in two_links.EFFECTS)]
+            yield from (Case(suite, "two_links", effects, 100 * seed + k) for k, effects in enumerate(every_one))
         case "pairs":
             yield from (Case(suite, "hub", pair, seed) for pair in pairs_of(seed))
         case _:

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict
 from datetime import date
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,7 @@ from hidden_figures import smallest_detectable  # noqa: E402
 from hidden_tables import report  # noqa: E402
 
 from tests.hidden.rigs import Truth, write_hidden  # noqa: E402
+from tests.hidden.two_links import write_two_links  # noqa: E402
 
 Result = dict[str, Any]
 # The experiment file and the candidates (None: all), to the dictionary that `vjm diagnose` writes.
@@ -41,12 +43,12 @@ Diagnose = Callable[[Path, list[str] | None], Result]
 Smallest = Mapping[str, Mapping[str, float]]
 
 
-def diagnose(file: Path, effects: list[str] | None) -> Result:
-    """The package's own diagnosis."""
+def diagnose(file: Path, effects: list[str] | None, budget: float = float("inf")) -> Result:
+    """The package's own diagnosis, within a budget of processor time, s."""
     import vjm
     from vjm.report.result_json import result_object
 
-    found: Result = result_object(vjm.diagnose(vjm.load_experiment(file), effects=effects, seed=0, budget=float("inf")))
+    found: Result = result_object(vjm.diagnose(vjm.load_experiment(file), effects=effects, seed=0, budget=budget))
     return found
 
 
@@ -57,7 +59,10 @@ def run(case: Case, smallest: Smallest, how: Diagnose, keep: Path | None = None)
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if keep is None else keep / case.key.replace("/", "-")
         try:
-            truth = write_hidden(folder, case.rig, case.planted(smallest), case.seed, case.conditions)
+            if case.rig == "two_links":
+                truth = write_two_links(folder, case.planted(smallest), case.seed)
+            else:
+                truth = write_hidden(folder, case.rig, case.planted(smallest), case.seed, case.conditions)
             record |= _true(truth)
             start = time.process_time()
             result = how(folder / "experiment.toml", case.candidates)
@@ -70,7 +75,12 @@ def run(case: Case, smallest: Smallest, how: Diagnose, keep: Path | None = None)
 def _true(truth: Truth) -> Result:
     """What a record says of the truth."""
     effects = [{"effect": each.effect, "parameters": dict(each.parameters)} for each in truth.effects]
-    return {"truth": effects, "noise_rms": truth.noise_rms, "right_rms": truth.right_rms, "beam": asdict(truth.beam)}
+    return {
+        "truth": effects,
+        "noise_rms": truth.noise_rms,
+        "right_rms": truth.right_rms,
+        "setting": asdict(truth.setting),
+    }
 
 
 def read(file: Path) -> list[Result]:
@@ -105,6 +115,7 @@ def header(arguments: argparse.Namespace) -> Result:
     commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip() or "no commit"
     machine = f"Python {platform.python_version()}, {os.cpu_count()} cores"
     options = {"suites": arguments.suites, "seeds": arguments.seeds, "jobs": arguments.jobs}
+    options |= {"budget": arguments.budget} if arguments.budget < float("inf") else {}
     return {"date": date.today().isoformat(), "commit": commit, "machine": machine} | options
 
 
@@ -161,19 +172,20 @@ def parse(words: Iterable[str] | None) -> argparse.Namespace:
     parser.add_argument("--first-seed", type=int, default=1, help="the first of them (default 1)")
     parser.add_argument("--jobs", type=int, default=1, help="processes (default 1)")
     parser.add_argument("--only", type=lambda text: set(text.split(",")), help=f"hidden effects, or {NOTHING}: a,b,c")
+    parser.add_argument("--budget", type=float, default=float("inf"), help="of a diagnosis, s (default: none)")
     parser.add_argument("--keep", type=Path, help="keep the experiments' folders here")
     parser.add_argument("--tables-only", action="store_true", help="run nothing")
     parser.add_argument("-o", "--out", type=Path, default=Path("hidden_effects.jsonl"), help="results file")
     return parser.parse_args(None if words is None else list(words))
 
 
-def main(words: Iterable[str] | None = None, how: Diagnose = diagnose) -> None:
+def main(words: Iterable[str] | None = None, how: Diagnose | None = None) -> None:
     """Run, then print and write the tables."""
     arguments = parse(words)
     cases = chosen(arguments)
     if not arguments.tables_only:
         append(arguments.out, header(arguments))
-        finish(cases, arguments, how)
+        finish(cases, arguments, how or partial(diagnose, budget=arguments.budget))
     wanted = {case.key for case in cases if case.suite in arguments.suites}
     text = report([record for record in read(arguments.out) if record["key"] in wanted])
     print(text)
