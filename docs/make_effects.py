@@ -15,9 +15,9 @@ FILE = Path(__file__).parent / "effects.md"
 HEAD = """\
 # The effects
 
-What a simulation of a flexible arm most often gets wrong, as `vjm diagnose` looks for it. Each effect is one class in
+The candidate causes of `vjm diagnose`. Each effect is one class in
 `vjm/effects/` with the id given here; at its null value it changes nothing, exactly. With several links, an effect of a
-joint or of a link is one candidate for each. `--effects a,b,c` looks for some of them only; [an effect of your
+joint or of a link is one candidate for each. `--effects a,b,c` restricts the search; [an effect of your
 own](how-to/own-effect.md) can be added. This page is written by `docs/make_effects.py` from the classes.
 """
 NULLS = {np.inf: "infinite", 0.0: "0", 1.0: "1"}
@@ -44,7 +44,7 @@ def page() -> str:
             parts.append(f"\n### `{effect.id}`\n\n{effect.description[0].upper()}{effect.description[1:]}.\n")
             parts.append(f"\n- Parameters: {parameters(effect)}\n")
             if effect.distinguishing_experiment:
-                parts.append(f"- Told from similar effects by: {effect.distinguishing_experiment}\n")
+                parts.append(f"- Distinguished from similar effects by: {effect.distinguishing_experiment}\n")
             if effect.reference:
                 parts.append(f"- Source: {effect.reference}\n")
     return "".join(parts)

@@ -25,7 +25,7 @@ def main(file: Path | str = DEMO) -> None:
         error = "not determined" if parameter.std is None else f"± {parameter.std:.2g}"
         print(f"  {parameter.name:25} {parameter.value:12.5g} {error:>12} {parameter.unit}")
     for mode in fit.modes:
-        measured = "not seen" if mode.frequency_measured is None else f"{mode.frequency_measured:.4f} Hz measured"
+        measured = "no peak" if mode.frequency_measured is None else f"{mode.frequency_measured:.4f} Hz measured"
         print(f"  {mode.frequency_model:.4f} Hz in the model, {measured}")
 
     recording = [*experiment.with_role("holdout"), *experiment.recordings][0]

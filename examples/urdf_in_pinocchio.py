@@ -51,7 +51,7 @@ def main(file: Path | str = "vjm-out/model.json") -> None:
         q = pin.integrate(model, q, STEP * v)
 
     falls = np.flatnonzero(np.diff(np.sign(heights)) == -2 * np.sign(heights[0])) * STEP
-    print(f"arm.urdf: {size} joints")
+    print(f"arm.urdf: {size} joint{'s' * (size > 1)}")
     print(f"first mode: {1 / np.diff(falls).mean():.4f} Hz as it swings, {frequency:.4f} Hz of M and K")
 
 
