@@ -430,7 +430,7 @@ def _bounded(problem: SquareRootInformation, point: Point) -> Array:
 
 
 def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
-    """Return the point a step further; None where samples do not show it, it diverges or finds no rest under its load."""
+    """Return the point a step further; None where samples do not show it, it diverges or finds no rest."""
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
         if _slowest_turns(point.problem, point.x + step.change) > max(1.0, _slowest_turns(point.problem, point.x)):
