@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import re
+import select
 import signal
 import subprocess
 import sys
@@ -31,8 +33,11 @@ def experiment(folder: Path) -> Path:
     return folder / "experiment.toml"
 
 
-def interrupted(stage: str, *arguments: str | Path) -> tuple[int, str]:
-    """Run a command as in a terminal, press Ctrl-C when the bar shows a stage; return its status and its last words."""
+def interrupted(stage: str, delay: float, *arguments: str | Path) -> tuple[int, str]:
+    """Run a command as in a terminal, press Ctrl-C `delay` seconds after the bar shows a stage.
+
+    Return its status and its last words.
+    """
     terminal, other = pty.openpty()
     command = [sys.executable, "-m", "vjm", *map(str, arguments)]
     environment = os.environ | {"COLUMNS": "120", "TERM": "xterm"}
@@ -41,37 +46,48 @@ def interrupted(stage: str, *arguments: str | Path) -> tuple[int, str]:
     )
     os.close(other)
     seen, began, pressed = "", time.monotonic(), False
-    while True:
-        try:
-            part = os.read(terminal, 65536)
-        except OSError:  # nobody writes any more
-            break
-        if not part:
-            break
-        seen += part.decode("utf-8", "replace")
-        if not pressed and stage in seen:
-            os.killpg(process.pid, signal.SIGINT)  # a terminal tells all processes of the group
-            pressed, seen = True, ""
-        assert time.monotonic() - began < _PATIENCE, seen
-    os.close(terminal)
-    assert pressed, seen
-    status = process.wait(_PATIENCE)
+    try:
+        while part := read(terminal, began + _PATIENCE - time.monotonic()):
+            seen += part.decode("utf-8", "replace")
+            if not pressed and stage in seen:
+                time.sleep(delay)
+                os.killpg(process.pid, signal.SIGINT)  # a terminal tells all processes of the group
+                pressed, seen = True, ""
+        assert pressed, seen
+        status = process.wait(_PATIENCE)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        os.close(terminal)
     return status, re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", seen)
 
 
+def read(terminal: int, patience: float) -> bytes:
+    """What comes next; nothing where no process has the terminal any more."""
+    ready, _, _ = select.select([terminal], [], [], max(0.0, patience))
+    assert ready, "a process still holds the terminal"
+    try:
+        return os.read(terminal, 65536)
+    except OSError:  # nobody writes any more
+        return b""
+
+
+CANDIDATES = "diagnose", "--jobs", "2", "--effects", "tip_payload,linear_drag,clamp_compliance"
+
+
 @pytest.mark.parametrize(
-    ("stage", "command"),
+    ("stage", "delay", "command"),
     [
-        ("reading", ("identify",)),
-        ("fitting trajectories", ("identify",)),
-        ("drawing", ("identify",)),
-        ("drawing shapes", ("identify",)),
-        ("testing candidates", ("diagnose", "--effects", "tip_payload,linear_drag,clamp_compliance", "--jobs", "2")),
+        ("reading", 0.0, ("identify",)),
+        ("fitting trajectories", 0.0, ("identify",)),
+        ("drawing", 0.0, ("identify",)),
+        ("drawing shapes", 0.0, ("identify",)),
+        *(("testing candidates", delay, CANDIDATES) for delay in (0.0, 0.1, 0.3)),  # while processes start
     ],
 )
-def test_the_command_ends_with_one_line(stage: str, command: tuple[str, ...], tmp_path: Path) -> None:
+def test_the_command_ends_with_one_line(stage: str, delay: float, command: tuple[str, ...], tmp_path: Path) -> None:
     name, *options = command
-    status, said = interrupted(stage, name, experiment(tmp_path), "-o", tmp_path / "out", *options)
+    status, said = interrupted(stage, delay, name, experiment(tmp_path), "-o", tmp_path / "out", *options)
     assert status == 130, said
     assert said.rstrip().splitlines()[-1].endswith("vjm: interrupted")
     assert "Traceback" not in said
@@ -79,9 +95,9 @@ def test_the_command_ends_with_one_line(stage: str, command: tuple[str, ...], tm
     assert not (tmp_path / "out").exists()
 
 
-# Presses Ctrl-C when a module is looked for, and once more at Python's own end.
+# Presses Ctrl-C when a module is looked for.
 _PRESS = """
-import atexit, os, signal, sys
+import os, signal, sys
 
 class Finder:
     def find_spec(self, name, path=None, target=None):
@@ -90,7 +106,6 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder())
-atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT))
 sys.argv = ["vjm", "check", {experiment!r}]
 from vjm.cli import main
 sys.exit(main())

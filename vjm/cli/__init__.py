@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from vjm.errors import VjmError
 
-_AGAIN = 1.0  # s
+_AGAIN = 1.0  # s, after which Ctrl-C is told again, and the end of Python cut short
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,7 +34,10 @@ def main(argv: Sequence[str] | None = None) -> int:
             # The process ends. Python would end it by the signal where an `exec` was interrupted, as of a dataclass,
             # and with a traceback where Ctrl-C is pressed again.
             signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        return _failed("interrupted", 130)
+        status = _failed("interrupted", 130)
+        if argv is None:
+            _end_soon(status)
+        return status
 
 
 def _run(argv: Sequence[str] | None, interrupted: _Interrupts) -> int:
@@ -120,6 +123,16 @@ class _Interrupts:
             sys.unraisablehook = self._unraisable
         while self._before:
             signal.signal(*self._before.popitem())
+
+
+def _end_soon(status: int) -> None:
+    """Let Python end within a second, and quietly: libraries that were interrupted may fail then, or wait for ever."""
+    from threading import Timer
+
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
+    last = Timer(_AGAIN, os._exit, (status,))
+    last.daemon = True
+    last.start()
 
 
 def _failed(message: str, status: int) -> int:

@@ -11,6 +11,7 @@ noise that correlates as the candidates do (minP: Westfall and Young, Resampling
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -18,7 +19,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from itertools import pairwise
-from multiprocessing import active_children, forkserver, get_context
+from multiprocessing import active_children, forkserver, get_context, parent_process, resource_tracker
+from multiprocessing.process import BaseProcess
+from threading import Thread
 from typing import Self, TypeVar
 
 import numpy as np
@@ -60,14 +63,20 @@ class Workers:
         if count == 1:
             yield cls()
             return
-        # Interrupts are for this process alone: the server inherits the mask, and its processes from it.
+        # Interrupts are for this process alone: the server inherits the mask, and its processes from it. The resource
+        # tracker would lift the mask if the server had to start it.
+        resource_tracker.ensure_running()
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             forkserver.ensure_running()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        others, executor = {*active_children()}, ProcessPoolExecutor(count, mp_context=get_context("forkserver"))
+        others, context = {*active_children()}, get_context("forkserver")
+        executor = ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
         try:
+            with _interrupted_later():
+                for _ in range(count):
+                    executor.submit(int)  # starts a process
             yield cls(count, executor)
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
@@ -80,6 +89,34 @@ class Workers:
         """Return the results of a function for each job, in the jobs' order."""
         mapped = map if self.executor is None or len(jobs) < 2 else self.executor.map
         return [*mapped(work, jobs)]
+
+
+@contextmanager
+def _interrupted_later() -> Iterator[None]:
+    """Tell Ctrl-C at the block's end: a process that is interrupted while it starts another does not know of that."""
+    pressed: list[int] = []
+    try:
+        before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    except ValueError:  # not the main thread, which alone is told
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    for number in pressed[:1]:
+        signal.raise_signal(number)
+
+
+def _end_with_parent() -> None:
+    """Make this process end when the one that started it does, however that ends."""
+
+    def watch(parent: BaseProcess) -> None:
+        parent.join()
+        os._exit(1)
+
+    if (parent := parent_process()) is not None:
+        Thread(target=watch, args=(parent,), daemon=True).start()
 
 
 ALONE = Workers()

@@ -1,0 +1,44 @@
+"""Processes of a diagnosis: interrupts are not for them, and none outlives the one that started it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_SCRIPT = """
+import os, signal, time
+from vjm.diagnosis.screen import Workers
+
+def work(seconds):
+    time.sleep(seconds)
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+if __name__ == "__main__":
+    with Workers.start(2) as workers:
+        print(workers.map(work, [0.0, 0.0]), flush=True)
+        {rest}
+"""
+
+
+@pytest.fixture
+def script(tmp_path: Path) -> Path:
+    return tmp_path / "script.py"
+
+
+def test_interrupts_are_blocked(script: Path) -> None:
+    script.write_text(_SCRIPT.format(rest="pass"), encoding="utf-8")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "[True, True]\n", "")
+
+
+def test_they_end_with_a_parent_that_is_killed(script: Path) -> None:
+    script.write_text(_SCRIPT.format(rest="workers.map(work, [90.0, 90.0])"), encoding="utf-8")
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        process.kill()
+        rest, _ = process.communicate(timeout=60)  # to the pipe's end, where nobody holds it any more
+    assert (first, rest) == (b"[True, True]\n", b"")
