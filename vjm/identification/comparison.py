@@ -11,6 +11,7 @@ import numpy as np
 from vjm.chain.layout import nominal_chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.check import fit_warnings
+from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.outliers import trimmed
 from vjm.identification.records import Comparison
 from vjm.records import Array, Experiment, Progress, RecordingComparison, SimulatedRecording
@@ -35,14 +36,16 @@ def compare(
 
     Raises:
         ShapeError: a model whose links are longer or shorter than the rig's.
+        MistakeError: recordings that a mistake explains far better than the experiment file does.
     """
     for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
         if abs(link.length - own.length) > 1e-3 * own.length:  # more than rounding in either file
             raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
+    likely = refuse_mistakes(experiment)
     nominal = replace(model, chain=nominal_chain(experiment.rig, model.chain.links), estimates=(), effects=())
     recordings = compare_recordings(experiment, model, (nominal, None), progress)
     known = np.empty((0, 0)) if covariance is None else covariance
-    warnings = (*experiment.warnings, *fit_warnings(recordings))
+    warnings = (*likely, *experiment.warnings, *fit_warnings(recordings))
     return Comparison(experiment, model, nominal, known, recordings, warnings)
 
 

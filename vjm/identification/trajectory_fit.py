@@ -433,7 +433,7 @@ def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
     """Return the point a step further; None where samples do not show it, it diverges or finds no rest."""
     states = [state + change for state, change in zip(point.states, step.states, strict=True)]
     try:
-        if _slowest_turns(point.problem, point.x + step.change) > max(1.0, _slowest_turns(point.problem, point.x)):
+        if _slowest_turns(point.problem, point.x + step.change) > 1.0 >= _slowest_turns(point.problem, point.x):
             return None
         scales = [run.prior.scale for run in point.runs]
         trial = point.problem.simulated(point.x + step.change, states, point.states, scales)
@@ -445,17 +445,17 @@ def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
 
 
 def _slowest_turns(problem: TrajectoryProblem, x: Array) -> float:
-    """Return how often the arm's slowest mode swings from one sample to the next, at coordinates x (p,).
+    """Return how often the arm's slowest mode swings between samples of the recording sampled most densely.
 
-    More than once, samples do not show it swing: a search that stiffens the arm further goes astray, where torques are
-    a millionth of what moved it, say, and its simulations take steps without end.
+    More than once, samples do not show it swing: a search that stiffens the arm until then goes astray, where torques
+    are a millionth of what moved it, say, and its simulations take steps without end.
     """
     turns = []
     for arm, observed in zip(problem.arms(x), problem.observed, strict=True):
         recording = observed.recording
         slowest, _ = locked_joint_frequencies(arm.chain, recording.payload)
         turns.append(slowest * np.ptp(recording.time) / max(recording.time.size - 1, 1))
-    return float(max(turns))
+    return float(min(turns))
 
 
 def _backtracked(point: Point, step: _TrajectoryStep, trial: Point) -> Point:

@@ -20,6 +20,7 @@ from vjm.identification.mistakes.evidence import CERTAIN, LIKELY, Mistake, unit_
 from vjm.identification.overview import seen_modes
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Experiment, Link
+from vjm.simulation.integrate import locked_joint_frequencies
 
 # Medians and standard deviations of logarithms, of rigs that somebody might build (Ashby, Materials Selection in
 # Mechanical Design, for materials): silicone to steel and tungsten, foam to lead, gram to tonne.
@@ -76,7 +77,9 @@ def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
 def rig_mistakes(experiment: Experiment) -> list[Mistake]:
     """Return the numbers of the first link, or the unit of time, that are in the wrong unit."""
     link = experiment.rig.links[0]
-    rates = [1 / float(np.median(np.diff(each.time[each.frames]))) for each in experiment.recordings]
+    moving = [each for each in experiment.recordings if each.kind in ("driven", "decay")]
+    filmed = moving or experiment.recordings
+    rates = [1 / float(np.median(np.diff(each.time[each.frames]))) for each in filmed]
     rate = float(np.median(rates))
     measured, nominal, file = _frequencies(experiment)
     single = _hypotheses(experiment, link)
@@ -89,9 +92,12 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
         }
         fit = -np.log(100.0) * len(assumed)  # one number in a hundred is in the wrong unit
         fit += _material(link, factors) + _normal(rate / factors["time"], *_RATE)
-        if measured is not None:
-            bending = factors["width"] * factors["thickness"] ** 3 * factors["modulus"] * factors["stiffness"]
-            expected = nominal * np.sqrt(bending / factors["mass"])
+        bending = factors["width"] * factors["thickness"] ** 3 * factors["modulus"] * factors["stiffness"]
+        expected = nominal * np.sqrt(bending / factors["mass"])
+        if measured is None:  # nobody films what swings with frames too few to show it
+            shown = rate / factors["time"] / (2 * expected[:1])
+            fit += sum(_normal(float(share), 1.0, _RATE[1]) for share in shown if share < 1.0)
+        else:
             seen = np.log(measured / factors["time"] / expected)
             # A hub's own inertia does not scale with the link's mass: good to the factor that is allowed anyway.
             costs = 2.0 * np.arange(
@@ -114,7 +120,12 @@ def _rig_text(
 ) -> str:
     seen = []
     if any(each.name == "time" for each in best):
-        seen.append(f"the camera would take {rate:.3g} frames/s")
+        arm = (
+            f" of an arm that swings at {nominal[0]:.3g} Hz, its joints held"
+            if measured is None and nominal.size
+            else ""
+        )
+        seen.append(f"the camera would take {rate:.3g} frames/s{arm}")
     elif None not in (link.width, link.thickness):
         volume = link.length * (link.width or 1.0) * (link.thickness or 1.0)
         seen.append(f"{link.name} would have {link.mass / volume:.3g} kg/m^3")
@@ -145,24 +156,25 @@ def _material(link: Link, factors: dict[str, float]) -> float:
 
 
 def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
-    """Return the slowest frequency that a recording of a single link shows [Hz], the nominal ones, and its file."""
+    """Return the slowest frequency that a recording of a single link shows [Hz], the nominal ones, and its file.
+
+    Without such a frequency, and of more links, the nominal ones are those of the arm with its joints locked.
+    """
     rig = experiment.rig
-    if len(rig.links) > 1 or not rig.links[0].markers:
-        return None, np.zeros(0), ""
     moving = [each for each in experiment.recordings if each.kind in ("driven", "decay") and each.input == "torque"]
+    if not moving:
+        return None, np.zeros(0), ""
+    chain = nominal_chain(rig, rig_layouts(rig, [6] * len(rig.links)))
     order = sorted(moving, key=lambda each: (each.kind != "decay", each.role != "train"))
-    for recording in order[:2]:
-        seen = seen_modes(rig, recording, 1)
-        if not seen.size:
-            continue
-        chain = nominal_chain(rig, rig_layouts(rig, [6]))
-        try:
-            M, D, K, _ = linearise(chain, recording.payload)
-        except VjmError:  # a link that buckles under its weight
-            return None, np.zeros(0), ""
-        found = modes_of(M, D, K).frequencies[:4]
-        return (float(seen[0]), found, recording.file) if found.size else (None, found, "")
-    return None, np.zeros(0), ""
+    try:
+        for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
+            if (seen := seen_modes(rig, recording, 1)).size:
+                M, D, K, _ = linearise(chain, recording.payload)
+                if (found := modes_of(M, D, K).frequencies[:4]).size:
+                    return float(seen[0]), found, recording.file
+        return None, np.array(locked_joint_frequencies(chain, order[0].payload)[:1]), ""
+    except VjmError:  # a link that buckles under its weight
+        return None, np.zeros(0), ""
 
 
 def noise_mistakes(experiment: Experiment) -> list[Mistake]:
