@@ -6,6 +6,10 @@ kept with its files and its command where a folder is given.
 
 from __future__ import annotations
 
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands do for themselves
+
 import argparse
 import shlex
 import sys
