@@ -62,6 +62,7 @@ def assert_found(diagnosis: vjm.Diagnosis, truth: Truth) -> None:
     assert diagnosis.gain.interval[0] < diagnosis.gain.reduction < diagnosis.gain.interval[1]
 
 
+@pytest.mark.slow
 def test_a_late_camera_is_found_in_coloured_noise(plant: Plant) -> None:
     file, truth = plant("hub", "time_offset", seed=11, conditions=Conditions(noise_correlation=0.7))
     diagnosis = diagnosed(file, SOME)
@@ -81,6 +82,7 @@ def test_two_causes_are_found(plant: Plant) -> None:
     assert diagnosis.gain.next_best > 1.03 * diagnosis.gain.after
 
 
+@pytest.mark.slow
 def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
     file, truth = plant("hub", "coulomb_friction", seed=17)
     diagnosis = vjm.diagnose(
@@ -164,6 +166,7 @@ def test_two_processes_find_what_one_does(plant: Plant) -> None:
     assert (two.verdict, two.causes, two.remaining) == (one.verdict, one.causes, one.remaining)
 
 
+@pytest.mark.slow
 def test_drag_is_found_in_decays_of_a_clamped_link(plant: Plant) -> None:
     file, _ = plant("clamped", "quadratic_drag", seed=16)
     diagnosis = diagnosed(file)
