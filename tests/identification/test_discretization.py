@@ -67,6 +67,18 @@ def test_one_step_finds_the_shift_that_several_do() -> None:
     assert shift == pytest.approx(bias.shift, rel=0.3)
 
 
+@pytest.mark.parametrize(("size", "kept"), [(0.0, True), (30.0, False)])
+def test_a_correction_that_leads_away_from_the_recordings_is_dropped(size: float, kept: bool) -> None:
+    """Each offset is `size` standard errors of the measurements."""
+    fit = identified("clamped", 1).trajectory
+    assert fit is not None
+    random = np.random.default_rng(1)
+    offset = [size * random.normal(size=run.observed.count) / run.observed.weights for run in fit.point.runs]
+    corrected = DiscretizationBias(tuple(offset), np.zeros(fit.point.x.size)).corrected(fit, 2.0)
+    assert (corrected is not fit) == kept
+    assert corrected.misfit == pytest.approx(fit.misfit, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
     """95 % of them: 17 of 20 or more."""

@@ -20,12 +20,12 @@ from vjm.identification.outliers import trimmed
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.identification.trajectory_method import TrajectoryMethod, first_fit, simulatable
-from vjm.records import REFERENCE, Experiment, Progress
+from vjm.records import REFERENCE, Experiment, Progress, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
-CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
+_CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,15 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     # Where the model lacks much, its best parameters are only a start for the search: a rough minimum will do.
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE_MISFIT).fit_from(joints, fit)
-    bias = DiscretizationBias.of(fit.point, experiment.rig) if fit.misfit < CLOSE_MISFIT else None
     outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
     others = tuple(_prepared(one, sensor_noise, noise, delay) for one in outlier_free)
-    return Baseline(bias.corrected(fit) if bias else fit, noise, others, (*search.data.problems, *unused))
+    return Baseline(corrected(fit, experiment.rig), noise, others, (*search.data.problems, *unused))
+
+
+def corrected(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit:
+    """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be."""
+    bias = DiscretizationBias.of(fit.point, rig) if fit.misfit < _CLOSE_MISFIT else None
+    return bias.corrected(fit, _CLOSE_MISFIT) if bias else fit
 
 
 def _further_recordings(

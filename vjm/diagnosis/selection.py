@@ -17,7 +17,7 @@ from time import monotonic
 
 import numpy as np
 
-from vjm.diagnosis.baseline import CLOSE_MISFIT, Baseline
+from vjm.diagnosis.baseline import Baseline, corrected
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
@@ -33,7 +33,6 @@ from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Worker
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import DiscretizationBias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
@@ -503,12 +502,11 @@ class Search:
         return best, fits
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be."""
-        if is_nonsmooth(fit.effects) or fit.misfit > CLOSE_MISFIT:
+        """Fit a model beside its chain's discretization error; of stick-slip or play slopes do not tell it."""
+        if is_nonsmooth(fit.effects):
             return fit
         self.report("measuring the discretization error")
-        bias = DiscretizationBias.of(fit.point, self.rig)
-        return bias.corrected(fit) if bias else fit
+        return corrected(fit, self.rig)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""

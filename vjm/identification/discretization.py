@@ -85,11 +85,20 @@ class DiscretizationBias:
         offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
         return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
-    def corrected(self, candidate: TrajectoryFit) -> TrajectoryFit:
-        """Fit a model again beside the bias."""
+    def corrected(self, candidate: TrajectoryFit, max_misfit: float) -> TrajectoryFit:
+        """Fit a model again beside the bias; return it as it was if its misfit comes out larger than `max_misfit`.
+
+        Corrections of an elbow's motion may not settle: over many swings a small error at the start grows.
+        """
         point = _with_offset(candidate.point, self.offset)
-        fit = fit_trajectory(point.problem, point.x, None, [run.state for run in point.runs])
-        return replace(fit, shift=self.shift)
+        max_chi2 = max_misfit**2 * point.expected_chi2
+        states = [run.state for run in point.runs]
+
+        def is_hopeless(reached: Point, predicted: float) -> bool:
+            return reached.chi2 - 3 * predicted > max_chi2  # three decreases as large as the next step promises
+
+        fit = fit_trajectory(point.problem, point.x, None, states, stop=is_hopeless)
+        return candidate if fit.misfit > max_misfit else replace(fit, shift=self.shift)
 
 
 def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
