@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib import metadata
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -84,3 +85,11 @@ def mass_matrix(model: pin.Model, q: Array) -> Array:
     """M(q), (nv, nv)."""
     upper = np.triu(pin.crba(model, model.createData(), q))
     return upper + np.triu(upper, 1).T
+
+
+def mujoco_mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """M(q) of MuJoCo's model where its data stand, (nv, nv)."""
+    M = np.zeros((model.nv, model.nv))
+    for row, unit in zip(M, np.eye(model.nv), strict=True):
+        mujoco.mj_mulM(model, data, row, unit)
+    return M

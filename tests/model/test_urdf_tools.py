@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 import vjm
 from tests.model.chains import HOSTILE, Plane, extended_chain, model_of, plain_chain, plain_link
+from tests.model.robots import mujoco_mass_matrix
 from tests.simulation.setups import arm_of, rig_of, steel_link
 from vjm.chain.virtual_links import Chain, MovingBase
 from vjm.effects import CoulombFriction, CubicStiffness, InPlaneGravity, JointSpring, TipPayload
@@ -57,10 +58,7 @@ def in_mujoco(file: Path, q: Array, frame: str) -> tuple[float, Array, Array]:
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_forward(model, data)
-    M = np.zeros((model.nv, model.nv))
-    for row, unit in zip(M, np.eye(model.nv), strict=True):
-        mujoco.mj_mulM(model, data, row, unit)
-    return float(model.body_mass.sum()), data.body(frame).xpos[:2], M
+    return float(model.body_mass.sum()), data.body(frame).xpos[:2], mujoco_mass_matrix(model, data)
 
 
 def in_pybullet(file: Path, q: Array, frame: str) -> tuple[float, Array, Array]:
