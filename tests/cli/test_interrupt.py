@@ -124,6 +124,27 @@ def test_imports_are_interrupted_quietly(module: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "vjm: interrupted\n")
 
 
+# A library's thread that waits for ever, for which Python would wait at its end.
+_WAIT = """
+import os, signal, sys, threading
+import vjm.cli.commands as commands
+
+def wait(arguments):
+    threading.Thread(target=threading.Event().wait).start()
+    os.kill(os.getpid(), signal.SIGINT)
+
+commands.COMMANDS["check"] = wait
+sys.argv = ["vjm", "check", "x"]
+from vjm.cli import main
+sys.exit(main())
+"""
+
+
+def test_a_library_that_waits_for_ever_does_not_keep_the_command() -> None:
+    done = subprocess.run([sys.executable, "-c", _WAIT], capture_output=True, text=True, timeout=_PATIENCE)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "vjm: interrupted\n")
+
+
 @pytest.mark.parametrize("delay", [0.02, 0.05, 0.1, 0.2, 0.3, 0.5])  # s
 def test_a_command_that_has_just_started_is_interrupted_quietly(delay: float, tmp_path: Path) -> None:
     """The delay counts from the moment where Python itself has started: until then Python answers, with a traceback."""
