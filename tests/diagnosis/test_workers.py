@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from vjm.diagnosis.workers import _interrupted_later
+
 _SCRIPT = """
-import os, signal, time
-from vjm.diagnosis.screen import Workers
+import signal, time
+from vjm.diagnosis.workers import Workers
 
 def work(seconds):
     time.sleep(seconds)
@@ -21,6 +24,20 @@ if __name__ == "__main__":
         print(workers.map(work, [0.0, 0.0]), flush=True)
         {rest}
 """
+
+
+def test_an_interrupt_waits_for_processes_to_start() -> None:
+    told = []
+    before = signal.signal(signal.SIGINT, lambda *_: told.append("later"))
+    try:
+        with _interrupted_later():
+            signal.raise_signal(signal.SIGINT)
+            told.append("started")
+        assert told == ["started", "later"]
+        signal.raise_signal(signal.SIGINT)
+        assert told == ["started", "later", "later"]  # the handler is given back
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
@@ -58,7 +58,7 @@ class StoppingRule:
             self.accepted.append(point.chi2)
         stuck = len(self.accepted) > 5 and self.accepted[-5] - point.chi2 < _least_decrease(point)
         ended = self.steps > self.max_steps or monotonic() > self.deadline
-        return ended or stuck or point.chi2 - 3 * predicted > self.max_chi2
+        return ended or stuck or stays_above(point, predicted, self.max_chi2)
 
 
 def _least_decrease(point: Point) -> float:

@@ -19,10 +19,10 @@ from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
-from vjm.diagnosis.screen import Workers
 from vjm.diagnosis.selection import Search, SearchOptions, SearchResult, find_preexisting_effects
 from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, held_out, is_unexplained, why_insufficient
+from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers

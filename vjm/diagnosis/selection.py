@@ -17,7 +17,7 @@ from time import monotonic
 
 import numpy as np
 
-from vjm.diagnosis.baseline import Baseline, corrected
+from vjm.diagnosis.baseline import Baseline, corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
@@ -29,7 +29,8 @@ from vjm.diagnosis.candidate_fit import (
     state_at,
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
-from vjm.diagnosis.screen import ALONE, CandidateSet, FamilyTest, Screen, Workers
+from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
+from vjm.diagnosis.workers import ALONE, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -506,7 +507,7 @@ class Search:
         if is_nonsmooth(fit.effects):
             return fit
         self.report("measuring the discretization error")
-        return corrected(fit, self.rig)
+        return corrected_for_discretization(fit, self.rig)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""

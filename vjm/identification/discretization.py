@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from vjm.chain.layout import DEFAULT_LAYOUT, rig_layouts, starting_chain
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
 from vjm.records import Array, Rig
 from vjm.simulation.run import Run, simulate_runs
 
@@ -91,13 +92,9 @@ class DiscretizationBias:
         Corrections of an elbow's motion may not settle: over many swings a small error at the start grows.
         """
         point = _with_offset(candidate.point, self.offset)
-        max_chi2 = max_misfit**2 * point.expected_chi2
         states = [run.state for run in point.runs]
-
-        def is_hopeless(reached: Point, predicted: float) -> bool:
-            return reached.chi2 - 3 * predicted > max_chi2  # three decreases as large as the next step promises
-
-        fit = fit_trajectory(point.problem, point.x, None, states, stop=is_hopeless)
+        stop = partial(stays_above, max_chi2=max_misfit**2 * point.expected_chi2)
+        fit = fit_trajectory(point.problem, point.x, None, states, stop=stop)
         return candidate if fit.misfit > max_misfit else replace(fit, shift=self.shift)
 
 

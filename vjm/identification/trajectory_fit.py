@@ -339,6 +339,11 @@ def fit_trajectory(
     return TrajectoryFit(search.point, search.status == "converged", iterations, search.predicted_decrease)
 
 
+def stays_above(point: Point, predicted: float, max_chi2: float) -> bool:
+    """Return True where three decreases as large as the next step promises would leave chi^2 above a bound."""
+    return point.chi2 - 3 * predicted > max_chi2
+
+
 @dataclass(frozen=True)
 class _TrajectoryStep(Step):
     """Step of coordinates and initial states.
