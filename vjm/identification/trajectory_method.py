@@ -152,8 +152,8 @@ class TrajectoryMethod:
         # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
         fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
-        start, stop = fit.point, _StallRule()
-        return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=self.rough, stop=stop)
+        start, stop, rough = fit.point, _StallRule(), self.rough or self._searches_with_long_steps
+        return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=rough, stop=stop)
 
     def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Fit the parameters asked for, from uniform links, which they prefer where data are silent."""

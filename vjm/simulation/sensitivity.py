@@ -15,12 +15,13 @@ from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import phi_functions
+from vjm.simulation.integrate import locked_joint_frequencies, phi_functions
 from vjm.simulation.measurement import Observations
 from vjm.simulation.system import Trajectory, torque_at
 
 _LARGEST_PHASE = 3.2  # rad an interval, inside which derivatives are interpolated: to three hundredths at this limit
 _MOST_MODES = 16
+_OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below the error above
 _STEP = 1e-6  # rad, rad/s or units of internal states: largest perturbation of a joint
 # Fields of links on which rigid-body terms depend, and those on which the curves do.
 _OF_BODIES = (
@@ -53,11 +54,19 @@ class ModalBasis:
 
     @classmethod
     def of(cls, chain: Chain, recording: Recording, interval: float) -> ModalBasis:
-        """Return the modes of an arm, active joints free; slow ones turn little in an interval [s]."""
+        """Return the modes of an arm, active joints free; slow ones turn little in an interval [s].
+
+        Fast modes, which follow forces as if these were static, are omitted where they add nothing to the deflection.
+        """
         M, _, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         squares, shapes = linalg.eigh(K, M)
         slow_count = int(np.count_nonzero(np.sqrt(np.maximum(squares, 0.0)) * interval < _LARGEST_PHASE))
-        return cls(shapes[:, :_MOST_MODES], min(max(slow_count, chain.active.size + 1), chain.size, _MOST_MODES))
+        # Of modes that bend the arm: where it is about to buckle, the first one's would be infinite.
+        slowest, _ = locked_joint_frequencies(chain, recording.payload)
+        compliance = 1 / np.maximum(squares[chain.active.size :], (2 * np.pi * slowest) ** 2)
+        needed = np.count_nonzero(np.cumsum(compliance[::-1]) > _OMITTED_COMPLIANCE * np.sum(compliance))
+        slow_count = min(max(slow_count, chain.active.size + 1), chain.size, _MOST_MODES)
+        return cls(shapes[:, : min(max(slow_count, chain.active.size + int(needed)), _MOST_MODES)], slow_count)
 
     @property
     def states(self) -> Array:
