@@ -75,8 +75,8 @@ def test_a_correction_that_leads_away_from_the_recordings_is_dropped(size: float
     random = np.random.default_rng(1)
     offset = [size * random.normal(size=run.observed.count) / run.observed.weights for run in fit.point.runs]
     corrected = DiscretizationBias(tuple(offset), np.zeros(fit.point.x.size)).corrected(fit, 2.0)
-    assert (corrected is not fit) == kept
-    assert corrected.misfit == pytest.approx(fit.misfit, rel=1e-3)
+    assert (corrected is not None) == kept
+    assert corrected is None or corrected.misfit == pytest.approx(fit.misfit, rel=1e-3)
 
 
 @pytest.mark.slow

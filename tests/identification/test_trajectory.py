@@ -20,7 +20,7 @@ from vjm.identification import Identification, identify
 from vjm.identification.identify import _marker_deflections, _modal_assurance
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
-from vjm.identification.trajectory_method import _largest_step_multiple, _search_multiple
+from vjm.identification.trajectory_method import _largest_step_multiple, search_step_multiple
 from vjm.identification.uncertainty import _resampled, trajectory_information
 from vjm.model.modes import modes
 from vjm.records import Experiment, Recording
@@ -407,7 +407,7 @@ def test_searches_take_steps_as_long_as_the_noise_allows(noise: float) -> None:
     states = [run.state for run in point.runs]
     observed = tuple(replace(run.observed, noise=(noise, noise)) for run in point.runs)
     problem = replace(point.problem, observed=observed)
-    multiple = _search_multiple(problem.point(point.x, states), 1.0)
+    multiple = search_step_multiple(problem.point(point.x, states), 1.0)
     exact, found = (replace(problem, step_multiple=c).point(point.x, states) for c in (0.25, multiple))
     pairs = zip(exact.runs, found.runs, strict=True)
     error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in pairs)

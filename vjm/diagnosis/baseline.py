@@ -67,13 +67,19 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE_MISFIT).fit_from(joints, fit)
     outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
     others = tuple(_prepared(one, sensor_noise, noise, delay) for one in outlier_free)
-    return Baseline(corrected_for_discretization(fit, experiment.rig), noise, others, (*search.data.problems, *unused))
+    fit = corrected_for_discretization(fit, experiment.rig) or fit
+    return Baseline(fit, noise, others, (*search.data.problems, *unused))
 
 
-def corrected_for_discretization(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit:
-    """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be."""
-    bias = DiscretizationBias.of(fit.point, rig) if fit.misfit < _CLOSE_MISFIT else None
-    return bias.corrected(fit, _CLOSE_MISFIT) if bias else fit
+def corrected_for_discretization(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit | None:
+    """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be.
+
+    None where that error cannot be told.
+    """
+    if fit.misfit > _CLOSE_MISFIT:
+        return fit
+    bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT)
+    return None if bias is None else bias.corrected(fit, _CLOSE_MISFIT)
 
 
 def _further_recordings(

@@ -20,12 +20,13 @@ from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
+from vjm.identification.trajectory_method import search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run
+from vjm.simulation.run import Run, is_followed
 from vjm.simulation.system import Trajectory
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
@@ -124,7 +125,7 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
             pairs = zip(start.point.runs, problem.arms(x), strict=True)
             states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
             try:
-                return _fit_multistart(problem, x, states, StoppingRule() if stop is None else stop)
+                return _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
@@ -157,6 +158,25 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return best
+
+
+def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
+    """Fit as `_fit_multistart`, with steps so short that their error is of no account beside what the fit leaves.
+
+    Those that will do beside what a model lacks may be too long once the cause is in it. Only those of an elbow's
+    swing are so many that it pays to begin with long ones.
+    """
+    fit = _fit_multistart(problem, x, states, stop)
+    while problem.parametrisation.template.elbows.size and not is_nonsmooth(problem.effects):
+        multiple = problem.step_multiple
+        if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
+            break
+        problem = replace(problem, step_multiple=search_step_multiple(fit.point, most=multiple))
+        if problem.step_multiple == multiple:
+            break
+        further = _fit_multistart(problem, fit.point.x, fit.point.states, stop)
+        fit = replace(further, iterations=fit.iterations + further.iterations)
+    return fit
 
 
 def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
@@ -240,7 +260,7 @@ def fit_segments(
     states = [state_at(fit.point.runs, part) for part in observed]
     if len(fit.point.runs) == len(whole):
         states = _initial_states(problem, fit.point.x, states)
-    found = _fit_multistart(problem, fit.point.x, states, stop)
+    found = _fit_accurately(problem, fit.point.x, states, stop)
     # Effects with memory, fitted from here, start each segment after the motion that was estimated last.
     observed = _with_preceding_motion([run.observed for run in found.point.runs], found.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
@@ -267,17 +287,6 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         for k, (run, _) in zip(missed, resting, strict=True):
             runs[k] = min(runs[k], run, key=lambda run: run.cost)
     return [run.state for run in runs]
-
-
-def is_followed(runs: Sequence[Run]) -> bool:
-    """Return True if simulations of parts of a recording follow its motion, so that slopes show what they lack.
-
-    Where its phase is off by phi a swing leaves a share 2 sin(phi/2) of its motion. Up to 30 % (phi = 17 deg) that is
-    linear in phi within 0.5 %, so that derivatives lead back.
-    """
-    missed = sum(run.chi2 - run.expected_chi2 for run in runs)
-    moved = sum(run.observed.motion for run in runs)
-    return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= 0.3**2 * moved
 
 
 def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:

@@ -24,6 +24,7 @@ from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, held_out, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
+from vjm.effects.effect import is_nonsmooth
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
 from vjm.identification.mistakes import refuse_mistakes
@@ -300,8 +301,9 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
     notes = [f"virtual joints in the search: {joints}; discretization error {known}"]
     longest = max(float(np.ptp(run.observed.recording.time)) for run in best.point.runs)
     if longest < max(float(np.ptp(run.observed.recording.time)) for run in search.start.point.runs):
+        reason = "dry friction or backlash" if is_nonsmooth(best.effects) else "a discretization error that grows"
         notes.append(
-            f"dry friction or backlash: fitted to segments of {number(longest, 2)} s, each with its own initial state; "
+            f"{reason}: fitted to segments of {number(longest, 2)} s, each with its own initial state; "
             "residuals and parameters are of segments, simulated recordings and gain are open loop over whole "
             "recordings"
         )

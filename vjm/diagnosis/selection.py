@@ -22,7 +22,6 @@ from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
     fit_segments,
-    is_followed,
     refit,
     refit_other_frequencies,
     starting_effect,
@@ -37,7 +36,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
-from vjm.simulation.run import Run
+from vjm.simulation.run import Run, is_followed
 from vjm.text import in_sentence, number, ratio
 
 Report = Callable[[str], None]
@@ -139,6 +138,7 @@ class Search:
         best = self._in_segments()
         fits = segment_fits = {best.effect_keys: best}
         best, family = self._forward_selection(best, fits)
+        stages = [(best, fits)]
         for duration in self._durations()[1:]:
             if self.options.exhausted:
                 break
@@ -148,19 +148,20 @@ class Search:
             longer = self._lengthened(best, duration)
             if longer is None and family is None:
                 fit = best
-                best, family = self._select_small(best, fits)
+                best, fits, family = self._select_small(stages)
                 longer = None if best is fit else self._lengthened(best, duration)
             if longer is None:
                 break
-            best, fits, family = (
-                *self._better_in_longer_segments(longer, self._close_second(best, fits), duration),
-                None,
-            )
+            best, fits = self._better_in_longer_segments(longer, self._close_second(best, fits), duration)
+            stages.append((best, fits))
+            family, count = None, len(stages)
             # Small effects show most in whole recordings, and are looked for there if these can be followed.
             if not np.isfinite(duration) or longer.misfit > INCOMPLETE_MISFIT:
-                best, family = self._select_small(best, fits)
+                best, fits, family = self._select_small(stages)
+            if len(stages) < count:
+                break
         if family is None:
-            best, family = self._select_small(best, fits)
+            best, fits, family = self._select_small(stages)
         best = fits[best.effect_keys] = self._converged(best)
         justified = self._justified(best, fits)
         if justified is not best:
@@ -181,14 +182,26 @@ class Search:
             return fit
         return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
 
-    def _select_small(self, fit: TrajectoryFit, fits: Fits) -> tuple[TrajectoryFit, FamilyTest]:
-        """Add the effects that are needed beside a model and its chain's discretization error."""
+    def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
+        """Add the effects that are needed beside a model and its chain's discretization error.
+
+        Over many periods the error of so few joints looks like a small cause. It grows with their number: where it
+        cannot be told, segments in which it does not show are gone back to, and what remains there is left.
+
+        Args:
+            stages: models fitted to ever longer segments, and all fits to these; those that are left are removed.
+        """
+        fit, fits = stages[-1]
         if self.options.exhausted:
-            return fit, self.screen(fit)
-        # Over many periods the error of so few joints looks like a small cause.
-        best = fits[fit.effect_keys] = self._corrected(fit)
-        best, family = self._forward_selection(best, fits, small=True)
-        return best, family or self.screen(best)
+            return fit, fits, self.screen(fit)
+        corrected = self._corrected(fit)
+        while corrected is None and len(stages) > 1 and not self._explains_all(fit, fit):
+            stages.pop()
+            fit, fits = stages[-1]
+        best = fits[fit.effect_keys] = corrected or fit
+        best, family = self._forward_selection(best, fits, small=corrected is not None)
+        stages[-1] = best, fits
+        return best, fits, family or self.screen(best)
 
     def _justified(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects whose sizes are not determined, or with which recordings are predicted no better than without.
@@ -502,8 +515,11 @@ class Search:
             self._decreases.setdefault(key, replaced)  # nearly the same, or there would be no close second
         return best, fits
 
-    def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Fit a model beside its chain's discretization error; of stick-slip or play slopes do not tell it."""
+    def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
+        """Fit a model beside its chain's discretization error; None where that cannot be told.
+
+        Stick-slip and play go without: slopes do not tell it of them.
+        """
         if is_nonsmooth(fit.effects):
             return fit
         self.report("measuring the discretization error")

@@ -55,12 +55,18 @@ class DiscretizationBias:
     shift: Array  # (p,) the beam's coordinates less the chain's
 
     @classmethod
-    def of(cls, point: Point, rig: Rig) -> Self | None:
-        """Compare a fitted chain with a finer one; None where that cannot be simulated.
+    def of(cls, point: Point, rig: Rig, max_misfit: float = np.inf) -> Self | None:
+        """Compare a fitted chain with a finer one.
+
+        Corrections of first order need not settle: over the many swings of an elbow a small error at the start grows.
 
         Args:
             point: where the chain fits best.
             rig: the arm.
+            max_misfit: misfit of the finer chain, after all corrections, above which they have not settled.
+
+        Returns:
+            The bias; None where the finer chain cannot be simulated, or corrections will not settle.
         """
         start = _with_offset(point, None)
         finer = _finer(start, rig)
@@ -69,6 +75,9 @@ class DiscretizationBias:
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
                 predicted = _predictions(finer, here)
                 previous, chi2 = chi2, sum(map(_chi2, here.runs, predicted))
+                # What is left falls by about the same factor each time.
+                if chi2 * min(chi2 / previous, 1.0) ** remaining > max_misfit**2 * point.expected_chi2:
+                    return None
                 if not chi2 < previous * (1 - 1e-4):  # below a tenth of a typical noise of chi^2
                     break
                 best = predicted, here.x
@@ -86,16 +95,13 @@ class DiscretizationBias:
         offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
         return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
-    def corrected(self, candidate: TrajectoryFit, max_misfit: float) -> TrajectoryFit:
-        """Fit a model again beside the bias; return it as it was if its misfit comes out larger than `max_misfit`.
-
-        Corrections of an elbow's motion may not settle: over many swings a small error at the start grows.
-        """
+    def corrected(self, candidate: TrajectoryFit, max_misfit: float) -> TrajectoryFit | None:
+        """Fit a model again beside the bias; None where its misfit comes out larger than `max_misfit`."""
         point = _with_offset(candidate.point, self.offset)
         states = [run.state for run in point.runs]
         stop = partial(stays_above, max_chi2=max_misfit**2 * point.expected_chi2)
         fit = fit_trajectory(point.problem, point.x, None, states, stop=stop)
-        return candidate if fit.misfit > max_misfit else replace(fit, shift=self.shift)
+        return None if fit.misfit > max_misfit else replace(fit, shift=self.shift)
 
 
 def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:

@@ -22,11 +22,11 @@ from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
 from vjm.records import REFERENCE, Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import backtrack, fit_initial_states, simulate_or_rest
+from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_or_rest
 from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, linearize
+from vjm.simulation.run import InitialStatePrior, Run, is_followed, linearize
 from vjm.simulation.sensitivity import PerturbedArm
 from vjm.text import ratio
 
@@ -332,7 +332,7 @@ def fit_trajectory(
                 progress(text, int(100 * (k + within) / len(horizons)), 100)
 
         part = problem if last else problem.until(horizon)
-        search = _TrajectorySearch(part.point(x, states), last and not rough, stop if last else None, report)
+        search = _TrajectorySearch(part.point(x, states), last and not rough, stop, report)
         minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], most=60)
         iterations += len(search.decreases) + 1
         x, states = search.point.x, search.point.states
@@ -464,17 +464,25 @@ def _slowest_turns(problem: TrajectoryProblem, x: Array) -> float:
 
 
 def _backtracked(point: Point, step: _TrajectoryStep, trial: Point) -> Point:
-    """Return the trial with nonsmooth recordings begun nearer to where they were before, if that follows them better.
+    """Return the trial with recordings that it misses begun otherwise, if that follows them better.
 
-    The coordinates' part of a step is right for them, the part of an initial state of its own often not.
+    The coordinates' part of a step is right for them, the part of an initial state of its own often not: where it is
+    too long for one of many segments, a damping of all of them would hold back the coordinates for its sake. The state
+    is searched for on its own, as in variable projection (Golub and Pereyra, SIAM Journal on Numerical Analysis 10,
+    1973); with stick-slip or play, where slopes mislead, nearer to where it was before.
     """
-    missed = [
-        k
-        for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True))
-        if is_nonsmooth(run.arm.effects) and before.cost - run.cost < gain - abs(gain) / 2  # half of what is predicted
-    ]
-    runs = list(trial.runs)
-    nearer = backtrack([runs[k] for k in missed], [step.own[k] for k in missed], point.problem.step_multiple)
-    for k, run in zip(missed, nearer, strict=True):
+    nonsmooth, smooth, wanted = list[int](), list[int](), list[float]()
+    for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True)):
+        decrease = before.cost - run.cost
+        if decrease < gain - abs(gain) / 2:  # half of what is predicted
+            if is_nonsmooth(run.arm.effects):
+                nonsmooth.append(k)
+            elif gain - decrease > 1.0 and is_followed([before]):  # by a standard error, and slopes can tell
+                smooth.append(k)
+                wanted.append(before.cost - gain / 2)
+    runs, multiple = list(trial.runs), point.problem.step_multiple
+    nearer = backtrack([runs[k] for k in nonsmooth], [step.own[k] for k in nonsmooth], multiple)
+    refined = refine_initial_states([runs[k] for k in smooth], wanted, point.runs, multiple)
+    for k, run in zip([*nonsmooth, *smooth], [*nearer, *refined], strict=True):
         runs[k] = run
     return replace(trial, runs=tuple(runs))

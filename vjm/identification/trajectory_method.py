@@ -19,7 +19,7 @@ from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import Loss
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
+from vjm.simulation.run import InitialStatePrior, Run, is_followed, simulate_runs
 from vjm.simulation.system import Trajectory, measured_torque
 from vjm.text import listed, number
 
@@ -63,11 +63,11 @@ class TrajectoryMethod:
         arms = problem.arms(point.x)
         states = [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
         if self._searches_with_long_steps:
-            step_multiple = _search_multiple(point)
+            step_multiple = search_step_multiple(point)
         else:
             step_multiple = _largest_step_multiple(arms, problem.observed, states, point.misfit**2)
         problem = replace(problem, step_multiple=step_multiple)
-        return fit_trajectory(problem, point.x, self.progress, states, rough=rough, stop=_StallRule())
+        return fit_trajectory(problem, point.x, self.progress, states, rough=rough, stop=_StallRule(self.rough))
 
     @property
     def _searches_with_long_steps(self) -> bool:
@@ -82,7 +82,7 @@ class TrajectoryMethod:
         """
         rough = self._searches_with_long_steps
         while rough and fit.point.problem.step_multiple > 1.0:
-            point, stop = fit.point, _StallRule()
+            point, stop = fit.point, _StallRule(self.rough)
             problem = replace(point.problem, step_multiple=max(point.problem.step_multiple / 2, 1.0))
             rough = self.rough or problem.step_multiple > 1.0
             fit = fit_trajectory(problem, point.x, self.progress, point.states, rough=rough, stop=stop)
@@ -152,7 +152,7 @@ class TrajectoryMethod:
         # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
         fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
-        start, stop, rough = fit.point, _StallRule(), self.rough or self._searches_with_long_steps
+        start, stop, rough = fit.point, _StallRule(self.rough), self.rough or self._searches_with_long_steps
         return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=rough, stop=stop)
 
     def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -282,15 +282,19 @@ class _StallRule:
 
     Where slopes lead to the minimum each step takes most of the cost away: one that is half the cost after five trials
     is none of these. Neither is it a search that ends at a minimum far away, as where the arm has a mass that the model
-    lacks: there every step lowers the cost, and the next one by next to nothing.
+    lacks: there every step lowers the cost, and the next one by next to nothing. A search that is only a start for
+    others ends where no recording is followed: there slopes lead nowhere, and these others begin in segments.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, rough: bool = False) -> None:
+        self.rough = rough
         self.costs: list[float] = []
         self.count = 0
 
     def __call__(self, point: Point, predicted: float) -> bool:
-        """Return True for a point that five trials have not brought half the way."""
+        """Return True for a point that five trials have not brought half the way, or from which no slope leads."""
+        if self.rough and not any(is_followed([run]) for run in point.runs):
+            return True
         if point.count != self.count:  # longer parts of the recordings
             self.costs, self.count = [], point.count
         self.costs.append(point.cost)
@@ -345,19 +349,19 @@ def _first_multiple(problem: TrajectoryProblem, x: Array) -> float:
     arms = problem.arms(x)
     states = [InitialStatePrior.of(arm, one.recording).rest for arm, one in zip(arms, problem.observed, strict=True)]
     with contextlib.suppress(SimulationDivergedError):
-        return _search_multiple(problem.simulated(x, states, states, [1.0] * len(states)), 1.0)
+        return search_step_multiple(problem.simulated(x, states, states, [1.0] * len(states)), 1.0)
     return 1.0
 
 
-def _search_multiple(point: Point, mean_square: float | None = None) -> float:
+def search_step_multiple(point: Point, mean_square: float | None = None, most: float = 16.0) -> float:
     """Return the largest multiple of the integrator's default step whose error is of no account beside the residuals.
 
-    The mean square of these may be given. Errors follow from steps half as long.
+    The mean square of these may be given, and the largest multiple to try. Errors follow from steps half as long.
     """
     arms, observed, coarse, before = [run.arm for run in point.runs], point.problem.observed, list[Run](), 1.0
     # 3 % of the RMS residual changes chi^2 by a thousandth: a tenth of what decides for one joint more.
     largest = 0.03**2 * max(point.misfit**2 if mean_square is None else mean_square, 1.0) * point.count
-    for multiple in (16.0, 8.0, 4.0, 2.0, 1.0):
+    for multiple in (each for each in (16.0, 8.0, 4.0, 2.0, 1.0) if each <= most):
         try:
             fine = simulate_runs(arms, observed, None, point.states, multiple)
         except SimulationDivergedError:

@@ -94,6 +94,47 @@ def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: floa
     return [min(group, key=lambda run: run.cost) for group in groups]
 
 
+def refine_initial_states(
+    runs: Sequence[Run], wanted: Sequence[float], before: Sequence[Run], step_multiple: float
+) -> list[Run]:
+    """Return runs from more likely initial states, if a few simulations find any.
+
+    Those that stay far from what was wanted may be at a minimum from which no slope leads away, and are also begun at
+    rest, and where the same recording's segment before ends.
+
+    Args:
+        runs: those to be improved.
+        wanted: cost that each should have at most.
+        before: simulations of the same recordings.
+        step_multiple: multiple of the default step.
+    """
+    best = _search_on(runs, step_multiple)
+    trials = []
+    for k, (run, cost) in enumerate(zip(best, wanted, strict=True)):
+        if run.cost > cost:
+            own = [one for one in before if one.observed.recording.file == run.observed.recording.file]
+            begun = float(run.trajectory.time[0])
+            earlier = [one.trajectory for one in own if one.trajectory.time[0] < begun]
+            ends = [np.concatenate([values[0] for values in path.sample(np.array([begun]))]) for path in earlier[-1:]]
+            trials += [(k, state) for state in (run.prior.rest, *ends)]
+    if trials:
+        try:
+            others = _simulate_again([best[k] for k, _ in trials], [state for _, state in trials], step_multiple)
+        except SimulationDivergedError:
+            return best
+        for (k, _), run in zip(trials, _search_on(others, step_multiple), strict=True):
+            best[k] = min(best[k], run, key=lambda run: run.cost)
+    return best
+
+
+def _search_on(runs: Sequence[Run], step_multiple: float) -> list[Run]:
+    """Search for more likely initial states for a few simulations, beside the same priors."""
+    searches = [_InitialStateSearch(run) for run in runs]
+    minimise(searches, lambda running: _attempts(running, step_multiple), _FEW_STEPS)
+    found = [search.point.with_prior_scale(run.prior.scale) for search, run in zip(searches, runs, strict=True)]
+    return [min(pair, key=lambda run: run.cost) for pair in zip(runs, found, strict=True)]
+
+
 def _simulate_again(runs: Sequence[Run], states: Sequence[Array], step_multiple: float) -> list[Run]:
     """Runs of the same recordings from other initial states."""
     arms, observed, priors = zip(*((run.arm, run.observed, run.prior) for run in runs), strict=True)

@@ -125,7 +125,10 @@ class Run:
 
     def with_scaled_prior(self) -> Run:
         """Return the run with a prior in units of the residuals' size."""
-        scale = float(np.sqrt(max(self.chi2 / max(self.expected_chi2, 1), 1.0)))
+        return self.with_prior_scale(float(np.sqrt(max(self.chi2 / max(self.expected_chi2, 1), 1.0))))
+
+    def with_prior_scale(self, scale: float) -> Run:
+        """Return the run with a prior beside residuals of a size `scale`."""
         run = replace(self, prior=replace(self.prior, scale=scale))
         run.__dict__.update({name: self.__dict__[name] for name in _INDEPENDENT_OF_PRIOR if name in self.__dict__})
         return run
@@ -254,6 +257,17 @@ class Run:
             count=observed.count,
             status="converged" if converged else "not converged",
         )
+
+
+def is_followed(runs: Sequence[Run]) -> bool:
+    """Return True if simulations of parts of a recording follow its motion, so that slopes show what they lack.
+
+    Where its phase is off by phi a swing leaves a share 2 sin(phi/2) of its motion. Up to 30 % (phi = 17 deg) that is
+    linear in phi within 0.5 %, so that derivatives lead back.
+    """
+    missed = sum(run.chi2 - run.expected_chi2 for run in runs)
+    moved = sum(run.observed.motion for run in runs)
+    return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= 0.3**2 * moved
 
 
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:

@@ -404,11 +404,12 @@ def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linea
 
 
 def _are_alike(group: Sequence[Linearization], other: Linearization) -> bool:
-    """True if one more linearization has the same arms as a group, and its coefficients have room beside theirs."""
+    """True if one more linearization has the arms and modes of a group, and its coefficients have room beside it."""
     first, (one, two) = group[0], (group[0].observed.recording, other.observed.recording)
     arms = [(first.arm, other.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, other.perturbed, strict=True))]
     return (
         all(a is b for a, b in arms)
+        and first.basis.shapes.shape == other.basis.shapes.shape
         and (one.payload, one.gravity) == (two.payload, two.gravity)
         and sum(each.rows.size for each in (*group, other)) <= first.most_rows
     )
