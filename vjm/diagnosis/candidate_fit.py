@@ -26,7 +26,7 @@ from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run, is_followed
+from vjm.simulation.run import Run, earlier_runs, is_followed, state_at
 from vjm.simulation.system import Trajectory
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
@@ -182,18 +182,24 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
 def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
     """Fit coordinates and initial states from (p,) and (2 nv,) each, some initial states from several starts.
 
-    Where something sticks or rattles, the likelihood of an initial state has many maxima, from which no slope leads
-    away: after a few steps each recording that is missed is begun otherwise as well, as long as that helps.
+    The likelihood of a segment's initial state may have several maxima, from which no slope leads away: those that are
+    missed, where most are not, are begun otherwise as well, as long as that helps. Where something sticks or rattles
+    there are many: this is done after a few steps already.
     """
-    if not is_nonsmooth(problem.effects) or stop.max_steps < _FEW_STEPS:
+    nonsmooth = is_nonsmooth(problem.effects)
+    if stop.max_steps < _FEW_STEPS:
         return fit_trajectory(problem, x, None, states, stop=stop)
     max_chi2, before, iterations = np.inf, np.inf, 0
     while True:
-        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, _FEW_STEPS, stop.deadline))
+        rule = StoppingRule(max_chi2, _FEW_STEPS, stop.deadline) if nonsmooth else stop
+        fit = fit_trajectory(problem, x, None, states, stop=rule)
         iterations += fit.iterations
         max_chi2 = stop.max_chi2  # not before: with unlikely initial states slopes do not show what can be reached
+        if not nonsmooth and fit.chi2 > stop.max_chi2:
+            return replace(fit, iterations=iterations)
         point = replace(fit.point, runs=_multistart(fit.point))
-        if before - point.chi2 < _least_decrease(point) or monotonic() > stop.deadline:
+        ended = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
+        if ended < _least_decrease(point) or monotonic() > stop.deadline:
             return replace(fit, point=point, iterations=iterations)
         before, x, states = point.chi2, point.x, point.states
 
@@ -207,10 +213,12 @@ def _multistart(point: Point) -> tuple[Run, ...]:
     best, trials = [*point.runs], []
     # With wrong parameters most segments are missed, whatever their initial states: the best quarter is the measure.
     usual = max(1.0, float(np.quantile([run.chi2 / max(run.expected_chi2, 1) for run in point.runs], 0.25)))
-    for k, run in enumerate(point.runs):
-        if run.chi2 < usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2):
-            continue
-        resting, before = run.state.copy(), _earlier_runs(point.runs, run.observed)
+    missed = [k for k, run in enumerate(point.runs) if run.chi2 > usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2)]
+    if not is_nonsmooth(point.problem.effects) and 2 * len(missed) > len(point.runs):
+        return point.runs  # what is missing is in the model, not in initial states
+    for k in missed:
+        run = point.runs[k]
+        resting, before = run.state.copy(), earlier_runs(point.runs, run.observed)
         resting[run.chain.size + run.chain.active] = 0.0
         previous = state_at(before, run.observed) if before else run.prior.rest
         trials += [(k, resting), (k, previous)]
@@ -319,18 +327,3 @@ def _joined(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
     time = np.concatenate([path.elapsed(path.time)[own] for path, own in shown])
     q, v = (np.concatenate([getattr(path, name)[own] for path, own in shown]) for name in ("q", "v"))
     return PrecedingMotion(chain, time, q, v)
-
-
-def _earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
-    """Return the simulations of the same recording that begin earlier than a part of it."""
-    own = [run for run in runs if run.observed.recording.file == observed.recording.file]
-    return [run for run in own if run.trajectory.time[0] < observed.recording.time[0]]
-
-
-def state_at(runs: Sequence[Run], observed: Observations) -> Array:
-    """Return the state (2 nv,) at which an observation begins, from the simulations of the same recording."""
-    instant = observed.recording.time[:1]
-    paths = [run.trajectory for run in runs if run.observed.recording.file == observed.recording.file]
-    begun = [path for path in paths if path.time[0] <= instant[0]]
-    path = max(begun, key=lambda path: float(path.time[0]), default=paths[0])
-    return np.concatenate([values[0] for values in path.sample(instant)])

@@ -25,7 +25,6 @@ from vjm.diagnosis.candidate_fit import (
     refit,
     refit_other_frequencies,
     starting_effect,
-    state_at,
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
@@ -36,7 +35,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.records import REFERENCE, Rig
 from vjm.simulation.initial_state import fit_initial_states
-from vjm.simulation.run import Run, is_followed
+from vjm.simulation.run import Run, is_followed, state_at
 from vjm.text import in_sentence, number, ratio
 
 Report = Callable[[str], None]

@@ -14,7 +14,7 @@ from vjm.records import Array
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import LevenbergMarquardt, Status, Step, minimise
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
+from vjm.simulation.run import InitialStatePrior, Run, earlier_runs, simulate_runs, state_at
 from vjm.simulation.system import Trajectory
 
 # Multiple of the default step of arms with elbows, with which markers are right to a tenth of a millimetre: enough for
@@ -112,11 +112,8 @@ def refine_initial_states(
     trials = []
     for k, (run, cost) in enumerate(zip(best, wanted, strict=True)):
         if run.cost > cost:
-            own = [one for one in before if one.observed.recording.file == run.observed.recording.file]
-            begun = float(run.trajectory.time[0])
-            earlier = [one.trajectory for one in own if one.trajectory.time[0] < begun]
-            ends = [np.concatenate([values[0] for values in path.sample(np.array([begun]))]) for path in earlier[-1:]]
-            trials += [(k, state) for state in (run.prior.rest, *ends)]
+            earlier = earlier_runs(before, run.observed)
+            trials += [(k, run.prior.rest), *([(k, state_at(earlier, run.observed))] if earlier else [])]
     if trials:
         try:
             others = _simulate_again([best[k] for k, _ in trials], [state for _, state in trials], step_multiple)

@@ -232,16 +232,11 @@ class Observations:
         """Number of measured values."""
         return int(self.values.size)
 
-    @property
+    @cached_property
     def motion(self) -> float:
         """Sum of the squared weighted values about each sensor's mean."""
-        return float(
-            sum(
-                np.nansum((each - np.nanmean(each, axis=0)) ** 2)
-                for each in self.on_grid(self.weights * self.values)
-                if np.isfinite(each).any()
-            )
-        )
+        grids = [each[:, np.isfinite(each).any(axis=0)] for each in self.on_grid(self.weights * self.values)]
+        return float(sum(np.nansum((each - np.nanmean(each, axis=0)) ** 2) for each in grids))
 
     def predicted(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return the (N_m + N_t,) values predicted by a trajectory of one copy [m, rad]."""

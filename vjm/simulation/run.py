@@ -270,6 +270,21 @@ def is_followed(runs: Sequence[Run]) -> bool:
     return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= 0.3**2 * moved
 
 
+def earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
+    """Return the simulations of the same recording that begin earlier than a part of it."""
+    own = [run for run in runs if run.observed.recording.file == observed.recording.file]
+    return [run for run in own if run.trajectory.time[0] < observed.recording.time[0]]
+
+
+def state_at(runs: Sequence[Run], observed: Observations) -> Array:
+    """Return the state (2 nv,) at which an observation begins, from the simulations of the same recording."""
+    instant = observed.recording.time[:1]
+    paths = [run.trajectory for run in runs if run.observed.recording.file == observed.recording.file]
+    begun = [path for path in paths if path.time[0] <= instant[0]]
+    path = max(begun, key=lambda path: float(path.time[0]), default=paths[0])
+    return np.concatenate([values[0] for values in path.sample(instant)])
+
+
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
     """Yield each run's linearization by its perturbed arms, those of short ones of the same arms computed together."""
     return with_coefficients([run.linearization(own) for run, own in zip(runs, perturbed, strict=True)])
