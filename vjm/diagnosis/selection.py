@@ -3,7 +3,8 @@
 Recordings are cut into segments, over which whatever a model lacks does not cost its phase. Each step tests the
 candidates beside the best model, fits those that may explain most, keeps the best if it lowers chi^2 by more than
 chance and by more than matters, and drops what it makes needless. The segments are lengthened until they are whole
-recordings, in which small effects show more and are looked for, as they are in segments that the model begins to miss.
+recordings, in which small effects show more and are looked for, as they are in segments that the model begins to miss;
+where their discretization error cannot be told, the longest segments in which it does not show are the last.
 The same search in the reference recordings alone finds what was there before a change.
 """
 
