@@ -97,16 +97,22 @@ def test_dry_friction_has_its_torque_though_its_search_begins_far_away(seed: int
     assert found.effects[0].values["torque"] == pytest.approx(0.008, rel=0.02)
 
 
-@pytest.mark.parametrize(
-    ("effect", "nearer"),
-    [(CoulombFriction(link=0, torque=0.008), True), (ViscousFriction(link=0, coefficient=0.02), False)],
-)
-def test_what_sticks_begins_nearer_where_a_step_misses(effect: Effect, nearer: bool) -> None:
-    point, step, off = missing_step(effect)
+def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
+    point, step, off = missing_step(CoulombFriction(link=0, torque=0.008))
     trial = _attempt(point, step)
     assert trial is not None
     for run in trial.runs:
-        assert run.state == pytest.approx(np.zeros(off.size) if nearer else off)
+        assert run.state == pytest.approx(np.zeros(off.size))
+
+
+def test_what_does_not_stick_is_searched_for_from_where_a_step_misses() -> None:
+    """All of what the step in its own state costs comes back in a few trials."""
+    point, step, off = missing_step(ViscousFriction(link=0, coefficient=0.02))
+    trial = _attempt(point, step)
+    count = len(point.runs)
+    missed = point.problem.simulated(point.x + step.change, [off] * count, point.states, [1.0] * count)
+    assert trial is not None
+    assert trial.cost < point.cost + 0.01 * (missed.cost - point.cost)
 
 
 def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -189,12 +189,13 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     nonsmooth = is_nonsmooth(problem.effects)
     if stop.max_steps < _FEW_STEPS:
         return fit_trajectory(problem, x, None, states, stop=stop)
-    max_chi2, before, iterations = np.inf, np.inf, 0
+    before, iterations = np.inf, 0
+    # Not at first where states are unlikely: slopes do not show then what can be reached.
+    max_chi2, steps = (np.inf, _FEW_STEPS) if nonsmooth else (stop.max_chi2, stop.max_steps)
     while True:
-        rule = StoppingRule(max_chi2, _FEW_STEPS, stop.deadline) if nonsmooth else stop
-        fit = fit_trajectory(problem, x, None, states, stop=rule)
+        fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
         iterations += fit.iterations
-        max_chi2 = stop.max_chi2  # not before: with unlikely initial states slopes do not show what can be reached
+        max_chi2 = stop.max_chi2
         if not nonsmooth and fit.chi2 > stop.max_chi2:
             return replace(fit, iterations=iterations)
         point = replace(fit.point, runs=_multistart(fit.point))
