@@ -199,8 +199,8 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         if not nonsmooth and fit.chi2 > stop.max_chi2:
             return replace(fit, iterations=iterations)
         point = replace(fit.point, runs=_multistart(fit.point))
-        ended = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
-        if ended < _least_decrease(point) or monotonic() > stop.deadline:
+        gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
+        if gained < _least_decrease(point) or monotonic() > stop.deadline:
             return replace(fit, point=point, iterations=iterations)
         before, x, states = point.chi2, point.x, point.states
 

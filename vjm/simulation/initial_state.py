@@ -20,7 +20,7 @@ from vjm.simulation.system import Trajectory
 # Multiple of the default step of arms with elbows, with which markers are right to a tenth of a millimetre: enough for
 # steps towards the most likely initial state.
 _COARSE = 4.0
-_FEW_STEPS = 3  # accepted ones, in which damping falls by two orders
+_FEW_STEPS = 3  # in which a search near its end arrives, or shows that it hardly gains
 _TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
 
 
