@@ -112,6 +112,17 @@ def test_free_motion_is_where_nothing_drives() -> None:
     assert _free_interval(replace(recording, kind="decay")) == (0.0, 9.99)
 
 
+def test_a_torque_that_ends_after_the_camera_leaves_no_free_motion() -> None:
+    """The only interval without torque may lie behind the camera's last frame."""
+    whole = simulated(0)
+    recording = whole.recording
+    last = recording.time.size - 40
+    markers, torque = recording.markers.copy(), np.ones((recording.time.size, 1))
+    markers[last:], torque[last + 2 :] = np.nan, 0.0
+    result = found(replace(whole, recording=replace(recording, kind="driven", markers=markers, tau=torque)))
+    assert all(not one.modes.free for one in result.recordings)
+
+
 def test_conditions_are_told_in_words() -> None:
     decay = simulated(0, clamped=True, kind="decay", duration=10)
     loaded = replace(decay, recording=replace(decay.recording, payload=0.05, condition="reference"))

@@ -279,7 +279,8 @@ class _Fit:
         camera, mode, count, interval = self.sensors[0], self.modes[k], len(self.modes), _free_interval(recording)
         if interval is None:
             return None
-        start, stop = interval
+        # The torque may be recorded for longer than the camera looks on.
+        start, stop = np.clip(interval, camera.time[0], camera.time[-1])
         half = max(2 * np.pi / mode.pole.imag, (5 + 3 * count) * camera.step, (stop - start) / 12)
         shape = self._unchanged[k][0][np.searchsorted(camera.time, start)]
         shape = shape / max(float(np.linalg.norm(shape)), 1e-300)
