@@ -25,6 +25,7 @@ from vjm.experiment.conventions import Camera, Conventions, Units
 from vjm.identification import identify
 from vjm.identification.check import failure_of
 from vjm.identification.mistakes import find_mistakes
+from vjm.identification.mistakes.geometry import heading_mistakes, headings
 from vjm.model.modes import linearise
 from vjm.records import Experiment, Link, Recording, RecordingComparison, Rig
 from vjm.simulation.arm import Arm
@@ -219,6 +220,29 @@ def test_a_mass_in_grams_shows_in_the_torque_where_no_density_tells() -> None:
 def test_numbers_that_are_known_badly_are_no_mistake_of_a_unit(wrong: dict[str, float]) -> None:
     """A hub's inertia, that of the motor behind its gear, is a guess, or left out; it is identified."""
     assert find_mistakes(factors(**wrong)(without_section(hub()))) == ()
+
+
+@pytest.mark.parametrize("ratio", [-3.0, -4.5, -6.0])
+def test_a_stiff_drive_that_bends_the_link_more_than_it_turns_it_is_no_mistake_of_a_unit(ratio: float) -> None:
+    """From three markers the heading at the base is told with an error that goes with bending, as the angle does."""
+    experiment = hub()
+    length = experiment.rig.links[0].length
+    link = replace(experiment.rig.links[0], markers=(length / 3, 2 * length / 3, length))
+    arc = np.linspace(0.0, 1.0, 301)
+
+    def moved(recording: Recording) -> Recording:
+        turn = 0.01 * np.sin(2 * np.pi * 4.0 * recording.time)
+        tilt = turn[:, None] * (1.0 + ratio * (arc - arc**2 / 2))  # a cantilever that bends under a force at its tip
+        steps = link.length * np.stack([np.cos(tilt), np.sin(tilt)], axis=2) * (arc[1] - arc[0])
+        markers = np.cumsum(steps, axis=1)[:, [99, 199, 299]]
+        seen = np.isfinite(recording.markers).all(axis=(1, 2))
+        return replace(recording, theta=turn[:, None], markers=np.where(seen[:, None, None], markers, np.nan))
+
+    recordings = tuple(moved(one) for one in experiment.recordings[:3])
+    experiment = replace(experiment, rig=replace(experiment.rig, links=(link,)), recordings=recordings)
+    found = headings(experiment, ())
+    assert len(found) == 3
+    assert heading_mistakes(experiment, found, None) == []
 
 
 def test_one_recording_with_swapped_labels_is_the_one_named() -> None:

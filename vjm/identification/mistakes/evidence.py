@@ -73,11 +73,12 @@ def polar_angles(rig: Rig, markers: Array) -> tuple[Array, Array] | None:
     return arcs, angles
 
 
-def root_headings(rig: Rig, markers: Array) -> tuple[Array, float] | None:
-    """Return the heading (F,) of the first link at its base and its noise [rad]; None where too few markers are seen.
+def root_headings(rig: Rig, markers: Array) -> tuple[Array, Array, float] | None:
+    """Return the heading (F,) of the first link at its base, what of it was extrapolated (F,) and its noise [rad].
 
     It is extrapolated from the directions between the three markers nearest to the base, for wherever the origin of
     coordinates is they are the same; from fewer markers it holds the link's bending, from one the base's place too.
+    None where too few markers are seen.
     """
     arcs, points = _seen_markers(rig, markers)
     if not arcs.size:
@@ -88,12 +89,13 @@ def root_headings(rig: Rig, markers: Array) -> tuple[Array, float] | None:
     directions = np.arctan2(steps[..., 1], steps[..., 0])
     noise = (rig.marker_noise or 1e-3 * rig.links[0].length) * np.sqrt(2.0) / np.diff(arcs[:3])
     if arcs.size == 2:
-        return directions[:, 0], float(noise[0])
+        return directions[:, 0], np.zeros(len(directions)), float(noise[0])
     # A clamped link's slope grows with the arc length from zero on: linearly to begin with.
     centers = (arcs[:2] + arcs[1:3]) / 2
     share = centers[0] / (centers[1] - centers[0])
     difference = np.angle(np.exp(1j * (directions[:, 1] - directions[:, 0])))
-    return directions[:, 0] - share * difference, float(np.hypot((1 + share) * noise[0], share * noise[1]))
+    bending = share * difference
+    return directions[:, 0] - bending, bending, float(np.hypot((1 + share) * noise[0], share * noise[1]))
 
 
 def _seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:

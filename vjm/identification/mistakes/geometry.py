@@ -192,10 +192,10 @@ def headings(experiment: Experiment, skipped: Sequence[str]) -> list[_Heading]:
         seen = None if recording.file in skipped else _seen_heading(rig, recording)
         if seen is None:
             continue
-        theta, heading, noise = seen
+        theta, heading, bending, noise = seen
         x, y = theta - theta.mean(), heading - heading.mean()
-        misfit = np.array([np.mean((y - slope * x) ** 2) for slope in slopes]) + noise**2
-        likelihoods.append(-0.5 * (swings(x) + 1) * np.log(misfit))
+        rest = y - np.array(slopes)[:, None] * x
+        likelihoods.append(_heading_likelihoods(rest, bending - bending.mean(), swings(x) + 1, noise))
         measured.append((recording, theta, heading))
     if not measured:
         return []
@@ -208,20 +208,37 @@ def headings(experiment: Experiment, skipped: Sequence[str]) -> list[_Heading]:
         gain = float(own[best] - own[slopes.index(expected)])
         slope = slopes[best] if revolute else None
         offset = np.angle(np.mean(np.exp(1j * (heading - (slope or 0.0) * theta))))
-        bending = 0.3 if len(rig.links[0].markers) == 1 else 0.0  # rad; in a single marker's heading
-        result.append(_Heading(recording.file, slope, gain, float(offset), float(np.hypot(0.05, bending))))
+        bent = 0.3 if len(rig.links[0].markers) == 1 else 0.0  # rad; in a single marker's heading
+        result.append(_Heading(recording.file, slope, gain, float(offset), float(np.hypot(0.05, bent))))
     return result
 
 
-def _seen_heading(rig: Rig, recording: Recording) -> tuple[Array, Array, float] | None:
-    """Return joint angle (F,), heading at the base (F,) and the noise of the latter [rad]; None if not seen."""
+def _heading_likelihoods(rest: Array, bending: Array, count: int, noise: float) -> Array:
+    """Return the log-likelihoods (S,) of what S slopes leave (S, F) of so many independent headings.
+
+    The bending (F,) up to the first marker was extrapolated with the wrong shape, and is off by as much as itself. A
+    part of that goes with the joint's motion, which no number of swings averages out: a factor of mean zero and
+    deviation one. The rest, of faster modes, adds to the noise.
+    """
+    noise = float(np.hypot(noise, np.std(bending)))
+    product, square, factor = np.mean(rest * bending, axis=1), float(np.mean(bending**2)), np.zeros(len(rest))
+    for _ in range(20):  # the maximum over the factor; each step scales by the last misfit
+        misfit = np.mean((rest - factor[:, None] * bending) ** 2, axis=1) + noise**2
+        factor = count * product / (count * square + misfit)
+    misfit = np.mean((rest - factor[:, None] * bending) ** 2, axis=1) + noise**2
+    return np.asarray(-0.5 * count * np.log(misfit) - 0.5 * factor**2)
+
+
+def _seen_heading(rig: Rig, recording: Recording) -> tuple[Array, Array, Array, float] | None:
+    """Return joint angle (F,), heading at the base, what of it is extrapolated (F,) and its noise [rad]; or None."""
     rows = chosen_frames(recording)
     markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
     seen = root_headings(rig, markers)
     if seen is None:
         return None
-    known = np.isfinite(seen[0])
-    return theta[known], np.unwrap(seen[0][known]), seen[1]
+    heading, bending, noise = seen
+    known = np.isfinite(heading)
+    return theta[known], np.unwrap(heading[known]), bending[known], noise
 
 
 def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mistake]:

@@ -72,7 +72,7 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
     seen, root = polar_angles(rig, markers), root_headings(rig, markers)
     if seen is None or root is None:
         return []
-    (arcs, angles), heading = seen, root[0]
+    (arcs, angles), (heading, _, heading_noise) = seen, root
     complete = np.isfinite(heading) & np.isfinite(angles).all(axis=1)
     if rig.links[0].markers_frame == "link":  # angles are those of deflections
         angles, heading = angles + theta[:, None], theta
@@ -88,7 +88,7 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
     coordinate = rig.marker_noise or 1e-3 * rig.links[0].length
     markers_noise = coordinate * np.sqrt(np.sum((squares[1:] / arcs) ** 2))
     bases = np.array([squares[0], squares[0] - rig.links[0].hub_inertia, 1.0])  # inertias that turn with the base
-    noises = np.hypot(bases * root[1], markers_noise * np.array([1.0, 1.0, 0.0]))
+    noises = np.hypot(bases * heading_noise, markers_noise * np.array([1.0, 1.0, 0.0]))
     found, size = [], _SHORTEST
     while 2 * size <= even.size:
         phase = np.pi * (np.arange(size) + 0.5) / size
