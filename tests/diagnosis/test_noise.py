@@ -106,3 +106,15 @@ def test_a_shaking_camera_is_not_taken_for_noise(direction: float) -> None:
     noise = Noise.of(point_of(chain_of(), (), recorded(Arm(chain_of(), (shaking,)), 1)).runs)
     assert noise.std == pytest.approx(NOISE[0], rel=0.05)
     assert noise.autoregression.size == 0
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.7])
+def test_a_shaking_camera_is_not_taken_for_noise_by_few_markers(direction: float) -> None:
+    """Three markers, and three motions across the link: what shifts them along it is no motion of the arm."""
+    shaking = CameraVibration(amplitude=3 * NOISE[0], frequency=7.0, direction=direction)
+    recordings = recorded(Arm(chain_of(2), (shaking,)), 1)
+    for recording in recordings:
+        recording.markers[:, [1, 3]] = np.nan
+    noise = Noise.of(point_of(chain_of(2), (), recordings).runs)
+    assert noise.std == pytest.approx(NOISE[0], rel=0.1)
+    assert noise.autoregression.size == 0

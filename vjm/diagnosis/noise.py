@@ -84,10 +84,8 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
     directions = run.basis.shapes[:, : run.basis.slow_count]
     if time.size < _LEAST_FRAMES or channels.sum() <= directions.shape[1]:
         return None
-    # By how much the two components of a shift of all markers move each coordinate. A link moves its markers across
-    # itself only: where they are no more than its modes, a shift is a motion of the link.
-    shifts = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[channels]
-    shifts = shifts if channels.sum() / 2 > directions.shape[1] else shifts[:, :0]
+    measured = markers[complete]
+    shifts = _shifts(measured, channels, directions.shape[1], len(run.chain.links))
     # Simulated by an incomplete model the arm may be anywhere: start from the encoders' angles, and straight links too.
     simulated = run.trajectory.angles(time)
     for joint, theta in zip(run.chain.active, observed.recording.theta.T, strict=True):
@@ -96,12 +94,28 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
             simulated[:, joint] = np.interp(time, observed.recording.time[known], theta[known])
     straight = simulated.copy()
     straight[:, run.chain.passive] = 0.0
-    measured = markers[complete]
     starts = [_fit_frames(run, time, q, directions, shifts, measured, channels) for q in (simulated, straight)]
     better = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
     residual = np.where(better[:, None] == 0, *starts)
-    share = 1 - (directions.shape[1] + shifts.shape[1]) / channels.sum()
+    share = 1 - (directions.shape[1] + shifts.shape[2]) / channels.sum()
     return _ticks(time), residual - residual.mean(axis=0), share
+
+
+def _shifts(markers: Array, channels: Mask, motions: int, links: int) -> Array:
+    """Return by how much shifts of all markers (F, 2 k) that are no motion of the arm move each coordinate: (F, c, s).
+
+    A link moves its markers across itself only. Where they are no more than its motions, a shift across it is one of
+    these, but one along it is none.
+    """
+    frames, count = len(markers), int(channels.sum())
+    either = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[channels]
+    if count / 2 > motions:
+        return np.broadcast_to(either, (frames, *either.shape))
+    if links > 1 or count <= motions + 1 or not either.any(axis=0).all():
+        return np.zeros((frames, count, 0))
+    along = (markers[:, channels] @ either) / either.sum(axis=0)  # the mean of what is seen, as the base is the origin
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(along @ either.T)[:, :, None]
 
 
 def _fit_frames(
@@ -109,13 +123,13 @@ def _fit_frames(
 ) -> Array:
     """Fit marker coordinates (F, 2 k) frame by frame (Newton) from angles q (F, nv); return residuals (F, c) [m].
 
-    The angles vary along directions (nv, m), all coordinates of a frame along shifts (c, 2) or (c, 0).
+    The angles vary along directions (nv, m), all coordinates of a frame along shifts (F, c, s).
     """
     residual, elapsed = np.zeros(0), run.trajectory.elapsed(time)
     for _ in range(12):  # quadratic convergence needs fewer once it is near
         predicted = run.observed.arcs.measured_positions(run.arm, q, elapsed).reshape(len(q), -1)[:, channels]
         slopes = run.observed.arcs.slopes(run.arm, q, elapsed, directions)[:, channels]
-        slopes = np.concatenate([slopes, np.broadcast_to(shifts, (len(q), *shifts.shape))], axis=2)
+        slopes = np.concatenate([slopes, shifts], axis=2)
         difference = markers[:, channels] - predicted
         change = (np.linalg.pinv(slopes) @ difference[:, :, None])[:, :, 0]
         residual = difference - (slopes @ change[:, :, None])[:, :, 0]
