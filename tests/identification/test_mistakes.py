@@ -233,6 +233,8 @@ def test_a_stiff_drive_that_bends_the_link_more_than_it_turns_it_is_no_mistake_o
     def moved(recording: Recording) -> Recording:
         turn = 0.01 * np.sin(2 * np.pi * 4.0 * recording.time)
         tilt = turn[:, None] * (1.0 + ratio * (arc - arc**2 / 2))  # a cantilever that bends under a force at its tip
+        faster = 0.002 * np.sin(2 * np.pi * 11.0 * recording.time)[:, None]  # its second mode, which no swing repeats
+        tilt = tilt + faster * (arc - 1.5 * arc**2)
         steps = link.length * np.stack([np.cos(tilt), np.sin(tilt)], axis=2) * (arc[1] - arc[0])
         markers = np.cumsum(steps, axis=1)[:, [99, 199, 299]]
         seen = np.isfinite(recording.markers).all(axis=(1, 2))
