@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -177,6 +178,19 @@ def _power(runs: Sequence[Run], frequencies: Array) -> Array:
             if known.any():
                 # Hann's window: what drifts slowly must not leak into all other frequencies.
                 window = np.sin(np.pi * instants[known] / max(end, 1e-300)) ** 2
-                waves = np.exp(-2j * np.pi * np.outer(frequencies, instants[known])) * window
-                power += np.sum(np.abs(waves @ np.nan_to_num(residual[known])) ** 2, axis=1) / np.sum(window**2)
+                windowed = window[:, None] * np.nan_to_num(residual[known])
+                spectrum = _fourier_transform(instants[known], windowed, frequencies)
+                power += np.sum(np.abs(spectrum) ** 2, axis=1) / np.sum(window**2)
     return power
+
+
+def _fourier_transform(time: Array, values: Array, frequencies: Array) -> Complex:
+    """Return the Fourier sums (F, c) of values (T, c) at any instants (T,) [s], at evenly spaced frequencies [Hz].
+
+    Each frequency is one of few coarse ones and one of few fine ones, so that 2 F^(1/2) T exponentials do for F T.
+    """
+    fine = math.isqrt(frequencies.size - 1) + 1
+    early = np.exp(-2j * np.pi * np.outer(frequencies[:fine] - frequencies[0], time))
+    late = np.exp(-2j * np.pi * np.outer(frequencies[::fine], time))
+    shifted = (early[:, :, None] * values).transpose(1, 0, 2).reshape(time.size, -1)
+    return np.asarray((late @ shifted).reshape(-1, values.shape[1])[: frequencies.size])
