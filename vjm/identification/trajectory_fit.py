@@ -472,14 +472,17 @@ def _backtracked(point: Point, step: _TrajectoryStep, trial: Point) -> Point:
     1973); with stick-slip or play, where slopes mislead, nearer to where it was before.
     """
     nonsmooth, smooth, wanted = list[int](), list[int](), list[float]()
+    falls_short = point.cost - trial.cost < step.predicted / 2
     for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True)):
         decrease = before.cost - run.cost
         if decrease < gain - abs(gain) / 2:  # half of what is predicted
             if is_nonsmooth(run.arm.effects):
                 nonsmooth.append(k)
-            elif gain - decrease > 1.0 and is_followed([before]):  # by a standard error, and slopes can tell
+            elif falls_short and gain - decrease > 1.0 and is_followed([before]):  # a standard error; slopes can tell
                 smooth.append(k)
                 wanted.append(before.cost - gain / 2)
+    if 2 * len(smooth) > len(point.runs):  # what most of them miss is the coordinates' step
+        smooth, wanted = [], []
     runs, multiple = list(trial.runs), point.problem.step_multiple
     nearer = backtrack([runs[k] for k in nonsmooth], [step.own[k] for k in nonsmooth], multiple)
     refined = refine_initial_states([runs[k] for k in smooth], wanted, point.runs, multiple)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,14 +41,32 @@ def linearise(
     Raises:
         InsufficientDataError: no position of rest was found: the link buckles or the load is out of all proportion.
     """
+    active = np.broadcast_to(theta, chain.active.shape).astype(float)
+    load = chain.gravity if gravity is None else gravity
+    # Without gravity an arm's inertia and stiffness are the same wherever its first joint stands on the ground.
+    known = np.where(chain.active > 0, active, 0.0) if not any(load) else active
+    M, D, K, q = _linearised(chain, payload, load, tuple(known.tolist()))
+    rest = q.copy()
+    rest[chain.active] = active
+    return M, D, K, rest
+
+
+@lru_cache(maxsize=64)
+def _linearised(
+    chain: Chain, payload: float, gravity: tuple[float, float], theta: tuple[float, ...]
+) -> tuple[Array, Array, Array, Array]:
+    """Linearise as `linearise`; the last results are remembered, as many segments of recordings share them."""
     mechanism = mechanism_of(chain, payload, gravity)
     q = np.zeros(chain.size)
     q[chain.active] = theta
-    if any(chain.gravity if gravity is None else gravity):
+    if any(gravity):
         q = _rest_position(chain, mechanism, q)
     M = mechanism.mass_matrix(q[None])[0]
     K = np.diag(chain.stiffness) + mechanism.gravity_stiffness(q)
-    return M, np.diag(chain.damping), (K + K.T) / 2, q
+    found = M, np.diag(chain.damping), (K + K.T) / 2, q
+    for matrix in found:
+        matrix.setflags(write=False)  # they are shared
+    return found
 
 
 def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:

@@ -14,7 +14,7 @@ from vjm.records import Array
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import LevenbergMarquardt, Status, Step, minimise
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, earlier_runs, simulate_runs, state_at
+from vjm.simulation.run import InitialStatePrior, Run, earlier_runs, linearize_by_states, simulate_runs, state_at
 from vjm.simulation.system import Trajectory
 
 # Multiple of the default step of arms with elbows, with which markers are right to a tenth of a millimetre: enough for
@@ -127,7 +127,7 @@ def refine_initial_states(
 def _search_on(runs: Sequence[Run], step_multiple: float) -> list[Run]:
     """Search for more likely initial states for a few simulations, beside the same priors."""
     searches = [_InitialStateSearch(run) for run in runs]
-    minimise(searches, lambda running: _attempts(running, step_multiple), _FEW_STEPS)
+    minimise(searches, lambda running: _attempts(running, step_multiple), _FEW_STEPS, linearize_by_states)
     found = [search.point.with_prior_scale(run.prior.scale) for search, run in zip(searches, runs, strict=True)]
     return [min(pair, key=lambda run: run.cost) for pair in zip(runs, found, strict=True)]
 
@@ -197,7 +197,7 @@ def fit_initial_states(
     first = [prior.rest if state is None else state for prior, state in zip(priors, given, strict=True)]
     runs = simulate_runs(arms, observed, priors, first, step_multiple)
     searches = [_InitialStateSearch(run.with_scaled_prior()) for run in runs]
-    minimise(searches, lambda running: _attempts(running, step_multiple), most)
+    minimise(searches, lambda running: _attempts(running, step_multiple), most, linearize_by_states)
     return [(search.point, search.status == "converged") for search in searches]
 
 

@@ -179,6 +179,7 @@ def minimise(
     searches: Sequence[LevenbergMarquardt[P, S]],
     simulate: Callable[[Sequence[LevenbergMarquardt[P, S]]], Iterable[P | None]],
     most: int,
+    linearize: Callable[[Sequence[P]], None] | None = None,
 ) -> None:
     """Advance searches side by side until each has converged or stopped.
 
@@ -186,11 +187,14 @@ def minimise(
         searches: each with its own point and damping.
         simulate: returns for each of some searches the point that its step leads to; None where it cannot be simulated.
         most: number of trials of each.
+        linearize: linearises several points together, ahead of their searches; None: each search does so by itself.
     """
     for _ in range(most):
-        for search in searches:
-            if search.status == "running":
-                search.propose()
+        running = [search for search in searches if search.status == "running"]
+        if linearize is not None:
+            linearize([search.point for search in running])
+        for search in running:
+            search.propose()
         running = [search for search in searches if search.status == "running"]
         if not running:
             break

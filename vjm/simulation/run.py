@@ -50,7 +50,9 @@ class InitialStatePrior:
         Raises:
             SimulationDivergedError: joints that move nothing.
         """
-        chain, recording = replace(arm.chain, armature=0.0), arm.inputs(recording)
+        # Not a copy of the same chain, whose mechanism would have to be built again.
+        chain = replace(arm.chain, armature=0.0) if arm.chain.armature else arm.chain
+        recording = arm.inputs(recording)
         M, _, _, q = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         stiffness = min(link.bending_stiffness for link in chain.links)
         energy = 1.5 * stiffness * 0.1**2 / sum(link.length for link in chain.links)
@@ -288,6 +290,13 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
     """Yield each run's linearization by its perturbed arms, those of short ones of the same arms computed together."""
     return with_coefficients([run.linearization(own) for run, own in zip(runs, perturbed, strict=True)])
+
+
+def linearize_by_states(runs: Sequence[Run]) -> None:
+    """Compute runs' linearised problems of their initial states together, which is faster than one after another."""
+    unknown = [run for run in runs if "linearized_by_state" not in run.__dict__]
+    for run, linearization in zip(unknown, linearize(unknown, [()] * len(unknown)), strict=True):
+        run.__dict__["linearized_by_state"] = run.linearized(linearization)
 
 
 def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
