@@ -33,7 +33,7 @@ INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly 
 # Sizes that fits start from, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear guess beyond that is no guide
 LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
-_ITERATIONS = 4  # by which initial states come near enough for a fit of all parameters
+_STATE_TRIALS = 4  # simulations by which initial states come near enough for a fit of all parameters
 _FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
 
 
@@ -235,7 +235,7 @@ def _multistart(point: Point) -> tuple[Run, ...]:
             [observed[k] for k in indices],
             states,
             point.problem.step_multiple,
-            most=_ITERATIONS,
+            max_trials=_STATE_TRIALS,
         )
     except SimulationDivergedError:
         return point.runs
@@ -283,7 +283,9 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     The simulation of a whole recording may be anywhere where a segment of it begins.
     """
     arms, observed = problem.arms(x), problem.observed
-    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, most=_ITERATIONS)]
+    runs = [
+        run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, max_trials=_STATE_TRIALS)
+    ]
     missed = [k for k, run in enumerate(runs) if not is_followed([run])]
     if missed:
         resting = fit_initial_states(
@@ -291,7 +293,7 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
             [observed[k] for k in missed],
             None,
             problem.step_multiple,
-            most=2 * _ITERATIONS,
+            max_trials=2 * _STATE_TRIALS,
         )
         for k, (run, _) in zip(missed, resting, strict=True):
             runs[k] = min(runs[k], run, key=lambda run: run.cost)

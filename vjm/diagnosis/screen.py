@@ -286,7 +286,7 @@ def _projected(
     initial = 2 * run.basis.slow_count
     columns = initial + len(linearization.perturbed)
     information = SquareRootInformation.of(rows(), columns).with_rows(*run.prior_rows(columns))
-    timing = run.timing_rows(linearization, far=True)
+    timing = run.timing_rows(linearization, likelihood_ratio=True)
     squares += np.sum(timing[0][:, columns - count :] ** 2, axis=0)
     information = information.with_rows(*timing)
     return information.eliminated(initial).R, squares

@@ -22,7 +22,7 @@ from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
 from vjm.records import REFERENCE, Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_or_rest
+from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_from_best_states
 from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
@@ -135,11 +135,13 @@ class TrajectoryProblem(Record):
         return self.simulated(x, states, states, [1.0] * len(states)).with_scaled_prior()
 
     def simulated(self, x: Array, states: Sequence[Array], known: Sequence[Array], scales: Sequence[float]) -> Point:
-        """Simulate every recording at x (p,) as `simulate_or_rest`, residuals of sizes `scales` beside its prior."""
+        """Simulate every recording at x (p,) by `simulate_from_best_states`, its prior at a given scale."""
         arms = self.arms(x)
         each = zip(arms, self.observed, scales, strict=True)
         priors = [InitialStatePrior.of(arm, observed.recording, scale) for arm, observed, scale in each]
-        return Point(self, x, tuple(simulate_or_rest(arms, self.observed, priors, states, known, self.step_multiple)))
+        return Point(
+            self, x, tuple(simulate_from_best_states(arms, self.observed, priors, states, known, self.step_multiple))
+        )
 
     def perturbed_arms(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
         """Return, for each recording, its arm with each coordinate moved a little: for difference quotients."""
@@ -333,7 +335,7 @@ def fit_trajectory(
 
         part = problem if last else problem.until(horizon)
         search = _TrajectorySearch(part.point(x, states), last and not rough, stop, report)
-        minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], most=60)
+        minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], max_trials=60)
         iterations += len(search.decreases) + 1
         x, states = search.point.x, search.point.states
     return TrajectoryFit(search.point, search.status == "converged", iterations, search.predicted_decrease)
@@ -410,7 +412,7 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
             return "converged"
         return "stopped" if self.stop is not None and self.stop(self.point, self.step.predicted) else "running"
 
-    def is_rough_minimum(self, trial: Point | None) -> bool:
+    def is_nonsmooth_minimum(self, trial: Point | None) -> bool:
         """Return True where a step fails that slopes promise little from: play and stiction make the cost rough."""
         rejected = trial is not None and not self.decreases[-1] > 0
         return rejected and self.step_at(0.0).predicted < 0.5 * self._mean_square  # a step of 0.7 standard errors
