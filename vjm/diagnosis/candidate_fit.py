@@ -171,7 +171,7 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         multiple = problem.step_multiple
         if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
             break
-        problem = replace(problem, step_multiple=search_step_multiple(fit.point, most=multiple))
+        problem = replace(problem, step_multiple=search_step_multiple(fit.point, largest=multiple))
         if problem.step_multiple == multiple:
             break
         further = _fit_multistart(problem, fit.point.x, fit.point.states, stop)
