@@ -30,8 +30,8 @@ from vjm.identification import trajectory_fit
 from vjm.identification.trajectory_fit import (
     Point,
     TrajectoryFit,
-    _attempt,
     _TrajectoryStep,
+    _trial_point,
     fit_trajectory,
 )
 from vjm.records import Recording
@@ -99,7 +99,7 @@ def test_dry_friction_has_its_torque_though_its_search_begins_far_away(seed: int
 
 def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
     point, step, off = missing_step(CoulombFriction(link=0, torque=0.008))
-    trial = _attempt(point, step)
+    trial = _trial_point(point, step)
     assert trial is not None
     for run in trial.runs:
         assert run.state == pytest.approx(np.zeros(off.size))
@@ -108,7 +108,7 @@ def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
 def test_what_does_not_stick_is_searched_for_from_where_a_step_misses() -> None:
     """All of what the step in its own state costs comes back in a few trials."""
     point, step, off = missing_step(ViscousFriction(link=0, coefficient=0.02))
-    trial = _attempt(point, step)
+    trial = _trial_point(point, step)
     count = len(point.runs)
     missed = point.problem.simulated(point.x + step.change, [off] * count, point.states, [1.0] * count)
     assert trial is not None
@@ -121,7 +121,7 @@ def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch
 
     monkeypatch.setattr(trajectory_fit, "backtrack", diverge)
     point, step, off = missing_step(CoulombFriction(link=0, torque=0.008))
-    trial = _attempt(point, step)
+    trial = _trial_point(point, step)
     assert trial is not None
     for run in trial.runs:
         assert run.state == pytest.approx(off)

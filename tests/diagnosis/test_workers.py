@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from vjm.diagnosis.workers import _interrupted_later
+from vjm.diagnosis.workers import _deferred_interrupts
 
 _SCRIPT = """
 import signal, time
@@ -30,7 +30,7 @@ def test_an_interrupt_waits_for_processes_to_start() -> None:
     told = []
     before = signal.signal(signal.SIGINT, lambda *_: told.append("later"))
     try:
-        with _interrupted_later():
+        with _deferred_interrupts():
             signal.raise_signal(signal.SIGINT)
             told.append("started")
         assert told == ["started", "later"]

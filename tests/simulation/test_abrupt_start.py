@@ -12,7 +12,7 @@ from vjm.chain.virtual_links import Array
 from vjm.effects import Backlash, CoulombFriction, Effect, ViscousFriction
 from vjm.records import Kind, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import _state_at_rest, backtrack, fit_initial_states, simulate_or_rest
+from vjm.simulation.initial_state import _state_at_rest, backtrack, fit_initial_states, simulate_from_best_states
 from vjm.simulation.measurement import MarkerArcs, Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 from vjm.simulation.system import Trajectory
@@ -43,9 +43,9 @@ def stands(arm: Arm, twist: float = 0.0) -> Array:
 
 
 def runs_of(arm: Arm, observed: Observations, state: Array, known: Array) -> Run:
-    return simulate_or_rest([arm], [observed], [InitialStatePrior.of(arm, observed.recording)], [state], [known], 1.0)[
-        0
-    ]
+    return simulate_from_best_states(
+        [arm], [observed], [InitialStatePrior.of(arm, observed.recording)], [state], [known], 1.0
+    )[0]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -135,7 +135,7 @@ def test_only_what_sticks_is_left_after_a_few_steps_in_vain(monkeypatch: pytest.
     moving = np.concatenate([stands(arm), np.full(arm.chain.size, 0.05)])
     tried = []
     monkeypatch.setattr(
-        "vjm.simulation.initial_state._attempts", lambda pending, step_multiple: tried.append(0) or [None]
+        "vjm.simulation.initial_state._trial_runs", lambda pending, step_multiple: tried.append(0) or [None]
     )
     ((run, _),) = fit_initial_states([arm], [observed], [moving])
     assert run.state is moving

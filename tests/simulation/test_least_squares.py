@@ -52,7 +52,7 @@ class ValleySearch(LevenbergMarquardt[Valley, Change]):
     def stopping_rule(self) -> Status:
         return "converged" if self.step.predicted < 1e-20 else "running"
 
-    def is_rough_minimum(self, trial: Valley | None) -> bool:
+    def is_nonsmooth_minimum(self, trial: Valley | None) -> bool:
         return self.rough
 
 

@@ -144,7 +144,7 @@ def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -
     run = run_of(chain, recording, state)
     moved = [PerturbedArm(Arm(each), STEP) for each in changed(chain, STEP).values()]
     whole = run.linearized(run.linearization(moved))
-    monkeypatch.setattr("vjm.simulation.sensitivity._NUMBERS_A_CHUNK", 2000)
+    monkeypatch.setattr("vjm.simulation.sensitivity._MOST_COEFFICIENTS", 2000)
     again = run_of(chain, recording, state)
     assert len(list(again.weighted_slopes(again.linearization(moved)))) > 3
     R = again.linearized(again.linearization(moved)).R

@@ -1,4 +1,4 @@
-"""Causes with their magnitudes, and alternatives: effects that explain the recordings as well in a cause's place."""
+"""Causes with their estimated parameters, and alternatives: other effects that fit the recordings equally well."""
 
 from __future__ import annotations
 
@@ -16,46 +16,46 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import Array, Estimate
 from vjm.text import number, ratio
 
-_MOST_ALTERNATIVES = 6  # refitted for each cause
+_MOST_ALTERNATIVES = 6  # refitted for each cause, to bound the time; the most similar ones
 
 
 def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[Alternative, ...]]:
-    """Find, for each new effect of the best model, effects that explain the recordings as well in its place.
+    """Find, for each cause in the best model, effects with which the model fits equally well in its place.
 
     Args:
-        result: of the search.
+        result: result of the search.
         search: fits the models with alternatives.
     """
     best, causes = result.best, result.best.new_effects
     if not causes:
         return {}
-    tolerance = EQUIVALENT * max(1.0, best.misfit**2)  # where more than noise remains, that is the measure
+    tolerance = EQUIVALENT * max(1.0, best.misfit**2)  # of chi^2, in units of the reduced chi^2
     directions = result.last_tests.screen.directions
-    # Stick-slip and play are slow to try: only where they may look like the cause.
-    wanted = {
+    # Stick-slip and play are slow to fit: they are tried only where the screen finds them similar to the cause.
+    candidates = {
         cause.key: [
             k
             for k, v in enumerate(directions.effects)
-            if not v.nonsmooth or cause.nonsmooth or _alike(result.first_tests.screen, cause, v)
+            if not v.nonsmooth or cause.nonsmooth or _is_similar(result.first_tests.screen, cause, v)
         ]
         for cause in causes
     }
     alternatives = {}
     for cause in causes:
         part = next(p for effect, p in zip(best.effects, best.point.problem.parts, strict=True) if effect is cause)
-        screened = directions.screen(present=(cause, part), chosen=wanted[cause.key])
+        screened = directions.screen(present=(cause, part), chosen=candidates[cause.key])
         others = [effect for effect in best.effects if effect is not cause]
-        guesses = _near(screened, cause, tolerance)
+        guesses = _substitute_sizes(screened, cause, tolerance)
         models = [
             (*others, starting_effect(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()
         ]
         search.fit_models(best, models, best.chi2 + tolerance, result.fits)
-        alternatives[cause.key] = _as_good(best, cause, result.fits, tolerance)
+        alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance)
     return alternatives
 
 
-def _as_good(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
-    """Return the effects that, fitted in a cause's place, leave about as little, the best first."""
+def _equivalent_fits(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
+    """Return the effects whose fit in a cause's place has a chi^2 within the tolerance of the best, the best first."""
     rest, alternatives = best.effect_keys - {cause.key}, []
     for names, tried in fits.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
@@ -66,20 +66,19 @@ def _as_good(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -
     return tuple(sorted(alternatives, key=lambda each: each.worse))
 
 
-def _alike(first: Screen, cause: Effect, other: Effect) -> bool:
-    """Return True if another effect moves the model without effects about as the cause does: by a cosine of 0.5."""
+def _is_similar(first: Screen, cause: Effect, other: Effect) -> bool:
+    """Return True if the directions of two effects in residual space are less than 60 degrees apart."""
     one = [k for k, each in enumerate(first.effects) if each.key == cause.key]
     two = [k for k, each in enumerate(first.effects) if each.key == other.key]
     return any(first.cosines[i, j] > 0.5 for i in one for j in two)
 
 
-def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
-    """Return the sizes (s,) of absent effects, one variant each, with which they do nearly what the cause does."""
+def _substitute_sizes(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
+    """Return sizes (s,) of effects, one variant each, that by the linear model nearly replace a cause."""
     size = cause.coordinates[: cause.magnitude_count]
-    own = screened.R[:, screened.parts[0]] @ size  # what the cause does to the residuals
+    own = screened.R[:, screened.parts[0]] @ size  # change of the residuals by the cause
     power = float(own @ own)
-    guesses: dict[int, Array]
-    remaining_chi2, guesses = np.full(len(screened.effects), np.inf), {}
+    remaining_chi2, guesses = np.full(len(screened.effects), np.inf), dict[int, Array]()
     for k in range(1, len(screened.effects)):
         columns = screened.R[:, screened.parts[k]]
         if screened.absorbed[k] or not np.isfinite(columns).all():
@@ -87,7 +86,7 @@ def _near(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]
         guess = np.asarray(np.linalg.lstsq(columns, own, rcond=1e-10)[0])
         guesses[k] = guess
         remaining_chi2[k] = power - float(np.sum((columns @ guess) ** 2))
-    # A linear guess, which is the worse the larger the effect, may be off by some times the tolerance.
+    # The linear model is off by some times the tolerance, and the more the larger the effect: hence these margins.
     close = [k for k in range(1, len(screened.effects)) if remaining_chi2[k] < 5 * tolerance + 0.02 * power]
     chosen = screened.first_variants(sorted(close, key=lambda k: float(remaining_chi2[k])))[:_MOST_ALTERNATIVES]
     return {k: guesses[k] for k in chosen}
@@ -100,14 +99,14 @@ def estimate_causes(
     reference_misfit: float,
     covariance: Array,
 ) -> tuple[Cause, ...]:
-    """Return the best model's new effects, the one without which most is missed first.
+    """Return the best model's new effects as causes, in the order of the chi^2 that they explain.
 
     Args:
-        result: of the search.
+        result: result of the search.
         search: fits the best model without an effect where that was not done on the way.
-        alternatives: effects that explain the recordings as well, by the cause in whose place.
-        reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
-        covariance: (p, p) of the best model's coordinates.
+        alternatives: for each cause, effects that explain the recordings as well in its place.
+        reference_misfit: misfit of the reference recordings that counts as noise; at least one.
+        covariance: (p, p) covariance of the best model's coordinates.
     """
     best, causes = result.best, []
     estimated = best.point.problem.effects_at(best.estimate)
@@ -117,7 +116,7 @@ def estimate_causes(
         names = best.effect_keys - {effect.key}
         without = result.fits.get(names) or search.refit_without(best, effect, result.fits) or search.start
         decrease = without.chi2 - best.chi2
-        # Where the best model leaves more than noise, what it leaves is the measure.
+        # In units of the reduced chi^2, where the best model leaves more than noise.
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / max(1.0, best.misfit**2))
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
         unit = "noise" if reference_misfit == 1 else "the residual before the change"
@@ -129,7 +128,7 @@ def estimate_causes(
 
 
 def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
-    """Return parameters with standard errors, by the covariance (p, p) of an effect's coordinates (delta method)."""
+    """Return an effect's parameters with errors by the delta method, from its coordinates' covariance (p, p)."""
     x, values = effect.coordinates, effect.values
     steps = 1e-5 * np.maximum(np.abs(x), 1.0)
     moved = [effect.at(x + step).values for step in np.diag(steps)]

@@ -1,7 +1,7 @@
-"""Fits of models with effects: the coordinates of the chain and of the effects, all at once.
+"""Maximum-likelihood fits of models with effects, to recordings or to their segments (multiple shooting).
 
-Maximum likelihood over whole trajectories, as in `vjm.identification.trajectory_fit`, whose coordinates are extended
-by each effect's sizes (in units of typical magnitudes, zero where absent) and shape parameters (logarithms).
+Chain, effects and initial states are fitted together, as in `vjm.identification.trajectory_fit`. The coordinates of an
+effect are its magnitudes in units of typical ones, zero where it is absent, and logarithms of its shape parameters.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from vjm.simulation.run import Run, earlier_runs, is_followed, state_at
 from vjm.simulation.system import Trajectory
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
-# Sizes that fits start from, in typical magnitudes.
-_LARGEST_START = 5.0  # a linear guess beyond that is no guide
-LEAST_START = 0.5  # less friction, play or compliance of a joint does nothing that derivatives show
-_ITERATIONS = 4  # by which initial states come near enough for a fit of all parameters
-_FEW_STEPS = 3  # of all unknowns between searches for initial states, where slopes show little of these
+# Bounds of the starting values of effects' sizes, in typical magnitudes.
+_LARGEST_START = 5.0  # a linear estimate beyond that is far outside the range where the effect is linear
+LEAST_START = 0.5  # for friction, play and joint compliance, whose derivatives vanish or are misleading near zero
+_STATE_TRIALS = 4  # simulations by which initial states come near enough for a fit of all parameters
+_STEPS_BETWEEN_MULTISTARTS = 3  # where stick-slip or play gives initial states many maxima
 
 
 class StoppingRule:
-    """Stopping rule of a fit among several: it ends a fit that cannot become the best, or gains next to nothing.
+    """Stopping rule for one of several rival fits: ends it if it cannot become the best, or hardly improves.
 
     Args:
-        max_chi2: chi^2 above which a fit is of no use, such as that of the best one so far: it is given up where three
-            decreases as large as its next step promises would leave it above.
+        max_chi2: chi^2 above which a fit is of no use, such as that of the best one so far: the fit ends where three
+            times the decrease predicted for its next step would leave it above.
         max_steps: number of steps at most.
-        deadline: reading of `time.monotonic` after which it ends every fit [s].
+        deadline: reading of `time.monotonic` [s] after which every fit ends.
     """
 
     def __init__(self, max_chi2: float = np.inf, max_steps: float = np.inf, deadline: float = np.inf) -> None:
@@ -65,20 +65,20 @@ class StoppingRule:
 def _least_decrease(point: Point) -> float:
     """Return the decrease of chi^2 that five accepted steps must bring for a fit to go on.
 
-    It is less than what matters (`SearchOptions.least_share`), or a tenth of what exceeds noise, whose rest would take
-    ten times as many steps.
+    The first bound is just below the decrease from which an effect matters (`SearchOptions.least_share`). The second is
+    a tenth of the excess over noise: at that rate the fit would need ten times as many steps to come down to noise.
     """
     return max(0.002 * point.chi2, 0.1 * (point.chi2 - point.expected_chi2))
 
 
 @lru_cache(maxsize=4)
 def information_of(fit: TrajectoryFit) -> Information:
-    """Return the Fisher information of a fit's coordinates, and the covariance of their scores; remember the last."""
+    """Return the Fisher information of a fit's coordinates with the covariance of their scores; cached."""
     return trajectory_information(fit, True)[0]
 
 
 def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
-    """Return the model of a fit with the estimates of its chain's parameters, for a rig and its noise [m, rad]."""
+    """Return a fit's model with the estimates of its chain's parameters, for a rig and its noise [m, rad]."""
     parametrisation, information = fit.point.problem.parametrisation, information_of(fit)
     own = slice(len(parametrisation.coordinates))
     estimate, scores = fit.estimate[own], information.score_covariance[own, own]
@@ -90,12 +90,12 @@ def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
 
 
 def starting_effect(effect: Effect, guess: Array, chain: Chain) -> Effect:
-    """Return an effect with magnitudes from which a fit may start.
+    """Return an effect with starting values for a fit.
 
     Args:
-        effect: with its shape parameters.
-        guess: (s,) sizes by a screen, in typical magnitudes.
-        chain: to which it is added.
+        effect: the effect, with its shape parameters.
+        guess: (s,) sizes estimated by a screen, in typical magnitudes.
+        chain: the chain to which it is added.
     """
     coordinates = effect.coordinates
     least = LEAST_START if effect.nonsmooth or effect.adds_joint(chain) else -_LARGEST_START
@@ -104,18 +104,18 @@ def starting_effect(effect: Effect, guess: Array, chain: Chain) -> Effect:
 
 
 def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | None = None) -> TrajectoryFit | None:
-    """Fit a model with other effects to the same recordings, from a fit with some of them or with none.
+    """Refit a model with other effects to the same recordings, starting from a fit with some of them or none.
 
     Args:
-        start: where to begin.
-        effects: those wanted, with the parameters from which their search starts.
-        stop: ends the search; None: as by default.
+        start: the fit to start from.
+        effects: all effects of the model, with starting values of their parameters.
+        stop: stopping rule; None: `StoppingRule()`.
 
     Returns:
-        The fit; None where it cannot be simulated.
+        The fit; None if the model cannot be simulated, not even with new effects of an eighth of their size.
     """
     known = {effect.key for effect in start.effects}
-    for share in (1.0, 0.5, 0.25, 0.125):  # a linear guess may be far beyond what can be simulated
+    for share in (1.0, 0.5, 0.25, 0.125):  # a linear estimate may be too large to be simulated
         sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
         problem = replace(start.point.problem, effects=tuple(sized))
         chain = start.point.x[: len(problem.parametrisation.coordinates)]
@@ -132,10 +132,10 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
 
 
 def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
-    """Fit a model again from other frequencies of those of its effects that add a joint; return the best fit.
+    """Refit a model from other compliances of the joints that its effects add (multistart); return the best fit.
 
-    Such a joint vibrates, and where its frequency is wrong by a cycle over a segment there is another minimum. After
-    the deadline, as of `StoppingRule`, the best fit so far is returned.
+    Such a joint vibrates, and each cycle by which its frequency is off over a segment has a local minimum. After the
+    deadline, as of `StoppingRule`, the best fit so far is returned.
     """
     best = fit
     for effect, part in zip(fit.effects, fit.point.problem.parts, strict=True):
@@ -145,8 +145,8 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
             x = fit.point.x.copy()
             x[part] = np.clip(effect.with_softer_joint(factor).coordinates, *effect.bounds)
             try:
-                few = StoppingRule(best.chi2, 5, deadline)  # steps, after which a start that leads elsewhere shows
-                trial = fit_trajectory(fit.point.problem, x, None, fit.point.states, stop=few)
+                short = StoppingRule(best.chi2, 5, deadline)  # five steps show if a start leads to a better minimum
+                trial = fit_trajectory(fit.point.problem, x, None, fit.point.states, stop=short)
                 if trial.chi2 < best.chi2:
                     best = fit_trajectory(
                         trial.point.problem,
@@ -161,17 +161,17 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
 
 
 def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
-    """Fit as `_fit_multistart`, with steps so short that their error is of no account beside what the fit leaves.
+    """Fit as `_fit_multistart`; with elbows, shorten the integrator steps until their error is negligible.
 
-    Those that will do beside what a model lacks may be too long once the cause is in it. Only those of an elbow's
-    swing are so many that it pays to begin with long ones.
+    Steps that are accurate enough beside the residual of a poor fit may be too long once the fit is good. Only arms
+    with elbows take so many steps that it pays to begin with long ones.
     """
     fit = _fit_multistart(problem, x, states, stop)
     while problem.parametrisation.template.elbows.size and not is_nonsmooth(problem.effects):
         multiple = problem.step_multiple
         if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
             break
-        problem = replace(problem, step_multiple=search_step_multiple(fit.point, most=multiple))
+        problem = replace(problem, step_multiple=search_step_multiple(fit.point, largest=multiple))
         if problem.step_multiple == multiple:
             break
         further = _fit_multistart(problem, fit.point.x, fit.point.states, stop)
@@ -180,18 +180,19 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
 
 
 def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
-    """Fit coordinates and initial states from (p,) and (2 nv,) each, some initial states from several starts.
+    """Fit coordinates x (p,) and initial states (2 nv,), alternating with a multistart of poorly fitted segments.
 
-    The likelihood of a segment's initial state may have several maxima, from which no slope leads away: those that are
-    missed, where most are not, are begun otherwise as well, as long as that helps. Where something sticks or rattles
-    there are many: this is done after a few steps already.
+    The likelihood of a segment's initial state may have several local maxima. Segments that fit poorly where most fit
+    well are started again from other initial states, as long as that lowers chi^2. With stick-slip or play there are
+    many maxima: the multistart follows every few steps, not only the converged fit.
     """
     nonsmooth = is_nonsmooth(problem.effects)
-    if stop.max_steps < _FEW_STEPS:
+    if stop.max_steps < _STEPS_BETWEEN_MULTISTARTS:
         return fit_trajectory(problem, x, None, states, stop=stop)
     before, iterations = np.inf, 0
-    # Not at first where states are unlikely: slopes do not show then what can be reached.
-    max_chi2, steps = (np.inf, _FEW_STEPS) if nonsmooth else (stop.max_chi2, stop.max_steps)
+    # With stick-slip or play the first steps are not stopped by `max_chi2`: before the first multistart, the predicted
+    # decrease does not tell what chi^2 can be reached.
+    max_chi2, steps = (np.inf, _STEPS_BETWEEN_MULTISTARTS) if nonsmooth else (stop.max_chi2, stop.max_steps)
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
         iterations += fit.iterations
@@ -206,18 +207,18 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
 
 
 def _multistart(point: Point) -> tuple[Run, ...]:
-    """Return runs, those of missed segments from the best of several initial states.
+    """Return a point's runs, those of poorly fitted segments from the best of several initial states.
 
-    These are their own; the same with the active joints at rest; the state in which the segment before ends or, for the
-    first one, rest of the whole arm; and those that effects propose.
+    Tried are the present state; the same with the active joints at rest; the final state of the preceding segment or,
+    for the first one, the arm at rest; and states that effects propose, such as either flank of a play.
     """
     best, trials = [*point.runs], []
-    # With wrong parameters most segments are missed, whatever their initial states: the best quarter is the measure.
+    # With wrong parameters all segments fit poorly: the reduced chi^2 that the best quarter stays below is the measure.
     usual = max(1.0, float(np.quantile([run.chi2 / max(run.expected_chi2, 1) for run in point.runs], 0.25)))
-    missed = [k for k, run in enumerate(point.runs) if run.chi2 > usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2)]
-    if not is_nonsmooth(point.problem.effects) and 2 * len(missed) > len(point.runs):
-        return point.runs  # what is missing is in the model, not in initial states
-    for k in missed:
+    poor = [k for k, run in enumerate(point.runs) if run.chi2 > usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2)]
+    if not is_nonsmooth(point.problem.effects) and 2 * len(poor) > len(point.runs):
+        return point.runs  # the model is wrong, not initial states
+    for k in poor:
         run = point.runs[k]
         resting, before = run.state.copy(), earlier_runs(point.runs, run.observed)
         resting[run.chain.size + run.chain.active] = 0.0
@@ -235,7 +236,7 @@ def _multistart(point: Point) -> tuple[Run, ...]:
             [observed[k] for k in indices],
             states,
             point.problem.step_multiple,
-            most=_ITERATIONS,
+            max_trials=_STATE_TRIALS,
         )
     except SimulationDivergedError:
         return point.runs
@@ -247,17 +248,17 @@ def _multistart(point: Point) -> tuple[Run, ...]:
 def fit_segments(
     fit: TrajectoryFit, whole: Sequence[Observations], duration: float, stop: StoppingRule
 ) -> TrajectoryFit:
-    """Fit a model to the segments of recordings, each with an initial state of its own (multiple shooting).
+    """Fit a model to segments of recordings, each with its own initial state (multiple shooting without continuity).
 
-    Over a segment of one or two periods nothing is lost in phase, whatever the model lacks, so that slopes guide from
-    far away (Bock, Recent advances in parameter identification techniques for O.D.E., 1983; Ribeiro et al.,
-    Automatica 121, 2020). Segments show less of frequencies than whole recordings do.
+    Over one or two periods even a wrong model stays in phase: gradients lead to the minimum from far away (Bock,
+    Recent advances in parameter identification techniques for O.D.E., 1983; Ribeiro et al., Automatica 121, 2020).
+    Segments tell less of frequencies than whole recordings do.
 
     Args:
-        fit: to other segments of the same recordings, or to the recordings.
+        fit: a fit to other segments of the same recordings, or to the whole recordings, to start from.
         whole: the recordings.
-        duration: of a segment [s]; infinite: the recordings themselves.
-        stop: ends the fit.
+        duration: duration of a segment [s]; infinite: whole recordings.
+        stop: stopping rule.
 
     Raises:
         SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
@@ -270,7 +271,7 @@ def fit_segments(
     if len(fit.point.runs) == len(whole):
         states = _initial_states(problem, fit.point.x, states)
     found = _fit_accurately(problem, fit.point.x, states, stop)
-    # Effects with memory, fitted from here, start each segment after the motion that was estimated last.
+    # For effects with memory in later fits: their internal states follow the motion fitted here up to each segment.
     observed = _with_preceding_motion([run.observed for run in found.point.runs], found.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
     problem = replace(problem, observed=tuple(observed))
@@ -278,51 +279,53 @@ def fit_segments(
 
 
 def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:
-    """Return likely initial states (2 nv,) of segments, from those of whole recordings there, or from rest.
+    """Estimate initial states (2 nv,) of segments, starting from the simulation of the whole recordings.
 
-    The simulation of a whole recording may be anywhere where a segment of it begins.
+    Where that has drifted too far from the recording for the search to follow it, start from rest as well.
     """
     arms, observed = problem.arms(x), problem.observed
-    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, most=_ITERATIONS)]
-    missed = [k for k, run in enumerate(runs) if not is_followed([run])]
-    if missed:
+    runs = [
+        run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, max_trials=_STATE_TRIALS)
+    ]
+    poor = [k for k, run in enumerate(runs) if not is_followed([run])]
+    if poor:
         resting = fit_initial_states(
-            [arms[k] for k in missed],
-            [observed[k] for k in missed],
+            [arms[k] for k in poor],
+            [observed[k] for k in poor],
             None,
             problem.step_multiple,
-            most=2 * _ITERATIONS,
+            max_trials=2 * _STATE_TRIALS,
         )
-        for k, (run, _) in zip(missed, resting, strict=True):
+        for k, (run, _) in zip(poor, resting, strict=True):
             runs[k] = min(runs[k], run, key=lambda run: run.cost)
     return [run.state for run in runs]
 
 
 def segments(observed: Observations, duration: float) -> tuple[Observations, ...]:
-    """Return a recording's parts of a duration [s].
+    """Cut a recording into segments of a duration [s].
 
-    A quiet one of a clamped arm stays whole: nothing gets out of phase in it. A joint that is held where the model
-    knows of no load turns ever faster in its simulations.
+    A quiet recording of a clamped arm stays whole: it cannot get out of phase. With active joints it is cut, as an
+    error of the torque lets a joint that stood still turn ever faster in the simulation.
     """
-    held = observed.recording.kind == "quiet" and not observed.recording.theta.shape[1]
-    if held or not np.isfinite(duration):
+    cannot_drift = observed.recording.kind == "quiet" and not observed.recording.theta.shape[1]
+    if cannot_drift or not np.isfinite(duration):
         return (observed,)
-    return observed.segments(duration, 0.1 * duration)  # simulated beyond its values, for sensors early or late
+    return observed.segments(duration, 0.1 * duration)  # overlap, for sensors that are early or late
 
 
 def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
-    """Return segments with the motion of their recordings, as last simulated from one segment to the next."""
+    """Return segments with the motion of their recordings before them, as last simulated segment by segment."""
     parts: dict[str, list[Run]] = {}
     for run in sorted(runs, key=lambda run: float(run.trajectory.time[0])):
         parts.setdefault(run.observed.recording.file, []).append(run)
-    motions = {file: _joined([run.trajectory for run in own], own[0].chain) for file, own in parts.items()}
+    motions = {file: _concatenate([run.trajectory for run in own], own[0].chain) for file, own in parts.items()}
     return [
         replace(part, preceding=motions[part.recording.file]) if part.start is not None else part for part in observed
     ]
 
 
-def _joined(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
-    """Join trajectories, each up to where the next begins."""
+def _concatenate(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
+    """Concatenate the trajectories of a recording's segments, each up to where the next begins."""
     ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
     shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
     time = np.concatenate([path.elapsed(path.time)[own] for path, own in shown])

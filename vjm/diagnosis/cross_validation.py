@@ -1,8 +1,8 @@
-"""Tests that an effect of a fitted model must pass beside its significance: a size that is determined, and prediction.
+"""Tests that an effect must pass beside its significance: Wald's test of its size, and leave-one-out cross-validation.
 
-Leave-one-out cross-validation (Stone, Journal of the Royal Statistical Society B 36, 1974): each recording, or group
-of repeats, is predicted by the parameters that the others give. Only the recording's own initial state is estimated
-from it. The parameters are those of one Gauss-Newton step without the recording's rows.
+In cross-validation (Stone, Journal of the Royal Statistical Society B 36, 1974) each recording, or group of repeats, is
+predicted with the parameters fitted to the others: one Gauss-Newton step without the recording's rows. Only its own
+initial state is estimated from it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from vjm.simulation.run import Run
 
 
 def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
-    """Return True if an effect's magnitudes differ from their nulls by more than their errors (Wald's test).
+    """Return True if an effect's magnitudes differ significantly from their null values (Wald's test).
 
-    The errors allow for residuals that are correlated or larger than the noise.
+    Their covariance allows for residuals that are correlated or larger than the noise.
 
     Args:
         fit: the model.
@@ -42,9 +42,9 @@ def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
 
 
 def predicts_better(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
-    """Return True if recordings are predicted from each other better by a model than by one with an effect less.
+    """Return True if a model has a smaller cross-validation error than one with an effect less.
 
-    True as well where that cannot be judged, since each recording, or group of repeats, has information that the others
+    True as well where no recording, or group of repeats, can be predicted, since each has information that the others
     lack.
 
     Args:
@@ -53,7 +53,8 @@ def predicts_better(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
     """
     errors = _prediction_errors(fit)
     judged = np.isfinite(errors)
-    # The smaller model predicts no recording better than it fits it: where even its fit is worse, that decides.
+    # The smaller model cannot predict a recording better than it fits it: if even its fit is worse, no prediction of it
+    # is needed.
     fitted = np.array([sum(fewer.point.runs[k].chi2 for k in group) for group in _groups(fewer.point.runs)])
     if not judged.any() or errors[judged].sum() < fitted[judged].sum():
         return True
@@ -63,10 +64,10 @@ def predicts_better(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
 
 
 def _prediction_errors(fit: TrajectoryFit) -> Array:
-    """Return chi^2 (G,) of each recording, or group of repeats, predicted by the parameters that the others give.
+    """Return the chi^2 (G,) with which each recording, or group of repeats, is predicted from the others.
 
-    NaN where some parameter's standard error is more than twice as large without the group: what only it determines the
-    others cannot predict.
+    NaN where leaving the group out more than doubles the standard error of some combination of parameters: the others
+    then do not determine what the group shows.
     """
     point = fit.point
     parts = [part.eliminated(part.columns - point.x.size).R for part in point.linearizations]
@@ -76,15 +77,20 @@ def _prediction_errors(fit: TrajectoryFit) -> Array:
     errors = np.full(len(groups), np.nan)
     for g, group in enumerate(groups):
         rows = np.vstack([*(part for k, part in enumerate(parts) if k not in group), prior])
-        if _least_share(rows[:, :-1], whole) > 0.5**2:  # of the information: half of the inverse standard error
+        if (
+            _smallest_information_share(rows[:, :-1], whole) > 0.5**2
+        ):  # a share of the information; errors go as its inverse root
             change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], point.x.size).best()
             residuals = [parts[k][:, :-1] @ change - parts[k][:, -1] for k in group]
             errors[g] = sum(float(residual @ residual) for residual in residuals)
     return errors
 
 
-def _least_share(rows: Array, whole: Array) -> float:
-    """Return the least share of its information that some rows have of any combination of parameters."""
+def _smallest_information_share(rows: Array, whole: Array) -> float:
+    """Return the smallest share of the Fisher information on any combination of parameters that some rows hold.
+
+    It is the smallest generalised eigenvalue of rows^T rows and whole^T whole.
+    """
     scale = np.linalg.norm(whole, axis=0)
     shown = scale > 0
     _, sizes, axes = np.linalg.svd(whole[:, shown] / scale[shown], full_matrices=False)

@@ -1,8 +1,8 @@
-"""Design of the next experiment: the recording that would best distinguish models that explain these equally well.
+"""Design of the next experiment: the recording that best discriminates between models that fit equally well.
 
-Changes of recordings that were made are simulated by both models. Fitted to what the first would show, the second,
-whose parameters are free as far as the recordings so far leave them, keeps a chi^2: the difference to be expected
-(discrimination between rival models: Atkinson and Fedorov, Biometrika 62, 1975; here linearised).
+Changed versions of the recordings are simulated by both models. The second is fitted to the first one's simulation, its
+parameters having the covariance that the recordings so far give them; the chi^2 that this fit leaves is the difference
+to be expected (T-optimal discrimination: Atkinson and Fedorov, Biometrika 62, 1975; here linearised).
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE, Array, Indices, Recording
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
 
-# From a recording, its initial state (2 nv,) and the indices of active coordinates to another recording and state.
+# Maps a recording, its initial state (2 nv,) and the indices of active coordinates to the changed recording and state.
 _Change = Callable[[Recording, Array, Indices], tuple[Recording, Array]]
 
 
 def propose_recordings(best: TrajectoryFit, alternatives: Sequence[TrajectoryFit]) -> tuple[Proposal, ...]:
-    """Rank recordings by the chi^2 that would distinguish the best model, if true, from all alternatives to it."""
+    """Rank changed recordings by the chi^2 of the nearest alternative, if the best model is true; the largest first."""
     proposals = []
     for text, change in _changes(best):
         for run in _largest_motions(best):
@@ -36,6 +36,7 @@ def propose_recordings(best: TrajectoryFit, alternatives: Sequence[TrajectoryFit
 
 
 def _changes(best: TrajectoryFit) -> Iterator[tuple[str, _Change]]:
+    """Yield changes to try, each in words and as a function."""
     chain = best.point.chain
     mass = float(f"{0.1 * sum(link.masses.sum() for link in chain.links):.1g}")  # a tenth of the arm's, rounded
     yield (
@@ -49,12 +50,14 @@ def _changes(best: TrajectoryFit) -> Iterator[tuple[str, _Change]]:
 
 
 def _scaled(factor: float, recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
+    """Return the recording and its initial state with torques and motion scaled, from the same joint angles."""
     scaled = factor * state
     scaled[active] = state[active]
     return replace(recording, tau=factor * recording.tau), scaled
 
 
 def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Recording, Array]:
+    """Return the recording and its initial state with the first joint turned by 90 degrees."""
     theta, turned = recording.theta.copy(), state.copy()
     theta[:, 0] += np.pi / 2
     turned[active[0]] += np.pi / 2
@@ -62,7 +65,7 @@ def _turned(recording: Recording, state: Array, active: Indices) -> tuple[Record
 
 
 def _largest_motions(best: TrajectoryFit) -> list[Run]:
-    """Return the recordings with the largest motion, one for each kind that moves and may have changed."""
+    """Return the driven recording and the decay with the largest motion, reference recordings excluded."""
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     changed.sort(key=lambda run: float(np.nansum(np.nanvar(run.observed.recording.markers, axis=0))))
     largest = {run.observed.recording.kind: run for run in changed}  # the last of each kind
@@ -70,7 +73,7 @@ def _largest_motions(best: TrajectoryFit) -> list[Run]:
 
 
 def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Change) -> float:
-    """Return the chi^2 that another model keeps in a changed recording of a true one; zero if it diverges."""
+    """Return the chi^2 of another model refitted to what a true one simulates; zero if either diverges."""
     k = [one is run for one in true.point.runs].index(True)
     try:
         shown, predicted = (_changed_run(model, k, change) for model in (true, other))
@@ -82,17 +85,18 @@ def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Ch
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0
     values, vectors = linalg.eigh(information_of(other).normal)
-    known = np.zeros((len(moved), slopes.shape[1]))
-    known[:, states:] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    rows = np.vstack([slopes, known])
+    prior = np.zeros((len(moved), slopes.shape[1]))  # root of the information that the recordings so far give
+    prior[:, states:] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    rows = np.vstack([slopes, prior])
     difference = np.concatenate([predicted.residual - shown.residual, np.zeros(len(moved))])
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     fitted = (rows / scale) @ np.linalg.lstsq(rows / scale, difference, rcond=1e-10)[0]
     return float(np.sum((difference - fitted) ** 2))
 
 
-def _changed_run(candidate: TrajectoryFit, k: int, change: _Change) -> Run:
-    point = candidate.point
+def _changed_run(model: TrajectoryFit, k: int, change: _Change) -> Run:
+    """Simulate a changed version of a model's k-th recording."""
+    point = model.point
     run = point.runs[k]
     recording, state = change(run.observed.recording, run.state, run.chain.active)
     (arm,) = point.problem.arms(point.x, [recording])

@@ -1,10 +1,10 @@
-"""Camera noise: its size and its autocorrelation, from residuals that no motion of the arm explains.
+"""Camera noise: its standard deviation and autocorrelation, from residuals that no motion of the arm can explain.
 
-An arm moves its markers along a few directions, those of its joints and slow modes, and a camera that shakes moves all
-of them together; the noise of each marker is its own. Each frame's markers are therefore projected onto the complement
-of these directions, in quiet recordings where there are any. An autoregression by Yule and Walker's equations
-(Brockwell and Davis, Time Series: Theory and Methods, section 8.1) describes the correlation from frame to frame, and
-whitens the residuals of all later fits.
+An arm moves its markers along a few directions, those of its joints and slow modes, and a shaking camera moves all of
+them together; the noise of the markers is independent. Each frame's residuals are therefore projected onto the
+orthogonal complement of these directions, in quiet recordings where there are any. An autoregression by Yule and
+Walker's equations (Brockwell and Davis, Time Series: Theory and Methods, section 8.1) describes the correlation from
+frame to frame, and whitens the residuals of all later fits.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 from vjm.text import number
 
-_HIGHEST_ORDER = 4  # of the autoregression; cameras filter over a few frames
-_LEAST_FRAMES = 60  # a standard deviation is known within 10 % from so many (1/sqrt(2 N))
-_LONGEST_GAP = 40  # frames; over these a lag-one correlation of 0.9 has fallen to 0.015
+_MAX_ORDER = 4  # of the autoregression; cameras filter over a few frames
+_MIN_FRAMES = 60  # a standard deviation is known within 10 % from so many (1/sqrt(2 N))
+_MAX_LAG = 40  # frames; over these a lag-one correlation of 0.9 has fallen to 0.015
 
 
 @dataclass(frozen=True)
 class Noise:
     """Noise of the camera."""
 
-    std: float | None  # of a marker coordinate [m]; None where the recordings do not determine it
+    std: float | None  # standard deviation of a marker coordinate [m]; None where the recordings do not determine it
     autoregression: Array  # (p,) coefficients from frame to frame; empty for white noise
-    source: str  # in words, how it was determined
+    source: str  # how it was determined, in words
 
     @classmethod
     def of(cls, runs: Sequence[Run]) -> Self:
-        """Estimate the noise from quiet recordings, or from all where there is none; no simulation need be right."""
+        """Estimate the noise from quiet recordings, or from all if there is none; the runs' model may be wrong."""
         quiet = [run for run in runs if run.observed.recording.kind == "quiet"]
-        residuals = [part for part in map(_unexplained, quiet or runs) if part is not None]
+        residuals = [part for part in map(_projected_residuals, quiet or runs) if part is not None]
         if not residuals:
             return cls(None, np.zeros(0), "assumed white: too few markers to separate noise from motion")
         where = "the moving recordings (no quiet one)"
@@ -50,43 +50,44 @@ class Noise:
         return cls(std, coefficients, f"{kind}, {number(1e3 * std, 2)} mm, estimated from {where}")
 
     def whitened(self, observed: Observations) -> Observations:
-        """Return measurements with a matrix that whitens the noise of their markers; encoders are taken to be white.
+        """Return measurements with a matrix that whitens the noise of their markers; encoder noise is taken as white.
 
-        Each coordinate is predicted from the last frames in which it was measured, across gaps too: its prediction
-        error, over its standard deviation, is white.
+        Each coordinate is predicted by the autoregression from the last frames in which it was measured, across gaps
+        too. The prediction errors over their standard deviations are white.
         """
         if not self.autoregression.size or not observed.markers.size:
             return observed
         from statsmodels.tsa.arima_process import ArmaProcess  # takes a second to import
 
-        correlation = ArmaProcess.from_coeffs(self.autoregression).acf(_LONGEST_GAP + 1)  # from lag 0 on
-        frames, channels = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
-        ticks = _ticks(observed.recording.time[observed.frames])
+        correlation = ArmaProcess.from_coeffs(self.autoregression).acf(_MAX_LAG + 1)  # from lag 0 on
+        frames, coordinates = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
+        numbers = _frame_numbers(observed.recording.time[observed.frames])
         encoders = np.arange(observed.markers.size, observed.count)
         entries = [(encoders, encoders, np.ones(encoders.size))]
-        for channel in np.unique(channels):
-            own = np.flatnonzero(channels == channel)
-            entries += _prediction_errors(own, ticks[frames[own]], self.autoregression.size, correlation)
+        for channel in np.unique(coordinates):
+            own = np.flatnonzero(coordinates == channel)
+            entries += _prediction_errors(own, numbers[frames[own]], self.autoregression.size, correlation)
         rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
         shape = (observed.count, observed.count)
         return replace(observed, whitening=sparse.csr_array((values, (rows, columns)), shape=shape))
 
 
-def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
-    """Return frame numbers (F,), residuals (F, c) [m] that no motion explains, and their share of the freedom."""
+def _projected_residuals(run: Run) -> tuple[Indices, Array, float] | None:
+    """Return frame numbers (F,), projected residuals (F, c) [m], and degrees of freedom per value, if enough."""
     observed = run.observed
-    if observed.frames.size < _LEAST_FRAMES:
+    if observed.frames.size < _MIN_FRAMES:
         return None
     markers = observed.recording.markers[observed.frames].reshape(observed.frames.size, -1)
-    channels = np.isfinite(markers).mean(axis=0) > 0.5
-    complete = np.isfinite(markers[:, channels]).all(axis=1)
+    coordinates = np.isfinite(markers).mean(axis=0) > 0.5
+    complete = np.isfinite(markers[:, coordinates]).all(axis=1)
     time = observed.recording.time[observed.frames][complete]
     directions = run.basis.shapes[:, : run.basis.slow_count]
-    if time.size < _LEAST_FRAMES or channels.sum() <= directions.shape[1]:
+    if time.size < _MIN_FRAMES or coordinates.sum() <= directions.shape[1]:
         return None
     measured = markers[complete]
-    shifts = _shifts(measured, channels, directions.shape[1], len(run.chain.links))
-    # Simulated by an incomplete model the arm may be anywhere: start from the encoders' angles, and straight links too.
+    shifts = _camera_shifts(measured, coordinates, directions.shape[1], len(run.chain.links))
+    # An incomplete model may simulate the arm far from where it was. The fits start from the encoders' angles, with the
+    # links bent as simulated and straight.
     simulated = run.trajectory.angles(time)
     for joint, theta in zip(run.chain.active, observed.recording.theta.T, strict=True):
         known = np.isfinite(theta)
@@ -94,43 +95,43 @@ def _unexplained(run: Run) -> tuple[Indices, Array, float] | None:
             simulated[:, joint] = np.interp(time, observed.recording.time[known], theta[known])
     straight = simulated.copy()
     straight[:, run.chain.passive] = 0.0
-    starts = [_fit_frames(run, time, q, directions, shifts, measured, channels) for q in (simulated, straight)]
+    starts = [_fit_frames(run, time, q, directions, shifts, measured, coordinates) for q in (simulated, straight)]
     better = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
     residual = np.where(better[:, None] == 0, *starts)
-    share = 1 - (directions.shape[1] + shifts.shape[2]) / channels.sum()
-    return _ticks(time), residual - residual.mean(axis=0), share
+    share = 1 - (directions.shape[1] + shifts.shape[2]) / coordinates.sum()
+    return _frame_numbers(time), residual - residual.mean(axis=0), share
 
 
-def _shifts(markers: Array, channels: Mask, motions: int, links: int) -> Array:
-    """Return by how much shifts of all markers (F, 2 k) that are no motion of the arm move each coordinate: (F, c, s).
+def _camera_shifts(markers: Array, coordinates: Mask, motions: int, links: int) -> Array:
+    """Return the s directions (F, c, s) in which a shaking camera moves the c marker coordinates of each frame.
 
-    A link moves its markers across itself only. Where they are no more than its motions, a shift across it is one of
-    these, but one along it is none.
+    With more markers than motions they are both axes. With as few markers as motions on a single link, a shift across
+    the link cannot be told from a motion, and only the direction along the link is left.
     """
-    frames, count = len(markers), int(channels.sum())
-    either = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[channels]
+    frames, count = len(markers), int(coordinates.sum())
+    either = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[coordinates]
     if count / 2 > motions:
         return np.broadcast_to(either, (frames, *either.shape))
     if links > 1 or count <= motions + 1 or not either.any(axis=0).all():
         return np.zeros((frames, count, 0))
-    along = (markers[:, channels] @ either) / either.sum(axis=0)  # the mean of what is seen, as the base is the origin
+    along = (markers[:, coordinates] @ either) / either.sum(axis=0)  # mean position of the markers, from the base
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.asarray(along @ either.T)[:, :, None]
 
 
 def _fit_frames(
-    run: Run, time: Array, q: Array, directions: Array, shifts: Array, markers: Array, channels: Mask
+    run: Run, time: Array, q: Array, directions: Array, shifts: Array, markers: Array, coordinates: Mask
 ) -> Array:
-    """Fit marker coordinates (F, 2 k) frame by frame (Newton) from angles q (F, nv); return residuals (F, c) [m].
+    """Fit each frame's marker coordinates (F, 2 k) by Gauss-Newton, from angles q (F, nv); return residuals (F, c) [m].
 
-    The angles vary along directions (nv, m), all coordinates of a frame along shifts (F, c, s).
+    The unknowns are changes of the angles along directions (nv, m), and shifts of the coordinates (F, c, s).
     """
     residual, elapsed = np.zeros(0), run.trajectory.elapsed(time)
-    for _ in range(12):  # quadratic convergence needs fewer once it is near
-        predicted = run.observed.arcs.measured_positions(run.arm, q, elapsed).reshape(len(q), -1)[:, channels]
-        slopes = run.observed.arcs.slopes(run.arm, q, elapsed, directions)[:, channels]
+    for _ in range(12):  # steps are limited at first, and converge quadratically near the solution
+        predicted = run.observed.arcs.measured_positions(run.arm, q, elapsed).reshape(len(q), -1)[:, coordinates]
+        slopes = run.observed.arcs.slopes(run.arm, q, elapsed, directions)[:, coordinates]
         slopes = np.concatenate([slopes, shifts], axis=2)
-        difference = markers[:, channels] - predicted
+        difference = markers[:, coordinates] - predicted
         change = (np.linalg.pinv(slopes) @ difference[:, :, None])[:, :, 0]
         residual = difference - (slopes @ change[:, :, None])[:, :, 0]
         turn = change[:, : directions.shape[1]] @ directions.T
@@ -141,24 +142,24 @@ def _fit_frames(
     return residual
 
 
-def _ticks(time: Array) -> Indices:
-    """Return the numbers (F,) of frames taken at instants (F,), counted as if none had been dropped."""
-    ticks: Indices = np.round((time - time[0]) / np.median(np.diff(time))).astype(int)
-    return ticks
+def _frame_numbers(time: Array) -> Indices:
+    """Return the numbers (F,) of frames taken at instants (F,) [s]; dropped frames are counted too."""
+    numbers: Indices = np.round((time - time[0]) / np.median(np.diff(time))).astype(int)
+    return numbers
 
 
 def _autocorrelation(residuals: Sequence[tuple[Indices, Array, float]]) -> tuple[float, Array, int]:
-    """Return a coordinate's noise [m], its autocorrelation up to the highest order, and the number of values used."""
-    lags = range(_HIGHEST_ORDER + 1)
+    """Return the noise of a coordinate [m], its autocorrelation up to the largest order, and the degrees of freedom."""
+    lags = range(_MAX_ORDER + 1)
     squares, freedom, products, counts = 0.0, 0.0, np.zeros(len(lags)), np.zeros(len(lags))
-    for ticks, residual, share in residuals:
-        # 1.4826 MAD is a normal standard deviation; what motions leave of the noise differs among coordinates. Normal
-        # noise exceeds 3.5 of them once in 2,000 times: what does is an outlier.
+    for numbers, residual, share in residuals:
+        # Outliers are clipped at 3.5 standard deviations of each coordinate (1.4826 MAD), which normal noise exceeds
+        # once in 2,000 times. They differ among coordinates, as the projection takes more from some than from others.
         limit = 3.5 * 1.4826 * np.median(np.abs(residual), axis=0)
         clipped = np.clip(residual, -limit, limit)
         squares, freedom = squares + float(np.sum(clipped**2)), freedom + share * clipped.size
-        series = np.full((ticks[-1] + 1, clipped.shape[1]), np.nan)  # a dropped frame is a row of NaN
-        series[ticks] = clipped
+        series = np.full((numbers[-1] + 1, clipped.shape[1]), np.nan)  # a dropped frame is a row of NaN
+        series[numbers] = clipped
         for lag in lags:
             pairs = series[lag:] * series[: len(series) - lag]
             products[lag] += np.nansum(pairs)
@@ -171,7 +172,7 @@ def _autoregression(correlation: Array, count: int) -> Array:
     """Return Yule and Walker's coefficients (p,), up to the last lag with a significant partial autocorrelation."""
     from statsmodels.tsa.stattools import levinson_durbin  # takes a second to import
 
-    _, _, partial, _, coefficients = levinson_durbin(correlation, _HIGHEST_ORDER, isacov=True)
+    _, _, partial, _, coefficients = levinson_durbin(correlation, _MAX_ORDER, isacov=True)
     # Four standard errors of 1/sqrt(N), which chance exceeds once in 16,000 times.
     significant = np.flatnonzero(np.abs(partial[1:]) > 4 / np.sqrt(max(count, 1)))
     order = int(significant[-1]) + 1 if significant.size else 0
@@ -179,14 +180,14 @@ def _autoregression(correlation: Array, count: int) -> Array:
 
 
 def _prediction_errors(
-    own: Indices, ticks: Indices, order: int, correlation: Array
+    own: Indices, numbers: Indices, order: int, correlation: Array
 ) -> Iterator[tuple[Indices, Indices, Array]]:
     """Yield entries (row, column, value) of the whitening of one coordinate, by pattern of earlier frames."""
     count = own.size
     lags_before = np.full((count, order), -1)
     for k in range(order):
-        lag = ticks[k + 1 :] - ticks[: count - k - 1]
-        lags_before[k + 1 :, k] = np.where(lag <= _LONGEST_GAP, lag, -1)
+        lag = numbers[k + 1 :] - numbers[: count - k - 1]
+        lags_before[k + 1 :, k] = np.where(lag <= _MAX_LAG, lag, -1)
     patterns, which = np.unique(lags_before, axis=0, return_inverse=True)
     for p, pattern in enumerate(patterns):
         at = np.flatnonzero(which.ravel() == p)

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from vjm.simulation.model import Model
 
 Verdict = Literal["none", "named", "set", "unknown", "insufficient"]
-EQUIVALENT = 10.0  # difference of chi^2 below which models are not distinguished: e^5 is decisive (Jeffreys)
+EQUIVALENT = (
+    10.0  # difference of chi^2 below which models count as equal: a likelihood ratio of e^5, Jeffreys' decisive
+)
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,10 @@ class Cause:
     effect: Effect  # with the parameters at which the model's chain follows the recordings
     parameters: Mapping[str, Estimate]  # those of a beam, free of the chain's discretization error, by name
     p_value: float  # probability that noise alone makes any of the candidates look as needed as this
-    decrease: float  # of the training recordings' chi^2 by it
+    decrease: float  # decrease of the training recordings' chi^2 by it
     alternatives: tuple[Alternative, ...]  # effects that explain the recordings as well in its place
     evidence: str  # in words
-    role: Literal["main", "minor"] = "main"  # minor: it is real, and explains next to nothing beside another cause
+    role: Literal["main", "minor"] = "main"  # minor: significant, but explains next to nothing beside another cause
     holdout_gain: float | None = None  # reduction of the held-out marker RMS by it [m]; None where it is not known
     # The recording in which the causes gain most, simulated with all effects but this; None where it cannot be.
     without: SimulatedRecording | None = None
@@ -52,8 +54,8 @@ class Candidate:
     smallest_detectable: Mapping[str, float]  # size that is found with a probability of 90 %, by parameter
     reason: str = ""  # why it cannot be tested, as a clause; empty where it can
     residual: float | None = None  # RMS weighted one with it alone, all other parameters fitted; None: not fitted
-    # Of the residual: `lower` of a fit over segments, of which each has an initial state of its own; `upper` of a fit
-    # that was given up on its way, as one that could not become the best.
+    # Whether `residual` is only a bound of that over whole recordings: `lower` if the fit was to segments, each with
+    # its own initial state; `upper` if the fit was stopped early, as it could not become the best.
     bound: Literal["lower", "upper"] | None = None
 
     @classmethod

@@ -73,13 +73,13 @@ class Screen:
 
     @cached_property
     def absorbed(self) -> Mask:
-        """(V,) true for effects whose action other parameters can take over entirely."""
+        """(V,) true for effects that are collinear with the other parameters."""
         vanishing = np.diag(self.products)[:-1] <= _ABSORBED * self.unprojected
         return np.array([bool(vanishing[part].any()) for part in self.parts])
 
     @cached_property
     def statistics(self) -> Array:
-        """(V,) decrease of chi^2 by each effect alone; zero if absorbed, or if its best size is on the wrong side."""
+        """(V,) score statistic: predicted decrease of chi^2 by each effect alone; zero if absorbed or infeasible."""
         return np.array([self.decrease([k]) for k in range(len(self.effects))])
 
     @cached_property
@@ -154,7 +154,7 @@ class Screen:
         return statistics
 
     def decrease(self, chosen: Sequence[int]) -> float:
-        """Return the decrease of chi^2 by some effects together, as far as their sizes are on the right sides."""
+        """Return the predicted decrease of chi^2 by some effects together, those with infeasible signs left out."""
         if any(self.absorbed[k] for k in chosen):
             return 0.0
         guess = self.best_sizes(chosen)
@@ -275,8 +275,8 @@ def _projected(
             directions = slopes[:, slopes.shape[1] - count :]
             for k, secant in secants.items():
                 directions[:, parts[k].start] = secant[measured]
-            # About a motion that is all wrong a slope may diverge, and the effect cannot be judged: beside the square
-            # of 1e12 times the noise others have no digits left.
+            # Along a wrong motion a derivative may diverge, and the effect cannot be tested. Beyond 1e12 times the
+            # noise its square would leave the others no digits.
             diverging = ~(np.abs(directions) < 1e12).all(axis=0)
             directions[:, diverging] = 0.0
             squares[diverging] = np.inf
@@ -286,7 +286,7 @@ def _projected(
     initial = 2 * run.basis.slow_count
     columns = initial + len(linearization.perturbed)
     information = SquareRootInformation.of(rows(), columns).with_rows(*run.prior_rows(columns))
-    timing = run.timing_rows(linearization, far=True)
+    timing = run.timing_rows(linearization, likelihood_ratio=True)
     squares += np.sum(timing[0][:, columns - count :] ** 2, axis=0)
     information = information.with_rows(*timing)
     return information.eliminated(initial).R, squares
@@ -318,8 +318,8 @@ def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[A
     """Return, for each recording, slopes (N,) of the predictions by the size of an effect that is a joint of its own.
 
     A chain without the joint has no derivative by it; a compliant joint also shifts frequencies, soon out of
-    proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible. Less
-    play than a fit may start from does nothing that slopes show.
+    proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible. Play
+    has no effect while it is small: its secant is taken at the least size from which a fit may start.
     """
     null = [run.residual for run in point.runs]
     try:

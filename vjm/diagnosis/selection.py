@@ -1,11 +1,11 @@
 """Selection of effects: forward steps by score tests and fits, with backward elimination, until nothing is needed.
 
-Recordings are cut into segments, over which whatever a model lacks does not cost its phase. Each step tests the
-candidates beside the best model, fits those that may explain most, keeps the best if it lowers chi^2 by more than
-chance and by more than matters, and drops what it makes needless. The segments are lengthened until they are whole
-recordings, in which small effects show more and are looked for, as they are in segments that the model begins to miss;
-where their discretization error cannot be told, the longest segments in which it does not show are the last.
-The same search in the reference recordings alone finds what was there before a change.
+Recordings are cut into segments so short that even an incomplete model stays in phase. Each step tests the candidates
+beside the best model, fits those that may explain most, adds the best if it is significant and large enough to matter,
+and drops effects that are no longer needed. The segments are then lengthened up to whole recordings. Small effects show
+best there and are searched for there, and on the way where longer segments no longer fit. Where the discretization
+error cannot be measured, the search ends with the longest segments in which it does not show.
+The same search in the reference recordings alone finds effects that were present before a change.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from vjm.text import in_sentence, number, ratio
 Report = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
 
-_NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that a good fit may leave
+_NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that is left by a fit of this accuracy
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class SearchOptions:
         return monotonic() > self.deadline
 
     def stop(self, max_chi2: float = np.inf) -> StoppingRule:
-        """Return the stopping rule of a fit that is of no use above a chi^2."""
+        """Return the stopping rule of a fit whose chi^2 must come below a bound."""
         return StoppingRule(max_chi2, deadline=self.deadline)
 
     def least_decrease(self, chi2: float) -> float:
@@ -169,7 +169,7 @@ class Search:
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Continue a fit that was stopped where it gained little, as long as it gains anything."""
+        """Continue a fit that was stopped early until it has converged, if that lowers chi^2."""
         if fit.converged or is_nonsmooth(fit.effects) or not fit.new_effects:
             return fit
         self.report("converging")
@@ -183,13 +183,14 @@ class Search:
         return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
 
     def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
-        """Add the effects that are needed beside a model and its chain's discretization error.
+        """Add small effects that are needed beside a model corrected for its chain's discretization error.
 
-        Over many periods the error of so few joints looks like a small cause. It grows with their number: where it
-        cannot be told, segments in which it does not show are gone back to, and what remains there is left.
+        Over many periods this error looks like a small cause, and grows with the number of periods. Where it cannot be
+        measured, the search goes back to the longest segments whose residual is noise, or to the first
+        ones, and adds no small effects.
 
         Args:
-            stages: models fitted to ever longer segments, and all fits to these; those that are left are removed.
+            stages: models fitted to ever longer segments, with all fits to these; stages gone back from are removed.
         """
         fit, fits = stages[-1]
         if self.options.exhausted:
@@ -204,9 +205,10 @@ class Search:
         return best, fits, family or self.screen(best)
 
     def _justified(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
-        """Drop effects whose sizes are not determined, or with which recordings are predicted no better than without.
+        """Drop effects that fail Wald's test or cross-validation, those that explain least first.
 
-        Significance compares with noise alone: an effect that stands in for something else passes that, but not these.
+        The score and likelihood-ratio tests assume that only noise is left otherwise: an effect that stands in for
+        another one, not among the candidates, passes them, but not these two.
         """
         for effect in sorted(fit.new_effects, key=lambda effect: self._decreases.get(effect.key, 0.0)):
             if self.options.exhausted:
@@ -226,7 +228,7 @@ class Search:
         return SearchResult(base, family, family)
 
     def _in_segments(self) -> TrajectoryFit:
-        """Fit the model without effects to the shortest segments, from nominal values too if it misses them."""
+        """Fit the model without effects to the shortest segments; start from nominal values too if it fits poorly."""
         self.report("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
         base = fit_segments(self.start, self.whole, duration, self.options.stop())
@@ -260,7 +262,9 @@ class Search:
 
         try:
             runs = likely(range(len(arms)))
-        except SimulationDivergedError:  # what follows segments may leave whole recordings, as negative damping does
+        except (
+            SimulationDivergedError
+        ):  # some models fit segments but diverge over whole recordings, as with negative damping
             runs = []
             for k in range(len(arms)):
                 with contextlib.suppress(SimulationDivergedError):
@@ -298,8 +302,8 @@ class Search:
     def least_decrease(self, fit: TrajectoryFit) -> float:
         """Return the decrease of chi^2 from which a further effect matters beside a model: a share of what remains.
 
-        Large causes come before small ones. Stick-slip and play are followed only so well: what they leave is not
-        another effect.
+        Large causes come before small ones. Fits of stick-slip and play leave a share of what they explain, which must
+        not be taken for another effect.
         """
         left = [self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth]
         return max([self.options.least_decrease(fit.chi2), *(_NONSMOOTH_REST * decrease for decrease in left)])
@@ -307,7 +311,7 @@ class Search:
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
 
-        Whether one matters shows in its fit where the model is too far from the recordings for slopes to show it.
+        Where the model is too far from the recordings for a linear model, only the fit shows if a candidate matters.
         """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
         significant = family.p_values_for(unit) < self.options.alpha
@@ -315,7 +319,7 @@ class Search:
         return screened.best_variants(np.flatnonzero(significant & matters).tolist())
 
     def is_followed(self, fit: TrajectoryFit) -> bool:
-        """Return True if a model follows each recording's motion, so that slopes show what it lacks."""
+        """Return True if a model follows each recording so closely that its linearization is valid."""
         files = [one.recording.file for one in self.whole]
         return all(
             is_followed([run for run in fit.point.runs if run.observed.recording.file == file]) for file in files
@@ -324,17 +328,17 @@ class Search:
     def _durations(self) -> list[float]:
         """Return the durations of segments [s], one after another; the last is infinite, for whole recordings."""
         problem = self.start.point.problem
-        # A fit that lost the phase may have any frequency: the nominal one counts as well.
+        # The start may be a fit with wrong frequencies: the nominal one limits the horizon too.
         horizon = min(problem.first_horizon(x) for x in (self.start.point.x, problem.parametrisation.start))
-        # Over half of it, one period and a half, a frequency wrong by 30 % is half a cycle late.
+        # Over half of it, one and a half periods, a frequency wrong by 30 % is off by half a cycle.
         return problem.durations(horizon / 2)
 
     def _forward_selection(
         self, best: TrajectoryFit, fits: Fits, small: bool = False
     ) -> tuple[TrajectoryFit, FamilyTest | None]:
-        """Add effects to a model while they are needed; return it, and the tests beside it.
+        """Add effects to a model while they are needed; return it, and the score tests beside it.
 
-        None instead of tests: it leaves nothing but noise, and nothing `small` was looked for.
+        None instead of tests where the model leaves only noise, so that none were made; with `small`, they always are.
         """
         while small or not self._explains_all(best, best):
             family = self.screen(best)
@@ -356,9 +360,9 @@ class Search:
     ) -> TrajectoryFit | None:
         """Fit models with one effect more, and return the best.
 
-        Candidates are tried in the order of what their slopes promise, as long as that may be most, those with
-        stick-slip or play, which are slow to fit, last. All of them are tried where the model is too far from the
-        recordings for slopes to show it; compliant joints always are, since what they do is soon out of proportion.
+        Candidates are fitted in the order of their score statistics, the predicted decreases of chi^2, until the best
+        fit exceeds what the rest can gain; stick-slip and play, which are slow to fit, come last. All are fitted where
+        the model is too far from the recordings for a linear model; compliant joints always are, being nonlinear early.
         """
         screened, found, followed, base = family.screen, None, self.is_followed(best), fits.get(self.start.effect_keys)
 
@@ -366,8 +370,8 @@ class Search:
             gained = 0.0 if found is None else best.chi2 - found.chi2
             effect = screened.effects[k]
             compliant = effect.adds_joint(best.point.chain) and not (effect.nonsmooth or effect.proportional)
-            # In longer segments slopes show what is left, and fits of what they do not show take long. No fit of a
-            # smooth effect has gained more than twice what its slopes promise.
+            # Compliant joints are always fitted in the first segments only: longer ones have better linear predictions
+            # and slower fits. No fit of a smooth effect has gained more than twice its score statistic.
             return not followed or (compliant and base is not None) or screened.statistics[k] > 0.5 * gained
 
         for batch in _batches(sorted(needed, key=lambda k: screened.effects[k].nonsmooth), self.workers.count):
@@ -416,7 +420,7 @@ class Search:
         return [fits[names] for names in keys if names in fits]
 
     def _with_candidates(self, fit: TrajectoryFit, family: FamilyTest, chosen: Sequence[int]) -> tuple[Effect, ...]:
-        """Return a model's effects and further ones, with the sizes that slopes promise."""
+        """Return a model's effects and further ones, with starting values by the linear model."""
         added = [family.screen.effects[k] for k in chosen]
         guess = family.screen.best_sizes(chosen)
         parts = np.split(guess, np.cumsum([one.magnitude_count for one in added])[:-1])
@@ -461,7 +465,7 @@ class Search:
         return best
 
     def _pairs(self, base: TrajectoryFit, best: TrajectoryFit) -> list[tuple[Effect, ...]]:
-        """Return the two pairs without the best single effect that explain most by their slopes, beside no others."""
+        """Return the two pairs of effects with the largest joint score statistics, without the best single effect."""
         if self._first_tests is None:
             return []
         screened = self._first_tests.screen
@@ -478,9 +482,9 @@ class Search:
         return [self._with_candidates(base, self._first_tests, pair) for pair in [*chosen.values()][:2]]
 
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
-        """Fit a model to longer segments; None where it does not follow them.
+        """Fit a model to longer segments; None where it fits them much worse than the shorter ones.
 
-        It must not lose so much that derivatives show nothing more; with stick-slip or play, nothing but noise is left.
+        With stick-slip or play also None where more than noise is left.
         """
         self.report("lengthening segments")
         try:
@@ -492,7 +496,7 @@ class Search:
         return None if longer.misfit > INCOMPLETE_MISFIT * max(1.0, fit.misfit) else longer
 
     def _close_second(self, best: TrajectoryFit, fits: Fits) -> TrajectoryFit | None:
-        """Return the next best model of as many effects, if what neither explains may have decided between the two."""
+        """Return the next best model of as many effects, if it is worse by less than the best one's excess of chi^2."""
         unexplained = best.chi2 - best.point.expected_chi2
         others = [
             fit for names, fit in fits.items() if len(names) == len(best.effect_keys) and names != best.effect_keys
@@ -516,9 +520,9 @@ class Search:
         return best, fits
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
-        """Fit a model beside its chain's discretization error; None where that cannot be told.
+        """Refit a model with its chain's discretization error corrected; None where that cannot be measured.
 
-        Stick-slip and play go without: slopes do not tell it of them.
+        Models with stick-slip or play are returned as they are: the correction needs derivatives.
         """
         if is_nonsmooth(fit.effects):
             return fit

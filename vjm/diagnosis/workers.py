@@ -1,6 +1,6 @@
-"""Processes among which a diagnosis shares its work; they end with it, with Ctrl-C, or with their parent.
+"""Worker processes of a diagnosis; they end with it, with Ctrl-C, or with their parent process.
 
-Interrupts are for the process that started them, which ends them in turn.
+Only the parent receives interrupts, and ends its workers in turn.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Workers:
-    """Processes among which a diagnosis shares its work: `count` of an executor, or this one alone."""
+    """Worker processes that share the work of a diagnosis: `count` of an executor, or none but this process."""
 
     count: int = 1
     executor: Executor | None = None
@@ -30,7 +30,7 @@ class Workers:
     @classmethod
     @contextmanager
     def start(cls, count: int) -> Iterator[Self]:
-        """Run processes as long as they are needed; whatever ends the work early ends them as well."""
+        """Start worker processes for the duration of a `with` block; an error or interrupt in it ends them at once."""
         if count == 1:
             yield cls()
             return
@@ -45,7 +45,7 @@ class Workers:
         others, context = {*active_children()}, get_context("forkserver")
         executor = ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
         try:
-            with _interrupted_later():
+            with _deferred_interrupts():
                 for _ in range(count):
                     executor.submit(int)  # starts a process
             yield cls(count, executor)
@@ -63,19 +63,19 @@ class Workers:
 
 
 @contextmanager
-def _interrupted_later() -> Iterator[None]:
-    """Tell Ctrl-C at the block's end: a process that is interrupted while it starts another does not know of that."""
-    pressed: list[int] = []
+def _deferred_interrupts() -> Iterator[None]:
+    """Defer Ctrl-C to the end of the block: interrupted while it is started, a process would not be ended again."""
+    received: list[int] = []
     try:
-        before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
-    except ValueError:  # not the main thread, which alone is told
+        before = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    except ValueError:  # not the main thread, which alone receives signals
         yield
         return
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-    for number in pressed[:1]:
+    for number in received[:1]:
         signal.raise_signal(number)
 
 

@@ -103,7 +103,7 @@ def identify(
         result = _result(experiment, method, data, torque, Information.of_torque_errors(torque), baselines, progress)
         return replace(result, warnings=(*likely, *result.warnings))
     search, first = first_fit(data, loss, progress)
-    fit, notes = search.enough_joints(first)
+    fit, notes = search.select_joints(first)
     information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
     uniform = fit.point.problem.parametrisation.kind == "uniform"
     shift = parameter_shift(fit.point, data.rig) if uniform else None

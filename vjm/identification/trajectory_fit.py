@@ -1,8 +1,9 @@
-"""The maximum-likelihood fit in the space of what was measured: every recording simulated open loop, all at once.
+"""Maximum-likelihood fit of trajectories: all recordings are simulated open loop, and their residuals minimised.
 
 Unknowns are the parametrisation's coordinates and every recording's initial state. The initial states are eliminated
-recording by recording, so the search itself is one over the coordinates (Levenberg-Marquardt). It starts with the
-recordings' first few periods, where no frequency error can have cost a whole cycle, and lengthens them step by step.
+recording by recording (variable projection), so that Levenberg-Marquardt steps are taken in the coordinates alone. The
+search starts with the recordings' first few periods, over which a wrong frequency is off by less than a cycle, and
+lengthens them step by step.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from vjm.identification.parameters import Parametrisation
 from vjm.model.modes import modes
 from vjm.records import REFERENCE, Array, Progress, Record, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_or_rest
+from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_from_best_states
 from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
@@ -30,22 +31,23 @@ from vjm.simulation.run import InitialStatePrior, Run, is_followed, linearize
 from vjm.simulation.sensitivity import PerturbedArm
 from vjm.text import ratio
 
-DIVERGED_MISFIT = 10.0  # times the noise, by which a fit misses that has not found its way to the recordings
-_GROWTH = 3.0  # of recordings' parts: a frequency fitted to three periods is right to far less than a sixth of a cycle
+DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly not found the minimum it looks for
+_GROWTH = 3.0  # of the horizon: a frequency fitted to it is right to far less than the sixth of a cycle that is safe
 
 
 @dataclass(frozen=True, repr=False)
 class TrajectoryProblem(Record):
-    """Everything measured in several recordings, as a function of a parametrisation's coordinates and initial states.
+    """Least-squares problem of several recordings: coordinates of a chain and of effects, and initial states.
 
     Attributes:
         parametrisation: the chain's coordinates.
         observed: the recordings.
         step_multiple: multiple of the integrator's default step.
-        preference: centre and width (p,) of a normal prior of the coordinates; None: no prior.
-        fixed: index of a physical parameter that is held, its value, and the width within which; None: all are free.
-        effects: at any size; their sizes, in typical magnitudes, and shape parameters, as logarithms, are coordinates
-            after those of the chain.
+        preference: mean and standard deviation (p,) of a normal prior of the coordinates; None: no prior.
+        fixed: index of a physical parameter that is held, its value, and the standard deviation allowed; None: all are
+            free.
+        effects: effects in the model, of any size. Their coordinates follow those of the chain: magnitudes in units of
+            typical ones, then logarithms of shape parameters.
         reference_effects: number of effects, the first ones, that act in the reference recordings too.
     """
 
@@ -84,7 +86,7 @@ class TrajectoryProblem(Record):
 
     @cached_property
     def max_step(self) -> Array:
-        """(p,) largest change of each coordinate in one step: shape parameters mean little while sizes are wrong."""
+        """(p,) largest change of each coordinate in one step; only shape parameters, far from linear, are limited."""
         steps = np.full(self.bounds[0].size, np.inf)
         for effect, part in zip(self.effects, self.parts, strict=True):
             steps[part.start + effect.magnitude_count : part.stop] = 1.0  # of a logarithm: a factor e
@@ -96,35 +98,36 @@ class TrajectoryProblem(Record):
         return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
 
     def until(self, duration: float) -> TrajectoryProblem:
-        """Return the problem of the recordings' first seconds only."""
+        """Return the problem of the recordings' first `duration` seconds."""
         parts = [each.truncated(float(each.recording.time[0]) + duration) for each in self.observed]
         return replace(self, observed=tuple(parts))
 
     def first_horizon(self, x: Array) -> float:
-        """Return three periods of the slowest vibration [s]: so short that a wrong frequency has not cost a cycle.
+        """Return three periods of the slowest vibration [s], the duration of the first fit.
 
-        A frequency wrong by 15 % is then half a cycle late, which is as far as slopes lead.
+        A frequency that is wrong by 15 % is off by half a cycle after these, the most from which the gradient leads to
+        the right minimum.
         """
         chain = self.chain(x)
         return 3 / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in self.observed)
 
     def durations(self, first: float) -> list[float]:
-        """Return durations [s] of the recordings' parts to fit one after another; the last is infinite, for all."""
+        """Return the durations [s] to fit one after another, from `first` to infinite: whole recordings."""
         durations = []
-        while first < self.longest / 1.5:  # or the whole would hardly be longer
+        while first < self.longest / 1.5:  # a longer one would hardly differ from the whole
             durations.append(first)
             first *= _GROWTH
         return [*durations, np.inf]
 
     def arms(self, x: Array, recordings: Sequence[Recording] | None = None) -> tuple[Arm, ...]:
-        """Return the arm that moves in each of some recordings, the problem's own when None, at coordinates x (p,)."""
+        """Return the arm at coordinates x (p,) in each of some recordings; None: in the problem's own."""
         chain, present = self.chain(x), self.effects_at(x)
         reference, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
         wanted = [each.recording for each in self.observed] if recordings is None else recordings
         return tuple((reference if one.condition == REFERENCE else extended).in_recording(one) for one in wanted)
 
     def point(self, x: Array, states: Sequence[Array] | None = None) -> Point:
-        """Simulate every recording at coordinates x (p,), from given or the most likely initial states (2 nv,).
+        """Simulate every recording at coordinates x (p,), from given or from maximum-likelihood initial states (2 nv,).
 
         Raises:
             SimulationDivergedError: one of them diverged.
@@ -134,15 +137,17 @@ class TrajectoryProblem(Record):
             return Point(self, x, tuple(run for run, _ in likely))
         return self.simulated(x, states, states, [1.0] * len(states)).with_scaled_prior()
 
-    def simulated(self, x: Array, states: Sequence[Array], known: Sequence[Array], scales: Sequence[float]) -> Point:
-        """Simulate every recording at x (p,) as `simulate_or_rest`, residuals of sizes `scales` beside its prior."""
+    def simulated(self, x: Array, states: Sequence[Array], others: Sequence[Array], scales: Sequence[float]) -> Point:
+        """Simulate every recording at x (p,) by `simulate_from_best_states`, its prior at a given scale."""
         arms = self.arms(x)
         each = zip(arms, self.observed, scales, strict=True)
         priors = [InitialStatePrior.of(arm, observed.recording, scale) for arm, observed, scale in each]
-        return Point(self, x, tuple(simulate_or_rest(arms, self.observed, priors, states, known, self.step_multiple)))
+        return Point(
+            self, x, tuple(simulate_from_best_states(arms, self.observed, priors, states, others, self.step_multiple))
+        )
 
     def perturbed_arms(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
-        """Return, for each recording, its arm with each coordinate moved a little: for difference quotients."""
+        """Return, for each recording, its arm with each coordinate perturbed in turn, for finite differences."""
         by_coordinate = []
         upper = self.bounds[1]
         for k, value in enumerate(x):
@@ -154,7 +159,7 @@ class TrajectoryProblem(Record):
         return tuple(zip(*by_coordinate, strict=True))
 
     def prior(self, x: Array) -> tuple[Array, Array]:
-        """Return rows (r, p) and residuals (r,), for a change of x: of the preference, then of the parameter held."""
+        """Return the Jacobian (r, p) and residuals (r,) of the priors at x: the preference, then the parameter held."""
         rows, residual = np.zeros((0, x.size)), np.zeros(0)
         if self.preference is not None:
             centre, width = self.preference
@@ -169,12 +174,12 @@ class TrajectoryProblem(Record):
 
 @dataclass(frozen=True, repr=False)
 class Point(Record):
-    """Coordinates and initial states, with every recording simulated from there: an iterate of the search.
+    """An iterate of the search: coordinates and initial states, with every recording simulated from them.
 
     Attributes:
-        problem: what is minimised.
+        problem: the least-squares problem.
         x: (p,) coordinates.
-        runs: one a recording.
+        runs: the run of each recording or segment, with its initial state.
     """
 
     problem: TrajectoryProblem
@@ -199,7 +204,7 @@ class Point(Record):
 
     @property
     def chi2(self) -> float:
-        """Sum of squared weighted residuals."""
+        """Sum of squared weighted residuals, as of `Run.chi2`."""
         return sum(run.chi2 for run in self.runs)
 
     @property
@@ -209,12 +214,12 @@ class Point(Record):
 
     @property
     def expected_chi2(self) -> float:
-        """Mean of `chi2` where the model is right: the number of values, but for errors of time."""
+        """Expected value of `chi2` where the model is right: the number of values, if there is no timing noise."""
         return sum(run.expected_chi2 for run in self.runs)
 
     @property
     def misfit(self) -> float:
-        """RMS weighted residual: one where it is the noise."""
+        """RMS weighted residual, the root of the reduced chi^2: one where only noise is left."""
         return float(np.sqrt(self.chi2 / max(self.expected_chi2, 1.0)))
 
     @cached_property
@@ -224,7 +229,7 @@ class Point(Record):
         return tuple(run.linearized(own) for run, own in zip(self.runs, linearize(self.runs, moved), strict=True))
 
     def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
-        """Return the problem of the coordinates, initial states eliminated, and each recording's own with its state."""
+        """Return the linearised problem of the coordinates, initial states eliminated, and each recording's of both."""
         parts = tuple(linearized.damped(damping) for linearized in self.linearizations)
         rows = [part.eliminated(part.columns - self.x.size).R for part in parts]
         rows.append(np.column_stack(self.problem.prior(self.x)))
@@ -233,24 +238,24 @@ class Point(Record):
 
     @cached_property
     def scale(self) -> Array:
-        """(p,) length of the derivative of all predictions by each coordinate, initial states eliminated."""
+        """(p,) norm of each coordinate's column of the Jacobian, initial states eliminated."""
         return self.reduced()[0].scale
 
     def with_scaled_prior(self) -> Point:
-        """Return the point with initial states' priors as strong as its residuals are large."""
+        """Return the point with its initial states' priors scaled by the RMS residuals."""
         return replace(self, runs=tuple(run.with_scaled_prior() for run in self.runs))
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class TrajectoryFit(Record):
-    """A fit of a model with effects, or with none.
+    """Result of a fit.
 
     Attributes:
-        point: the minimum.
-        converged: True if nothing more was to be gained there.
-        iterations: simulations of all recordings it took.
-        predicted_decrease: of the cost, by the first step of another search; infinite: not known.
-        shift: (p,) from the coordinates of its chain to those of a beam; None: not known.
+        point: the last iterate.
+        converged: True if it is a minimum: the predicted decrease of another step is negligible.
+        iterations: number of simulations of all recordings.
+        predicted_decrease: decrease of the cost predicted for another Gauss-Newton step; infinite: not known.
+        shift: (p,) discretization correction, from the chain's best coordinates to those of a beam; None: not measured.
     """
 
     point: Point
@@ -266,19 +271,19 @@ class TrajectoryFit(Record):
 
     @property
     def misfit(self) -> float:
-        """RMS weighted residual: one where it is noise."""
+        """RMS weighted residual, the root of the reduced chi^2: one where only noise is left."""
         return self.point.misfit
 
     @property
     def estimate(self) -> Array:
-        """(p,) coordinates of a beam, as far as the shift to them is known."""
+        """(p,) coordinates corrected for the chain's discretization, where that was measured."""
         if self.shift is None:
             return self.point.x
         return np.clip(self.point.x + self.shift, *self.point.problem.bounds)
 
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects, with the parameters at which the chain follows the recordings."""
+        """Effects with their parameters at the point, not corrected for the discretization."""
         return self.point.problem.effects_at(self.point.x)
 
     @property
@@ -301,15 +306,15 @@ def fit_trajectory(
     rough: bool = False,
     stop: Callable[[Point, float], bool] | None = None,
 ) -> TrajectoryFit:
-    """Find the coordinates and initial states that explain the measurements best.
+    """Fit coordinates and initial states by maximum likelihood.
 
     Args:
         problem: the measurements and the coordinates.
         start: (p,) coordinates to start from.
         progress: called with (text, done, total) now and then.
         states: (2 nv,) initial states near the minimum; None: the search begins with the recordings' first periods.
-        known_duration: how long `start` and `states` are known to follow the recordings [s].
-        rough: whether the minimum is only a start for another search.
+        known_duration: with `states`, the duration [s] that was fitted before: the search begins with the next longer.
+        rough: True for a loose tolerance, where the minimum is only a start for another search.
         stop: ends the search where it returns True for the point and the decrease of the cost that its next step
             predicts.
 
@@ -327,20 +332,20 @@ def fit_trajectory(
 
         def report(iteration: int, misfit: float, k: int = k) -> None:
             if progress is not None:
-                within = 1 - 0.7**iteration  # how many more there will be is not known
+                within = 1 - 0.7**iteration  # the number of iterations is not known: an estimate for the progress bar
                 text = f"fitting trajectories, residual {ratio(misfit)} × noise"
                 progress(text, int(100 * (k + within) / len(horizons)), 100)
 
         part = problem if last else problem.until(horizon)
         search = _TrajectorySearch(part.point(x, states), last and not rough, stop, report)
-        minimise([search], lambda running: [_attempt(each.point, each.step) for each in running], most=60)
+        minimise([search], lambda running: [_trial_point(each.point, each.step) for each in running], max_trials=60)
         iterations += len(search.decreases) + 1
         x, states = search.point.x, search.point.states
     return TrajectoryFit(search.point, search.status == "converged", iterations, search.predicted_decrease)
 
 
 def stays_above(point: Point, predicted: float, max_chi2: float) -> bool:
-    """Return True where three decreases as large as the next step promises would leave chi^2 above a bound."""
+    """Return True if three times the decrease predicted for the next step would leave chi^2 above a bound."""
     return point.chi2 - 3 * predicted > max_chi2
 
 
@@ -349,26 +354,26 @@ class _TrajectoryStep(Step):
     """Step of coordinates and initial states.
 
     Attributes:
-        change: (p,) of the coordinates.
-        states: (2 nv,) of each recording's initial state.
-        own: (2 nv,) of each, were the coordinates to stay.
-        gains: predicted decrease of each recording's part of the cost.
+        change: (p,) change of the coordinates.
+        state_changes: (2 nv,) change of each recording's initial state.
+        own_changes: (2 nv,) part of each of these that does not follow from the coordinates' change.
+        predicted_decreases: predicted decrease of each recording's part of the cost.
     """
 
     change: Array
-    states: list[Array]
-    own: list[Array]
-    gains: list[float]
+    state_changes: list[Array]
+    own_changes: list[Array]
+    predicted_decreases: list[float]
 
 
 class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
     """Levenberg-Marquardt search over coordinates, with each recording's initial state eliminated.
 
     Attributes:
-        final: False if the minimum is only a start for another search.
-        stop: ends the search, as of `fit_trajectory`.
-        report: told the number of the iteration and the RMS weighted residual.
-        predicted_decrease: of the cost, by the last Gauss-Newton step; infinite after a damped one.
+        final: False for a loose tolerance, where the minimum is only a start for another search.
+        stop: stopping rule, as of `fit_trajectory`.
+        report: called with the number of the iteration and the RMS weighted residual.
+        predicted_decrease: decrease of the cost predicted for the last Gauss-Newton step; infinite after a damped one.
     """
 
     def __init__(
@@ -385,44 +390,44 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
     def step_at(self, damping: float) -> _TrajectoryStep:
         """Minimise the linearised problem within the coordinates' bounds and largest steps."""
         point = self.point
-        together, parts = point.reduced(damping)
-        change = _bounded(together, point)
-        states, own, gains = [], [], []
+        reduced, parts = point.reduced(damping)
+        change = _bounded_change(reduced, point)
+        state_changes, own_changes, decreases = [], [], []
         for run, part, plain in zip(point.runs, parts, point.linearizations, strict=True):
             modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
-            states.append(run.basis.states @ modal)
-            own.append(run.basis.states @ alone)
-            gains.append(plain.decrease(np.concatenate([modal, change])))
+            state_changes.append(run.basis.states @ modal)
+            own_changes.append(run.basis.states @ alone)
+            decreases.append(plain.decrease(np.concatenate([modal, change])))
         rows, residual = point.problem.prior(point.x)
-        prior_gain = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
+        prior_decrease = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
         length = float(np.linalg.norm(point.scale * change))
-        return _TrajectoryStep(sum(gains) + prior_gain, length, change, states, own, gains)
+        return _TrajectoryStep(sum(decreases) + prior_decrease, length, change, state_changes, own_changes, decreases)
 
     def stopping_rule(self) -> Status:
         """Converge where the predicted decrease is negligible; stop where `stop` says so."""
         self.report(len(self.decreases), self.point.misfit)
         self.predicted_decrease = np.inf if self.damping else self.step.predicted
-        # A decrease by d times the mean square is a step of sqrt(d) standard errors: three hundredths of one.
-        negligible = 1e-3 * self._mean_square
-        if not self.final:  # while a minimum is only a start, 1 % of the cost
+        # A decrease by d units of chi^2 is a step of sqrt(d) standard errors: three hundredths of one.
+        negligible = 1e-3 * self._chi2_unit
+        if not self.final:  # 1 % of chi^2, 0.5 % of the RMS residual
             negligible = max(negligible, 1e-2 * self.point.chi2)
         if self.step.predicted < negligible:
             return "converged"
         return "stopped" if self.stop is not None and self.stop(self.point, self.step.predicted) else "running"
 
-    def is_rough_minimum(self, trial: Point | None) -> bool:
-        """Return True where a step fails that slopes promise little from: play and stiction make the cost rough."""
+    def is_nonsmooth_minimum(self, trial: Point | None) -> bool:
+        """Return True if a rejected step had predicted next to nothing: stiction and play make the cost nonsmooth."""
         rejected = trial is not None and not self.decreases[-1] > 0
-        return rejected and self.step_at(0.0).predicted < 0.5 * self._mean_square  # a step of 0.7 standard errors
+        return rejected and self.step_at(0.0).predicted < 0.5 * self._chi2_unit  # a step of 0.7 standard errors
 
     @property
-    def _mean_square(self) -> float:
-        """Mean square residual that counts as noise."""
+    def _chi2_unit(self) -> float:
+        """Reduced chi^2, at least one: the decrease of chi^2 by a step of one standard error."""
         return max(self.point.misfit, 1.0) ** 2
 
 
-def _bounded(problem: SquareRootInformation, point: Point) -> Array:
-    """Return the change (p,) of the coordinates that minimises a linearised problem within bounds and largest steps."""
+def _bounded_change(problem: SquareRootInformation, point: Point) -> Array:
+    """Return the change (p,) that minimises a linearised problem within the coordinates' bounds and largest steps."""
     max_step = point.problem.max_step
     lower, upper = point.problem.bounds
     lower, upper = np.maximum(lower - point.x, -max_step), np.minimum(upper - point.x, max_step)
@@ -434,58 +439,59 @@ def _bounded(problem: SquareRootInformation, point: Point) -> Array:
     return change
 
 
-def _attempt(point: Point, step: _TrajectoryStep) -> Point | None:
-    """Return the point a step further; None where samples do not show it, it diverges or finds no rest."""
-    states = [state + change for state, change in zip(point.states, step.states, strict=True)]
+def _trial_point(point: Point, step: _TrajectoryStep) -> Point | None:
+    """Simulate a step; None where it diverges, has no position of rest, or vibrates too fast for the samples."""
+    states = [state + change for state, change in zip(point.states, step.state_changes, strict=True)]
     try:
-        if _slowest_turns(point.problem, point.x + step.change) > 1.0 >= _slowest_turns(point.problem, point.x):
+        if _cycles_per_sample(point.problem, point.x + step.change) > 1.0 >= _cycles_per_sample(point.problem, point.x):
             return None
         scales = [run.prior.scale for run in point.runs]
         trial = point.problem.simulated(point.x + step.change, states, point.states, scales)
     except (SimulationDivergedError, InsufficientDataError):
         return None
     with contextlib.suppress(SimulationDivergedError):
-        return _backtracked(point, step, trial)
+        return _with_refined_states(point, step, trial)
     return trial
 
 
-def _slowest_turns(problem: TrajectoryProblem, x: Array) -> float:
-    """Return how often the arm's slowest mode swings between samples of the recording sampled most densely.
+def _cycles_per_sample(problem: TrajectoryProblem, x: Array) -> float:
+    """Return the cycles of the arm's slowest mode in a sampling interval, of the recording where they are fewest.
 
-    More than once, samples do not show it swing: a search that stiffens the arm until then goes astray, where torques
-    are a millionth of what moved it, say, and its simulations take steps without end.
+    Above one, no recording shows the mode. A search that stiffens the arm so far has diverged, as it does where torques
+    are given in a unit that is wrong by 1e6, and its simulations would take very many steps.
     """
-    turns = []
+    cycles = []
     for arm, observed in zip(problem.arms(x), problem.observed, strict=True):
         recording = observed.recording
         slowest, _ = locked_joint_frequencies(arm.chain, recording.payload)
-        turns.append(slowest * np.ptp(recording.time) / max(recording.time.size - 1, 1))
-    return float(min(turns))
+        cycles.append(slowest * np.ptp(recording.time) / max(recording.time.size - 1, 1))
+    return float(min(cycles))
 
 
-def _backtracked(point: Point, step: _TrajectoryStep, trial: Point) -> Point:
-    """Return the trial with recordings that it misses begun otherwise, if that follows them better.
+def _with_refined_states(point: Point, step: _TrajectoryStep, trial: Point) -> Point:
+    """Refine the initial states of recordings whose cost falls by less than half of the predicted decrease.
 
-    The coordinates' part of a step is right for them, the part of an initial state of its own often not: where it is
-    too long for one of many segments, a damping of all of them would hold back the coordinates for its sake. The state
-    is searched for on its own, as in variable projection (Golub and Pereyra, SIAM Journal on Numerical Analysis 10,
-    1973); with stick-slip or play, where slopes mislead, nearer to where it was before.
+    The linear model is often wrong for the initial state of one among many segments. Damping the whole step would hold
+    back the coordinates of all for its sake; instead this state alone is searched for, the coordinates being as the
+    step has them (variable projection: Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). With stick-slip
+    or play, where gradients mislead, the search only backtracks towards the state before.
     """
-    nonsmooth, smooth, wanted = list[int](), list[int](), list[float]()
+    nonsmooth, smooth, targets = list[int](), list[int](), list[float]()
     falls_short = point.cost - trial.cost < step.predicted / 2
-    for k, (before, run, gain) in enumerate(zip(point.runs, trial.runs, step.gains, strict=True)):
+    for k, (before, run, predicted) in enumerate(zip(point.runs, trial.runs, step.predicted_decreases, strict=True)):
         decrease = before.cost - run.cost
-        if decrease < gain - abs(gain) / 2:  # half of what is predicted
+        if decrease < predicted - abs(predicted) / 2:
             if is_nonsmooth(run.arm.effects):
                 nonsmooth.append(k)
-            elif falls_short and gain - decrease > 1.0 and is_followed([before]):  # a standard error; slopes can tell
+            # By a standard error of the state or more, where gradients can be trusted.
+            elif falls_short and predicted - decrease > 1.0 and is_followed([before]):
                 smooth.append(k)
-                wanted.append(before.cost - gain / 2)
-    if 2 * len(smooth) > len(point.runs):  # what most of them miss is the coordinates' step
-        smooth, wanted = [], []
+                targets.append(before.cost - predicted / 2)
+    if 2 * len(smooth) > len(point.runs):  # where most fall short, the coordinates' step is wrong
+        smooth, targets = [], []
     runs, multiple = list(trial.runs), point.problem.step_multiple
-    nearer = backtrack([runs[k] for k in nonsmooth], [step.own[k] for k in nonsmooth], multiple)
-    refined = refine_initial_states([runs[k] for k in smooth], wanted, point.runs, multiple)
-    for k, run in zip([*nonsmooth, *smooth], [*nearer, *refined], strict=True):
+    backtracked = backtrack([runs[k] for k in nonsmooth], [step.own_changes[k] for k in nonsmooth], multiple)
+    refined = refine_initial_states([runs[k] for k in smooth], targets, point.runs, multiple)
+    for k, run in zip([*nonsmooth, *smooth], [*backtracked, *refined], strict=True):
         runs[k] = run
     return replace(trial, runs=tuple(runs))

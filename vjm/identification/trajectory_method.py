@@ -1,4 +1,4 @@
-"""The trajectory method: where it starts, what it leaves out, and how many virtual joints explain the recordings."""
+"""The trajectory method: starting values, outliers, integrator steps, and the number of virtual joints."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from vjm.simulation.run import InitialStatePrior, Run, is_followed, simulate_run
 from vjm.simulation.system import Trajectory, measured_torque
 from vjm.text import listed, number
 
-VISIBLE_GAIN = 0.01  # of chi^2: 0.5 % of the RMS residual; a step that gains less only refines a minimum
+VISIBLE_GAIN = 0.01  # share of chi^2, 0.5 % of the RMS residual: a smaller decrease only refines a minimum
 
 
 @dataclass(frozen=True)
@@ -31,15 +31,15 @@ class TrajectoryMethod:
     """Fits of one experiment's trajectories with different numbers of virtual joints."""
 
     data: TrainingData
-    # The recordings that can be simulated, without their outliers once a first fit has shown them.
+    # The recordings that can be simulated; without outliers once a first fit has detected them.
     observed: tuple[Observations, ...]
     hubs: tuple[int, ...]  # indices of the links whose hub inertia is identified
-    torque: TorqueFit | None  # what the torque method finds, if anything
+    torque: TorqueFit | None  # the torque method's fit; None where it has no data
     progress: Progress | None
-    rough: bool = False  # True if minima of uniform links are only a start for other searches
+    rough: bool = False  # True for loose tolerances: minima of uniform links are only a start for other searches
 
-    def candidates(self) -> list[tuple[int, ...]]:
-        """Return numbers of joints to try, the smallest first: from as many as there are modes seen to the planned."""
+    def joint_counts(self) -> list[tuple[int, ...]]:
+        """Return the numbers of joints of each link to try, from the number of modes seen up to the planned ones."""
         data = self.data
         planned = tuple(choice.joints for choice in data.joints)
         if all(choice.requested for choice in data.joints):
@@ -54,15 +54,15 @@ class TrajectoryMethod:
         ]
 
     def fit_from(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
-        """Fit uniform links with so many joints, from a fit with about as many."""
-        return self._accurate(self._fit_from(joints, fit, self.rough))
+        """Fit uniform links with given numbers of joints, with accurate steps, from a fit with about as many."""
+        return self._with_accurate_steps(self._fit_from(joints, fit, self.rough))
 
     def _fit_from(self, joints: Sequence[int], fit: TrajectoryFit, rough: bool) -> TrajectoryFit:
-        """Fit as `near` does, with the longest steps that tell how well the joints explain the recordings."""
+        """Fit as `fit_from` does, with integrator steps as long as comparing numbers of joints allows."""
         problem, point = self._problem(joints), fit.point
         arms = problem.arms(point.x)
         states = [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
-        if self._searches_with_long_steps:
+        if self._starts_with_long_steps:
             step_multiple = search_step_multiple(point)
         else:
             step_multiple = _largest_step_multiple(arms, problem.observed, states, point.misfit**2)
@@ -70,17 +70,17 @@ class TrajectoryMethod:
         return fit_trajectory(problem, point.x, self.progress, states, rough=rough, stop=_StallRule(self.rough))
 
     @property
-    def _searches_with_long_steps(self) -> bool:
-        """True if only the last fits take accurate steps: those that an elbow's swing needs are many times shorter."""
+    def _starts_with_long_steps(self) -> bool:
+        """True if only the last fits take accurate integrator steps: an elbow's are many times shorter."""
         return any(link.joint == "revolute" for link in self.data.rig.links[1:])
 
-    def _accurate(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Return the fit with steps so short that halving them would move no estimate by a tenth of its standard error.
+    def _with_accurate_steps(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Refit with integrator steps so short that their error is below a tenth of every standard error.
 
-        Steps are halved until what that moves says so, taken as if of third order: of fourth, errors fall faster. The
-        search is near its minimum each time, and takes a Gauss-Newton step or two.
+        Steps are halved until the estimates' change says so, by Richardson extrapolation: as if of third order, where
+        the integrator's fourth makes errors fall faster. Each refit takes a Gauss-Newton step or two.
         """
-        rough = self._searches_with_long_steps
+        rough = self._starts_with_long_steps
         while rough and fit.point.problem.step_multiple > 1.0:
             point, stop = fit.point, _StallRule(self.rough)
             problem = replace(point.problem, step_multiple=max(point.problem.step_multiple / 2, 1.0))
@@ -88,37 +88,37 @@ class TrajectoryMethod:
             fit = fit_trajectory(problem, point.x, self.progress, point.states, rough=rough, stop=stop)
             change = fit.point.x - point.x
             moved = float(np.linalg.norm(fit.point.reduced()[0].R[:-1, :-1] @ change)) / (2**3 - 1)
-            halved = fit.point.runs[0].trajectory.step < point.runs[0].trajectory.step  # or another bound of it holds
+            halved = fit.point.runs[0].trajectory.step < point.runs[0].trajectory.step  # unless another bound limits it
             if not fit.converged or (halved and moved < 0.1 * max(fit.point.misfit, 1.0)):
                 break
         if not fit.converged or self.rough or not rough:
             return fit
         return fit_trajectory(fit.point.problem, fit.point.x, self.progress, fit.point.states, stop=_StallRule())
 
-    def enough_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
+    def select_joints(self, first: TrajectoryFit) -> tuple[TrajectoryFit, tuple[str, ...]]:
         """Return the fit with the fewest joints that one joint more does not improve, and what that joint would do.
 
-        The search begins at `first`, of uniform links with the first of the candidate numbers of joints. It leaves out
-        numbers between which the discretisation error still falls fast.
+        The search begins at `first`, a fit of uniform links with the first of `joint_counts`. It skips numbers of
+        joints between which the discretisation error still falls fast.
         """
-        uniform, best, known = first, self._refined(first), [first]
-        candidates = self.candidates()
+        uniform, best, known = first, self._with_requested_parameters(first), [first]
+        counts = self.joint_counts()
         k = 0
-        while first.converged and k + 1 < len(candidates):
-            k = _next_candidate(candidates, k, known) if self._searches_with_long_steps else k + 1
-            uniform = self._fit_from(candidates[k], uniform, self.rough or self._searches_with_long_steps)
+        while first.converged and k + 1 < len(counts):
+            k = _next_count(counts, k, known) if self._starts_with_long_steps else k + 1
+            uniform = self._fit_from(counts[k], uniform, self.rough or self._starts_with_long_steps)
             known.append(uniform)
-            trial = self._refined(uniform)
-            if not _explains_more(best, trial):  # rough minima may be too far apart to tell
-                best, trial = self._final(best), self._final(trial)
+            trial = self._with_requested_parameters(uniform)
+            if not _explains_more(best, trial):  # with loose tolerances: decide by the final fits
+                best, trial = self._final_fit(best), self._final_fit(trial)
                 if not _explains_more(best, trial):
-                    return best, (_comparison(best, trial),)
+                    return best, (_joint_note(best, trial),)
             best = trial
-        return self._final(best), ()
+        return self._final_fit(best), ()
 
-    def _final(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Return the accurate fit of the parameters asked for; unless links are uniform it is that already."""
-        return self._accurate(fit) if self.data.parameters == "uniform" else fit
+    def _final_fit(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Refit uniform links with accurate integrator steps; fits of other parameters have them already."""
+        return self._with_accurate_steps(fit) if self.data.parameters == "uniform" else fit
 
     def joint_choices(self, fit: TrajectoryFit) -> tuple[JointChoice, ...]:
         """Return a fit's numbers of joints with their discretisation errors."""
@@ -127,16 +127,16 @@ class TrajectoryMethod:
         return tuple(JointChoice.of(link, order, own.virtual_joints, requested) for link, order, own in links)
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
-        """Return the problem of uniform links with so many joints."""
+        """Return the problem of uniform links with given numbers of joints."""
         cuts = rig_layouts(self.data.rig, joints, self.data.layout)
         template = starting_chain(self.data.rig, cuts)
         return TrajectoryProblem(Parametrisation(template, "uniform", self.hubs), self.observed)
 
-    def _fit_without_start(self, joints: Sequence[int]) -> TrajectoryFit:
-        """Fit uniform links with so many joints, from far away.
+    def _fit_from_far(self, joints: Sequence[int]) -> TrajectoryFit:
+        """Fit uniform links with given numbers of joints, without a fit to start from.
 
-        The search begins with the recordings' first periods, at what the torque method found, held to the measured
-        frequencies if it can be, and free; where that does not follow them, other stiffnesses are tried.
+        The first periods of the recordings are fitted from several starting values: the torque method's estimate, with
+        and without measured frequencies, and nominal values; then, if none of these converges, other stiffnesses.
         """
         problem = self._problem(joints)
         nominal, starts = problem.parametrisation.start, list[Array]()
@@ -146,24 +146,25 @@ class TrajectoryMethod:
             starts.append(self.torque.x)
         starts.append(nominal)
         horizon = _first_horizon(problem, starts)
-        if self._searches_with_long_steps:
-            problem = replace(problem, step_multiple=_first_multiple(problem.until(horizon), nominal))
+        if self._starts_with_long_steps:
+            problem = replace(problem, step_multiple=_first_step_multiple(problem.until(horizon), nominal))
         stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
-        # Nominal values are off by less than a factor of four; frequencies nine steps apart by at most 9 %.
+        # Nominal values are taken to be within a factor of four. Nine stiffnesses in that range are factors of 1.41
+        # apart, so that one of them is within 19 % of any, and its frequencies within 9 %.
         others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
         fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
-        start, stop, rough = fit.point, _StallRule(self.rough), self.rough or self._searches_with_long_steps
+        start, stop, rough = fit.point, _StallRule(self.rough), self.rough or self._starts_with_long_steps
         return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=rough, stop=stop)
 
-    def _refined(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Fit the parameters asked for, from uniform links, which they prefer where data are silent."""
+    def _with_requested_parameters(self, fit: TrajectoryFit) -> TrajectoryFit:
+        """Fit the requested parameters from uniform links, which a weak prior prefers."""
         if self.data.parameters == "uniform":
             return fit
-        fit = self._accurate(fit)
+        fit = self._with_accurate_steps(fit)
         parametrisation = Parametrisation(fit.point.chain, self.data.parameters, self.hubs)
         x, (centre, width) = parametrisation.start, parametrisation.preference
-        for _ in range(8):  # the scale only falls, by 10 % or more
-            # The preference counts as much as one of the values that this model itself leaves unexplained.
+        for _ in range(8):  # the scale only falls, by 10 % or more, until it settles
+            # The prior is scaled by the RMS residual of this very model, so that it counts as one measured value.
             scale = max(fit.point.misfit, 1.0)
             problem = replace(fit.point.problem, parametrisation=parametrisation, preference=(centre, width / scale))
             fit = fit_trajectory(problem, x, self.progress, fit.point.states)
@@ -176,10 +177,16 @@ class TrajectoryMethod:
 def first_fit(
     data: TrainingData, loss: str = "linear", progress: Progress | None = None, rough: bool = False
 ) -> tuple[TrajectoryMethod, TrajectoryFit]:
-    """Fit uniform links with few joints, from far away, to recordings without their outliers.
+    """Fit uniform links with the smallest number of joints, from far away, to recordings without their outliers.
 
-    The loss is one of `vjm.simulation.least_squares.LOSSES`, of weighted residuals; a `rough` minimum is only a start
-    for other searches. Also return what these start with.
+    Args:
+        data: the training data.
+        loss: one of `vjm.simulation.least_squares.LOSSES`, applied to weighted residuals.
+        progress: called with (text, done, total) now and then.
+        rough: True for loose tolerances, where the minimum is only a start for other searches.
+
+    Returns:
+        The method, which fits other numbers of joints from here, and the fit.
 
     Raises:
         InsufficientDataError: no recording can be simulated.
@@ -197,8 +204,8 @@ def first_fit(
     rough = rough or data.parameters != "uniform"
     used = replace(data, problems=problems)
     search = TrajectoryMethod(used, observed, data.driven_hubs(recordings), torque, progress, rough)
-    joints = search.candidates()[0]
-    fit = search._fit_without_start(joints)
+    joints = search.joint_counts()[0]
+    fit = search._fit_from_far(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)
     if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
@@ -207,7 +214,7 @@ def first_fit(
 
 
 def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
-    """Return the recordings whose torques or motion are known, and what is wrong with the others."""
+    """Return the recordings whose torques or joint motion were measured, and why others cannot be simulated."""
     kept, problems = [], []
     for recording in recordings:
         try:
@@ -222,13 +229,14 @@ def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple
 def _fit_first_periods(
     problem: TrajectoryProblem, starts: Sequence[Array], others: Sequence[Array], progress: Progress | None
 ) -> TrajectoryFit:
-    """Fit the recordings' first periods, and return the fit that follows them best.
+    """Fit the recordings' first periods from several starting values (p,); return the fit with the smallest residual.
 
-    The first start (p,) is tried first, then all by how well they follow, then `others` where none leads anywhere.
+    The first start is tried, then the other ones in the order of their residuals, then `others` in that order, until a
+    fit converges.
     """
 
     def best_of(candidates: Sequence[Array]) -> TrajectoryFit | None:
-        """Fit from the start that follows best; from the next ones too, until one misses by little."""
+        """Fit from one candidate after another until a fit has converged; return the best."""
         best: TrajectoryFit | None = None
         for x in candidates:
             if best is not None and best.point.misfit < DIVERGED_MISFIT:
@@ -239,7 +247,7 @@ def _fit_first_periods(
         return best
 
     def by_misfit(candidates: Sequence[Array]) -> list[Array]:
-        """Return the candidates that can be simulated, the one that follows best first."""
+        """Return the candidates that can be simulated, in the order of their residuals."""
         points = []
         for x in candidates:
             with contextlib.suppress(SimulationDivergedError):
@@ -253,23 +261,23 @@ def _fit_first_periods(
     fit = best_of(starts[:1])
     if fit is None or fit.point.misfit > DIVERGED_MISFIT:
         fit = better(fit, starts[1:])
-    # A model that lacks something may miss 30 % of the motion; a fit of another cycle misses about all of it.
-    if fit is None or fit.point.misfit > max(DIVERGED_MISFIT, 0.3 * _motion(problem, starts[-1])):
+    # An incomplete model may leave 30 % of the motion as a residual; a fit to another cycle leaves about all of it.
+    if fit is None or fit.point.misfit > max(DIVERGED_MISFIT, 0.3 * _rms_motion(problem, starts[-1])):
         fit = better(fit, others)
-    # Where nothing runs at all, let the search itself say what is wrong.
+    # Where no start can be simulated, this raises the error that says why.
     return fit or fit_trajectory(problem, starts[-1], progress)
 
 
 def _first_horizon(problem: TrajectoryProblem, starts: Sequence[Array]) -> float:
-    """Return the first horizon [s] at the first start (p,) whose arm has a position of rest; softer ones hang down."""
+    """Return the first horizon [s] at the first start (p,) whose arm has a position of rest: a soft one may buckle."""
     for x in starts[:-1]:
         with contextlib.suppress(InsufficientDataError):
             return problem.first_horizon(x)
     return problem.first_horizon(starts[-1])
 
 
-def _motion(problem: TrajectoryProblem, x: Array) -> float:
-    """Return the RMS of what was measured about the arm's rest, in units of the noise."""
+def _rms_motion(problem: TrajectoryProblem, x: Array) -> float:
+    """Return the RMS deviation of the measured values from the arm at rest, in units of the noise."""
     squares = 0.0
     for observed, arm in zip(problem.observed, problem.arms(x), strict=True):
         rest = InitialStatePrior.of(arm, observed.recording).rest[: arm.chain.size]
@@ -278,12 +286,12 @@ def _motion(problem: TrajectoryProblem, x: Array) -> float:
 
 
 class _StallRule:
-    """Rule that stops a search whose steps are small although it is far from the recordings.
+    """Stopping rule for a search that stalls far from the recordings.
 
-    Where slopes lead to the minimum each step takes most of the cost away: one that is half the cost after five trials
-    is none of these. Neither is it a search that ends at a minimum far away, as where the arm has a mass that the model
-    lacks: there every step lowers the cost, and the next one by next to nothing. A search that is only a start for
-    others ends where no recording is followed: there slopes lead nowhere, and these others begin in segments.
+    A search whose gradient leads to the right minimum takes most of the cost away with each step; one that has not
+    halved it in five trials has stalled. It has not stalled if it converges to a distant minimum, as where the model
+    lacks a mass: then each step lowers the cost, and the next one is predicted to gain next to nothing. With loose
+    tolerances the search also ends once no recording is followed: later searches begin in short segments.
     """
 
     def __init__(self, rough: bool = False) -> None:
@@ -292,46 +300,47 @@ class _StallRule:
         self.count = 0
 
     def __call__(self, point: Point, predicted: float) -> bool:
-        """Return True for a point that five trials have not brought half the way, or from which no slope leads."""
+        """Return True to end the search at a point, given the predicted decrease of the cost by its next step."""
         if self.rough and not any(is_followed([run]) for run in point.runs):
             return True
-        if point.count != self.count:  # longer parts of the recordings
+        if point.count != self.count:  # the horizon was lengthened: costs are not comparable
             self.costs, self.count = [], point.count
         self.costs.append(point.cost)
         recent = self.costs[-6:]
-        ends = predicted < VISIBLE_GAIN * point.cost and bool(np.all(np.diff(recent) < 0))
-        return point.misfit > DIVERGED_MISFIT and len(recent) > 5 and 2 * point.cost > recent[0] and not ends
+        converging = predicted < VISIBLE_GAIN * point.cost and bool(np.all(np.diff(recent) < 0))
+        return point.misfit > DIVERGED_MISFIT and len(recent) > 5 and 2 * point.cost > recent[0] and not converging
 
 
-def _next_candidate(candidates: Sequence[tuple[int, ...]], k: int, fits: Sequence[TrajectoryFit]) -> int:
+def _next_count(counts: Sequence[tuple[int, ...]], k: int, fits: Sequence[TrajectoryFit]) -> int:
     """Return the index of the numbers of joints to try after the k-th.
 
-    The error of a chain falls with a power of n, and so does what chi^2 is above the noise. By the power that the last
-    two fits show, numbers are left out as long as one joint more would still gain ten times what is visible.
+    The discretisation error of a chain falls with a power of n, and so does the excess of chi^2 over the noise.
+    Extrapolating the power between the last two fits, numbers are skipped from which one joint more would still lower
+    chi^2 by ten times the visible gain.
     """
     if len(fits) < 2 or min(fit.misfit for fit in fits[-2:]) <= 1.0:
         return k + 1
-    sizes = [float(np.mean(joints)) for joints in candidates]
+    sizes = [float(np.mean(joints)) for joints in counts]
     n, m = (np.mean([link.virtual_joints for link in fit.point.chain.links]) for fit in fits[-2:])
     before, here = (fit.misfit**2 - 1 for fit in fits[-2:])
     power = np.log(before / here) / np.log(m / n)
-    for following in range(k + 1, len(candidates) - 1):
-        rest, less = (here * (sizes[each] / m) ** -power for each in (following, following + 1))
-        if rest - less < 10 * VISIBLE_GAIN * (1 + rest):
+    for following in range(k + 1, len(counts) - 1):
+        excess, next_excess = (here * (sizes[each] / m) ** -power for each in (following, following + 1))
+        if excess - next_excess < 10 * VISIBLE_GAIN * (1 + excess):
             return following
-    return len(candidates) - 1
+    return len(counts) - 1
 
 
 def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
-    """Return True if the larger chain explains the recordings better: by Schwarz's criterion (BIC), and visibly."""
+    """Return True if the larger chain has the smaller Bayesian information criterion (BIC), and a visible gain."""
     count = fewer.point.count
     gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
     added = more.point.x.size - fewer.point.x.size
     return bool(gain > max(added * np.log(count), VISIBLE_GAIN * count))
 
 
-def _comparison(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
-    """Say what one virtual joint more would do."""
+def _joint_note(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
+    """Say what one virtual joint more would do to the residual and to the parameters."""
     gain = 1 - float(np.sqrt(more.point.chi2 / fewer.point.chi2))
     reduction = f"reduce the residual by {number(100 * gain, 2)} %" if gain > 0 else "not reduce the residual"
     note = f"one more virtual joint would {reduction}"
@@ -344,8 +353,8 @@ def _comparison(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
     return f"{note}, and would change {listed([f'{c.name} by {number(100 * shift, 2)} %' for c, shift in named])}"
 
 
-def _first_multiple(problem: TrajectoryProblem, x: Array) -> float:
-    """Return the multiple of the default step for searches from x (p,), whose initial states are not known yet."""
+def _first_step_multiple(problem: TrajectoryProblem, x: Array) -> float:
+    """Return the multiple of the integrator's default step for searches from x (p,), with initial states at rest."""
     arms = problem.arms(x)
     states = [InitialStatePrior.of(arm, one.recording).rest for arm, one in zip(arms, problem.observed, strict=True)]
     with contextlib.suppress(SimulationDivergedError):
@@ -353,35 +362,40 @@ def _first_multiple(problem: TrajectoryProblem, x: Array) -> float:
     return 1.0
 
 
-def search_step_multiple(point: Point, mean_square: float | None = None, most: float = 16.0) -> float:
-    """Return the largest multiple of the integrator's default step whose error is of no account beside the residuals.
+def search_step_multiple(point: Point, reduced_chi2: float | None = None, largest: float = 16.0) -> float:
+    """Return the largest multiple of the integrator's default step whose error is negligible beside the residuals.
 
-    The mean square of these may be given, and the largest multiple to try. Errors follow from steps half as long.
+    The error of a step is taken as the difference from one half as long.
+
+    Args:
+        point: where the recordings are simulated.
+        reduced_chi2: mean square residual to compare with; None: the point's own. At least one is taken.
+        largest: multiple to begin with.
     """
     arms, observed, coarse, before = [run.arm for run in point.runs], point.problem.observed, list[Run](), 1.0
     # 3 % of the RMS residual changes chi^2 by a thousandth: a tenth of what decides for one joint more.
-    largest = 0.03**2 * max(point.misfit**2 if mean_square is None else mean_square, 1.0) * point.count
-    for multiple in (each for each in (16.0, 8.0, 4.0, 2.0, 1.0) if each <= most):
+    tolerance = 0.03**2 * max(point.misfit**2 if reduced_chi2 is None else reduced_chi2, 1.0) * point.count
+    for multiple in (each for each in (16.0, 8.0, 4.0, 2.0, 1.0) if each <= largest):
         try:
             fine = simulate_runs(arms, observed, None, point.states, multiple)
         except SimulationDivergedError:
             continue
         pairs = [*zip(coarse, fine, strict=True)] if coarse else []
         differences = [one.residual - two.residual for one, two in pairs if one.trajectory.step > two.trajectory.step]
-        if differences and sum(float(difference @ difference) for difference in differences) < largest:
+        if differences and sum(float(difference @ difference) for difference in differences) < tolerance:
             return before
         coarse, before = fine, multiple
     return 1.0
 
 
 def _largest_step_multiple(
-    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array], mean_square: float
+    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array], reduced_chi2: float
 ) -> float:
-    """Return the largest multiple of the default step that shifts no estimate by a tenth of its standard error."""
+    """Return the largest multiple of the integrator's default step that moves no estimate by 0.1 standard errors."""
     exact = simulate_runs(arms, observed, None, states, 1.0)
     for multiple in (4.0, 2.0):
         runs = simulate_runs(arms, observed, None, states, multiple)
         error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
-        if error < 0.1**2 * max(mean_square, 1.0):  # no direction of the parameters moves by more than the root
+        if error < 0.1**2 * max(reduced_chi2, 1.0):  # no estimate moves by more standard errors than the root
             return multiple
     return 1.0

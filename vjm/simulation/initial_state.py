@@ -1,4 +1,4 @@
-"""Most likely initial states of recordings, and simulations from there."""
+"""Maximum-likelihood initial states of recordings, and simulations from there."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, earlier_runs, linearize_by_states, simulate_runs, state_at
 from vjm.simulation.system import Trajectory
 
-# Multiple of the default step of arms with elbows, with which markers are right to a tenth of a millimetre: enough for
-# steps towards the most likely initial state.
-_COARSE = 4.0
-_FEW_STEPS = 3  # in which a search near its end arrives, or shows that it hardly gains
-_TOLERANCE = 1e-4  # relative decrease of chi^2 that is not worth another step
+# Multiple of the integrator's default step for a first search where an arm has elbows. Markers are then right to a
+# tenth of a millimetre: enough for steps towards the most likely initial state.
+_COARSE_STEP_MULTIPLE = 4.0
+_FEW_STEPS = 3  # a search that starts near its minimum arrives in so many, or shows that it hardly gains
+_RELATIVE_TOLERANCE = 1e-4  # relative decrease of chi^2 below which the search ends
 
 
 def _state_at_rest(arm: Arm, observed: Observations, prior: InitialStatePrior) -> Array:
-    """Return the (2 nv,) state at rest that explains a recording best if nothing moves in it.
+    """Return the state at rest (2 nv,) that fits a recording best if nothing moves in it.
 
-    Links and springs are as they are at rest; active joints and links' roots stand where the least-squares fit of the
-    recording puts them, and where effects let them stay.
+    The angles of active joints and of links' roots are fitted by least squares; virtual joints stay at their angles of
+    rest. Effects then correct angles at which they would not let the arm stand.
     """
     n = arm.chain.size
     fitted = np.concatenate([arm.chain.active, arm.chain.roots]).astype(int)
@@ -47,40 +47,45 @@ def _state_at_rest(arm: Arm, observed: Observations, prior: InitialStatePrior) -
     return np.concatenate([arm.rest_angles(angles(change)), np.zeros(n)])
 
 
-def simulate_or_rest(
+def simulate_from_best_states(
     arms: Sequence[Arm],
     observed: Sequence[Observations],
     priors: Sequence[InitialStatePrior],
     states: Sequence[Array],
-    known: Sequence[Array],
+    others: Sequence[Array],
     step_multiple: float,
 ) -> list[Run]:
-    """Simulate recordings; quiet ones of arms that stick or rattle from the best of three initial states.
+    """Simulate recordings from given initial states; quiet ones of nonsmooth arms from the best of three.
+
+    With stick-slip or play the likelihood of the initial state has several maxima. In a quiet recording the state at
+    rest and another state are therefore tried beside the given one, and the run with the lowest cost is returned.
 
     Args:
         arms, observed, priors, step_multiple: as of `simulate_runs`.
-        states: (2 nv,) initial states; a quiet recording's may also be the state at rest.
-        known: (2 nv,) further initial states of quiet recordings.
+        states: (2 nv,) initial state of each recording.
+        others: (2 nv,) the other state to try for each recording, such as that of the iterate before.
     """
     quiet = [k for k, arm in enumerate(arms) if is_nonsmooth(arm.effects) and observed[k].recording.kind == "quiet"]
-    further = [(k, _state_at_rest(arms[k], observed[k], priors[k])) for k in quiet]
-    further += [(k, known[k]) for k in quiet if known[k] is not states[k]]
-    indices = [*range(len(arms)), *(k for k, _ in further)]
+    trials = [(k, _state_at_rest(arms[k], observed[k], priors[k])) for k in quiet]
+    trials += [(k, others[k]) for k in quiet if others[k] is not states[k]]
+    indices = [*range(len(arms)), *(k for k, _ in trials)]
     runs = simulate_runs(
         [arms[k] for k in indices],
         [observed[k] for k in indices],
         [priors[k] for k in indices],
-        [*states, *(state for _, state in further)],
+        [*states, *(state for _, state in trials)],
         step_multiple,
     )
     best = runs[: len(arms)]
-    for (k, _), run in zip(further, runs[len(arms) :], strict=True):
+    for (k, _), run in zip(trials, runs[len(arms) :], strict=True):
         best[k] = min(best[k], run, key=lambda run: run.cost)
     return best
 
 
 def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: float) -> list[Run]:
-    """Simulate runs with a fifth of the changes (2 nv,) of their initial states, or none; return the best of the three.
+    """Backtrack along the last changes (2 nv,) of runs' initial states: keep all of a change, a fifth or none.
+
+    Return for each run the one of the three simulations with the lowest cost.
 
     Raises:
         SimulationDivergedError: one of them diverged.
@@ -95,22 +100,22 @@ def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: floa
 
 
 def refine_initial_states(
-    runs: Sequence[Run], wanted: Sequence[float], before: Sequence[Run], step_multiple: float
+    runs: Sequence[Run], target_costs: Sequence[float], before: Sequence[Run], step_multiple: float
 ) -> list[Run]:
-    """Return runs from more likely initial states, if a few simulations find any.
+    """Refine the initial states of runs by a few Levenberg-Marquardt steps; return the best runs found.
 
-    Those that stay far from what was wanted may be at a minimum from which no slope leads away, and are also begun at
-    rest, and where the same recording's segment before ends.
+    A run that stays above its target cost may be at a local minimum. It is also started at rest, and from the state at
+    which the preceding segment of its recording ends (multistart).
 
     Args:
         runs: those to be improved.
-        wanted: cost that each should have at most.
-        before: simulations of the same recordings.
-        step_multiple: multiple of the default step.
+        target_costs: cost that each should have at most.
+        before: runs of all segments at the iterate before, which give the preceding segments' final states.
+        step_multiple: multiple of the integrator's default step.
     """
-    best = _search_on(runs, step_multiple)
+    best = _continue_search(runs, step_multiple)
     trials = []
-    for k, (run, cost) in enumerate(zip(best, wanted, strict=True)):
+    for k, (run, cost) in enumerate(zip(best, target_costs, strict=True)):
         if run.cost > cost:
             earlier = earlier_runs(before, run.observed)
             trials += [(k, run.prior.rest), *([(k, state_at(earlier, run.observed))] if earlier else [])]
@@ -119,55 +124,61 @@ def refine_initial_states(
             others = _simulate_again([best[k] for k, _ in trials], [state for _, state in trials], step_multiple)
         except SimulationDivergedError:
             return best
-        for (k, _), run in zip(trials, _search_on(others, step_multiple), strict=True):
+        for (k, _), run in zip(trials, _continue_search(others, step_multiple), strict=True):
             best[k] = min(best[k], run, key=lambda run: run.cost)
     return best
 
 
-def _search_on(runs: Sequence[Run], step_multiple: float) -> list[Run]:
-    """Search for more likely initial states for a few simulations, beside the same priors."""
+def _continue_search(runs: Sequence[Run], step_multiple: float) -> list[Run]:
+    """Continue the search for each run's initial state for a few steps; return the better of old and new runs."""
     searches = [_InitialStateSearch(run) for run in runs]
-    minimise(searches, lambda running: _attempts(running, step_multiple), _FEW_STEPS, linearize_by_states)
+    minimise(searches, lambda running: _trial_runs(running, step_multiple), _FEW_STEPS, linearize_by_states)
     found = [search.point.with_prior_scale(run.prior.scale) for search, run in zip(searches, runs, strict=True)]
     return [min(pair, key=lambda run: run.cost) for pair in zip(runs, found, strict=True)]
 
 
 def _simulate_again(runs: Sequence[Run], states: Sequence[Array], step_multiple: float) -> list[Run]:
-    """Runs of the same recordings from other initial states."""
+    """Simulate the recordings of some runs again, from other initial states (2 nv,)."""
     arms, observed, priors = zip(*((run.arm, run.observed, run.prior) for run in runs), strict=True)
     return simulate_runs(arms, observed, priors, states, step_multiple)
 
 
 @dataclass(frozen=True)
-class _StateStep(Step):
-    """Step to another initial state (2 nv,)."""
+class _InitialStateStep(Step):
+    """Step of the search for an initial state.
+
+    Attributes:
+        state: (2 nv,) initial state to which it leads.
+    """
 
     state: Array
 
 
-class _InitialStateSearch(LevenbergMarquardt[Run, _StateStep]):
+class _InitialStateSearch(LevenbergMarquardt[Run, _InitialStateStep]):
     """Search for one recording's most likely initial state."""
 
-    def step_at(self, damping: float) -> _StateStep:
+    def step_at(self, damping: float) -> _InitialStateStep:
         linearized = self.point.linearized_by_state
         change = linearized.damped(damping).best()
         length = float(np.linalg.norm(linearized.scale * change))
-        return _StateStep(linearized.decrease(change), length, self.point.state + self.point.basis.states @ change)
+        return _InitialStateStep(
+            linearized.decrease(change), length, self.point.state + self.point.basis.states @ change
+        )
 
     def stopping_rule(self) -> Status:
         # A hundredth of chi^2 is a tenth of a standard deviation of the state.
-        if self.step.predicted < max(_TOLERANCE * self.point.chi2, 1e-2):
+        if self.step.predicted < max(_RELATIVE_TOLERANCE * self.point.chi2, 1e-2):
             return "converged"
-        # Where a model misses its recording, steps that lower a hundredth of what it misses change the RMS residual by
-        # half a per cent.
+        # Where the model itself is wrong, no initial state brings chi^2 down to the noise: the last steps together must
+        # take off 1 % of the excess, which is 0.5 % of the RMS residual.
         recent = [decrease for decrease in self.decreases if decrease > 0][-_FEW_STEPS:]
-        missed = self.point.chi2 - self.point.expected_chi2
-        return "stopped" if len(recent) == _FEW_STEPS and sum(recent) < 0.01 * missed else "running"
+        excess = self.point.chi2 - self.point.expected_chi2
+        return "stopped" if len(recent) == _FEW_STEPS and sum(recent) < 0.01 * excess else "running"
 
-    def is_rough_minimum(self, trial: Run | None) -> bool:
-        recent = self.decreases[-4:]
-        rough = is_nonsmooth(self.point.arm.effects)
-        return rough and len(recent) == 4 and sum(recent) < _TOLERANCE * self.point.cost
+    def is_nonsmooth_minimum(self, trial: Run | None) -> bool:
+        recent = self.decreases[-(_FEW_STEPS + 1) :]
+        nonsmooth = is_nonsmooth(self.point.arm.effects)
+        return nonsmooth and len(recent) > _FEW_STEPS and sum(recent) < _RELATIVE_TOLERANCE * self.point.cost
 
 
 def fit_initial_states(
@@ -175,58 +186,63 @@ def fit_initial_states(
     observed: Sequence[Observations],
     states: Sequence[Array | None] | None = None,
     step_multiple: float = 1.0,
-    most: int = 20,
+    max_trials: int = 20,
 ) -> list[tuple[Run, bool]]:
-    """Return each recording's run from its most likely initial state, and whether the search for it converged.
+    """Estimate each recording's initial state by maximum likelihood; return its run, and whether the search converged.
 
     Args:
         arms: one a recording.
         observed: the recordings.
         states: (2 nv,) where to start (Levenberg-Marquardt); None: at rest.
-        step_multiple: multiple of the default step.
-        most: simulations to try.
+        step_multiple: multiple of the integrator's default step.
+        max_trials: number of simulations at most.
 
     Raises:
         InsufficientDataError: no torque measured at an active joint.
         SimulationDivergedError: a simulation diverges even from its start.
     """
-    if step_multiple < _COARSE and arms[0].chain.elbows.size:
-        states, most = _approximate_states(arms, observed, states, most)
+    if step_multiple < _COARSE_STEP_MULTIPLE and arms[0].chain.elbows.size:
+        states, max_trials = _states_by_long_steps(arms, observed, states, max_trials)
     priors = [InitialStatePrior.of(arm, values.recording) for arm, values in zip(arms, observed, strict=True)]
     given = [None] * len(priors) if states is None else states
-    first = [prior.rest if state is None else state for prior, state in zip(priors, given, strict=True)]
-    runs = simulate_runs(arms, observed, priors, first, step_multiple)
+    starts = [prior.rest if state is None else state for prior, state in zip(priors, given, strict=True)]
+    runs = simulate_runs(arms, observed, priors, starts, step_multiple)
     searches = [_InitialStateSearch(run.with_scaled_prior()) for run in runs]
-    minimise(searches, lambda running: _attempts(running, step_multiple), most, linearize_by_states)
+    minimise(searches, lambda running: _trial_runs(running, step_multiple), max_trials, linearize_by_states)
     return [(search.point, search.status == "converged") for search in searches]
 
 
-def _approximate_states(
-    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array | None] | None, most: int
+def _states_by_long_steps(
+    arms: Sequence[Arm], observed: Sequence[Observations], states: Sequence[Array | None] | None, max_trials: int
 ) -> tuple[list[Array | None], int]:
-    """States (2 nv,) near which to look for the most likely ones, and how many simulations to try there.
+    """Fill in missing initial states (2 nv,) by a search with long integrator steps.
 
-    Where no states are given, they are those found with long steps: what these did not find, short ones will not.
+    Also return the number of simulations that the search with short steps then needs at most: a quarter, as it only
+    refines what the first one found.
     """
     found: list[Array | None] = [None] * len(arms) if states is None else [*states]
     unknown = [k for k, state in enumerate(found) if state is None]
     if not unknown:
-        return found, most
+        return found, max_trials
     try:
-        fits = fit_initial_states([arms[k] for k in unknown], [observed[k] for k in unknown], None, _COARSE, most)
+        fits = fit_initial_states(
+            [arms[k] for k in unknown], [observed[k] for k in unknown], None, _COARSE_STEP_MULTIPLE, max_trials
+        )
     except SimulationDivergedError:  # the steps are too long
-        return found, most
+        return found, max_trials
     for k, (run, _) in zip(unknown, fits, strict=True):
         found[k] = run.state
-    return found, max(1, most // 4)
+    return found, max(1, max_trials // 4)
 
 
-def _attempts(searches: Sequence[LevenbergMarquardt[Run, _StateStep]], step_multiple: float) -> list[Run | None]:
-    """Runs from the states that steps lead to; None where one diverges."""
+def _trial_runs(
+    searches: Sequence[LevenbergMarquardt[Run, _InitialStateStep]], step_multiple: float
+) -> list[Run | None]:
+    """Simulate each search's proposed step; None in place of a run that diverges."""
     try:
         runs, states = [search.point for search in searches], [search.step.state for search in searches]
         return [*_simulate_again(runs, states, step_multiple)]
     except SimulationDivergedError:
         if len(searches) == 1:
             return [None]
-        return [_attempts([search], step_multiple)[0] for search in searches]
+        return [_trial_runs([search], step_multiple)[0] for search in searches]

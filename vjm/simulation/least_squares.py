@@ -11,12 +11,14 @@ import numpy as np
 
 from vjm.records import Array
 
-_LEAST_DAMPING = 1e-10  # eigenvalues below are rounding errors of forward differences
+_LEAST_DAMPING = 1e-10  # smaller eigenvalues of the scaled J^T J are rounding errors of forward differences
 
 
 @dataclass(frozen=True)
 class SquareRootInformation:
-    """Least-squares problem min |J x - r|^2 as an upper triangle R with |J x - r|^2 = |R (x, -1)|^2.
+    """Linear least-squares problem min |J x - r|^2 as a triangular factor R with |J x - r|^2 = |R (x, -1)|^2.
+
+    Source: G. J. Bierman, Factorization Methods for Discrete Sequential Estimation, 1977.
 
     Attributes:
         R: (C + 1, C + 1), the last column standing for r.
@@ -26,7 +28,7 @@ class SquareRootInformation:
 
     @classmethod
     def of(cls, parts: Iterable[tuple[Array, Array]], columns: int) -> SquareRootInformation:
-        """Return the triangle of rows given as pairs of J (m, C) and r (m,)."""
+        """Return the factor of a problem whose rows are given as pairs of J (m, C) and r (m,)."""
         R: Array = np.zeros((0, columns + 1))
         for jacobian, residual in parts:
             R = np.asarray(np.linalg.qr(np.vstack([R, np.column_stack([jacobian, residual])]), mode="r"))
@@ -51,26 +53,26 @@ class SquareRootInformation:
         return SquareRootInformation.of([(self.R[:, :-1], self.R[:, -1]), (jacobian, residual)], self.columns)
 
     def damped(self, damping: float) -> SquareRootInformation:
-        """Return the problem with Levenberg and Marquardt's rows, in units of the columns' lengths."""
+        """Return the problem with Levenberg-Marquardt damping, in units of the squared lengths of J's columns."""
         if damping == 0:
             return self
         return self.with_rows(np.diag(np.sqrt(damping) * self.scale), np.zeros(self.columns))
 
     def eliminated(self, count: int) -> SquareRootInformation:
-        """Return the problem of the other unknowns once the first `count` are eliminated."""
+        """Return the problem of the other unknowns, the first `count` having been eliminated (variable projection)."""
         return SquareRootInformation(self.R[count:, count:])
 
     def solve(self, count: int, others: Array) -> Array:
-        """Return the (count,) best first unknowns, given the others (C - count,)."""
+        """Return the first `count` unknowns (count,) that minimise the sum, given the others (C - count,)."""
         top = self.R[:count]
         return _solved(top[:, :count], top[:, -1] - top[:, count:-1] @ others)
 
     def elimination_slopes(self, count: int) -> Array:
-        """Return (count, C - count) derivatives of the best first unknowns by the others, with reversed sign."""
+        """Return minus the derivatives (count, C - count) of `solve` by the other unknowns."""
         return _solved(self.R[:count, :count], self.R[:count, count:-1])
 
     def best(self) -> Array:
-        """Return all (C,) unknowns."""
+        """Return the unknowns (C,) that minimise the sum."""
         return self.solve(self.columns, np.zeros(0))
 
     def decrease(self, x: Array) -> float:
@@ -80,30 +82,30 @@ class SquareRootInformation:
 
 
 def _solved(R: Array, z: Array) -> Array:
-    """Least-squares solution; unknowns that the rows do not depend on stay at zero."""
+    """Return the least-squares solution of R x = z; unknowns that the rows do not depend on stay at zero."""
     scale = np.linalg.norm(R, axis=0)
     scale[scale == 0] = 1.0
     return np.asarray((np.linalg.lstsq(R / scale, z, rcond=1e-13)[0].T / scale).T)
 
 
 class _Iterate(Protocol):
-    """Point that a search has reached."""
+    """An iterate of a search."""
 
     @property
     def cost(self) -> float:
         """Objective of the search."""
 
     def with_scaled_prior(self) -> Self:
-        """Return the point with priors in units of its residuals' size; other points are compared with it so."""
+        """Return the iterate with its priors scaled by its RMS residual; trials are compared with it at this scale."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """Step of a search, from the linearised problem.
+    """A proposed step of a search, from the linearised problem.
 
     Attributes:
         predicted: decrease of the cost that the linearised problem predicts.
-        length: of the step, each unknown in units of the predictions' derivative by it.
+        length: norm of the step, each unknown times the length of its column of the Jacobian.
     """
 
     predicted: float
@@ -116,16 +118,16 @@ S = TypeVar("S", bound=Step)
 
 
 class LevenbergMarquardt(ABC, Generic[P, S]):
-    """State of a Levenberg-Marquardt search.
+    """A Levenberg-Marquardt search, advanced from outside by `propose` and `judge`.
 
     Source: J. J. More, The Levenberg-Marquardt algorithm: implementation and theory, 1978; J. Nocedal and S. J. Wright,
     Numerical Optimization, 2nd ed. 2006, section 10.3. Gauss-Newton steps are taken as long as they lower the cost.
 
     Attributes:
-        point: best point so far.
-        step: last one proposed from there.
+        point: best iterate so far.
+        step: the step last proposed from there.
         damping: lambda, in units of the squared lengths of the Jacobian's columns; zero for a Gauss-Newton step.
-        decreases: of the cost, by each trial; zero for a rejected one.
+        decreases: decrease of the cost by each trial; zero for a rejected one.
         status: `running`, `converged`, or `stopped` before that.
     """
 
@@ -139,35 +141,35 @@ class LevenbergMarquardt(ABC, Generic[P, S]):
 
     @abstractmethod
     def step_at(self, damping: float) -> S:
-        """Minimise the linearised problem at the point, with Levenberg and Marquardt's rows."""
+        """Minimise the linearised problem at the iterate, with Levenberg-Marquardt damping."""
 
     @abstractmethod
     def stopping_rule(self) -> Status:
-        """Judge by the step proposed whether to go on."""
+        """Decide from the proposed step whether to go on."""
 
     @abstractmethod
-    def is_rough_minimum(self, trial: P | None) -> bool:
-        """Return True if a trial shows that the cost is too rough for slopes to tell how to lower it further."""
+    def is_nonsmooth_minimum(self, trial: P | None) -> bool:
+        """Return True if the cost is nonsmooth here, so that its gradient does not lead any lower."""
 
     def propose(self) -> None:
-        """Find the next step, or stop."""
+        """Propose the next step, or end the search."""
         self.step = self.step_at(self.damping)
         self.status = self.stopping_rule()
 
     def judge(self, trial: P | None) -> None:
-        """Accept the trial that the step led to if it lowers the cost; None: it could not be simulated."""
+        """Accept the trial at the proposed step if it lowers the cost; None: it could not be simulated."""
         decrease = 0.0 if trial is None else max(self.point.cost - trial.cost, 0.0)
         self.decreases.append(decrease)
         if trial is not None and decrease > 0:
             self.point = trial.with_scaled_prior()
             self.damping = self.damping / 5 if self.damping > 5 * _LEAST_DAMPING else 0.0
-        if self.is_rough_minimum(trial):
+        if self.is_nonsmooth_minimum(trial):
             self.status = "converged"
         elif not decrease > 0:
             self._shorten_step()
 
     def _shorten_step(self) -> None:
-        """Damp the next step until it is half as long, or it would fail again; stop where no damping does that."""
+        """Increase the damping until the next step is half as long as the rejected one; stop where none does that."""
         while (damping := max(4 * self.damping, _LEAST_DAMPING)) < 1e6:  # a millionth of a Gauss-Newton step
             self.damping = damping
             if self.step_at(damping).length < self.step.length / 2:
@@ -178,18 +180,18 @@ class LevenbergMarquardt(ABC, Generic[P, S]):
 def minimise(
     searches: Sequence[LevenbergMarquardt[P, S]],
     simulate: Callable[[Sequence[LevenbergMarquardt[P, S]]], Iterable[P | None]],
-    most: int,
+    max_trials: int,
     linearize: Callable[[Sequence[P]], None] | None = None,
 ) -> None:
-    """Advance searches side by side until each has converged or stopped.
+    """Advance independent searches together until each has converged or stopped.
 
     Args:
         searches: each with its own point and damping.
-        simulate: returns for each of some searches the point that its step leads to; None where it cannot be simulated.
-        most: number of trials of each.
-        linearize: linearises several points together, ahead of their searches; None: each search does so by itself.
+        simulate: returns for each of some searches the trial at its step; None where that cannot be simulated.
+        max_trials: number of trials of each at most.
+        linearize: linearises the points of several searches together beforehand; None: each search does so by itself.
     """
-    for _ in range(most):
+    for _ in range(max_trials):
         running = [search for search in searches if search.status == "running"]
         if linearize is not None:
             linearize([search.point for search in running])
@@ -202,9 +204,9 @@ def minimise(
             search.judge(trial)
 
 
-_TUNING = 3.0**2  # squared standard deviations from which a loss departs from the square
+_TUNING = 3.0**2  # robust losses leave the square at three standard deviations; normal noise exceeds these at 0.3 %
 
-# rho for a tuning constant of one, and its slope, of z, the square of a weighted residual; names as in SciPy.
+# rho(z) and rho'(z) of the squared weighted residual z, for a tuning constant of one; names as in SciPy.
 _LOSSES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "linear": (lambda z: z, np.ones_like),
     "huber": (
@@ -219,7 +221,7 @@ LOSSES = tuple(_LOSSES)
 
 @dataclass(frozen=True)
 class Loss:
-    """Loss rho(z) of z, the square of a weighted residual, with rho(z) = z for small z.
+    """Robust loss rho(z) of the squared weighted residual z, with rho(z) = z for small z.
 
     Attributes:
         name: one of `LOSSES`, as in `scipy.optimize.least_squares`.
@@ -232,7 +234,7 @@ class Loss:
         return _TUNING * _LOSSES[self.name][0](z / _TUNING)
 
     def slope(self, z: Array) -> Array:
-        """Return rho'(z), the weight that a value keeps."""
+        """Return rho'(z), the factor of a value's weight in the linearised problem."""
         return _LOSSES[self.name][1](z / _TUNING)
 
 

@@ -1,4 +1,4 @@
-"""Simulations of recordings from initial states, their residuals and their dependence on these states."""
+"""Simulations of recordings beside their measurements: residuals, chi^2 and the linearised problem."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm, 
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
 
-_LARGEST = 1e100  # derivative, in units of the noise
-_INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached properties
+_LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a finite number
+_INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
 
 @dataclass(frozen=True)
 class InitialStatePrior:
-    """Weak prior for rest of a recording's initial state.
+    """Weak normal prior of a recording's initial state, centred at rest.
 
-    Its unit is the energy of bending the arm by a tenth of its length, and a turn of active joints by one radian: it
-    counts as much as one or two of the recording's values do, and matters only for motion that these cannot show.
+    One standard deviation is the energy of bending the arm by a tenth of its length, and one radian of an active joint.
+    The prior counts as much as one or two measured values, and matters only for motion that the recording cannot show.
 
     Attributes:
         rest: (2 nv,) angles of rest at the first measured active angles, and zero rates [rad, rad/s].
         sqrt_information: (2 nv, 2 nv) S, where |S (state - rest)|^2 is added to chi^2.
-        scale: size of a weighted residual that counts as one standard deviation beside it.
+        scale: factor of S: the RMS weighted residual, if that is above one, since one value then tells less.
     """
 
     rest: Array
@@ -45,7 +45,7 @@ class InitialStatePrior:
 
     @classmethod
     def of(cls, arm: Arm, recording: Recording, scale: float = 1.0) -> InitialStatePrior:
-        """Return the prior of an arm at a recording's beginning, beside residuals of a size `scale`.
+        """Return the prior of an arm at a recording's beginning.
 
         Raises:
             SimulationDivergedError: joints that move nothing.
@@ -70,14 +70,14 @@ class InitialStatePrior:
 
 @dataclass(frozen=True)
 class Run:
-    """A simulation of one recording from an initial state, and the measurements.
+    """A simulation of one recording or segment from an initial state, and the measurements.
 
     Attributes:
         observed: the measurements.
-        prior: of the initial state.
-        arm: simulated.
-        state: (2 nv,) initial angles and rates.
-        trajectory: at the integrator's instants; one copy.
+        prior: prior of the initial state.
+        arm: the arm that was simulated.
+        state: (2 nv,) initial angles and rates [rad, rad/s].
+        trajectory: the motion at the integrator's instants.
     """
 
     observed: Observations
@@ -94,25 +94,25 @@ class Run:
     @cached_property
     def residual(self) -> Array:
         """(N,) measured less simulated, weighted and whitened."""
-        return self._timed(self.observed.residual(self.arm, self.trajectory))
+        return self._whiten_timing(self.observed.residual(self.arm, self.trajectory))
 
     @cached_property
     def timing_noise(self) -> TimingNoise:
         """Errors of the instants at which the frames were taken."""
         return TimingNoise.of(self.observed, self.arm, self.trajectory)
 
-    def _timed(self, weighted: Array) -> Array:
-        """Weighted values (N, ...) without the correlation that errors of the frames' instants bring."""
+    def _whiten_timing(self, weighted: Array) -> Array:
+        """Whiten weighted values (N, ...) that errors of the frames' instants correlate."""
         return self.timing_noise.whitened(weighted) if self.arm.timing_variance else weighted
 
     @cached_property
     def chi2(self) -> float:
-        """Sum of the squared weighted residuals, and the logarithm of the determinant of their errors of time."""
+        """Minus twice the log-likelihood, up to a constant: sum of squared residuals, and log det of timing noise."""
         return float(self.residual @ self.residual) + self._log_determinant
 
     @property
     def expected_chi2(self) -> float:
-        """Mean of `chi2` where the model is right: the number of values, but for errors of time."""
+        """Expected value of `chi2` where the model is right: the number of values, and log det of timing noise."""
         return self.observed.count + self._log_determinant
 
     @property
@@ -121,35 +121,36 @@ class Run:
 
     @cached_property
     def cost(self) -> float:
-        """Sum of the residuals' loss and the prior's term."""
-        away = self.prior.scale * (self.prior.sqrt_information @ (self.state - self.prior.rest))
-        return float(np.sum(self.observed.loss.value(self.residual**2)) + away @ away) + self._log_determinant
+        """Objective of the search for the initial state: the residuals' loss, and the prior's term."""
+        deviation = self.prior.scale * (self.prior.sqrt_information @ (self.state - self.prior.rest))
+        return float(np.sum(self.observed.loss.value(self.residual**2)) + deviation @ deviation) + self._log_determinant
 
     def with_scaled_prior(self) -> Run:
-        """Return the run with a prior in units of the residuals' size."""
+        """Return the run with its prior scaled by its own RMS weighted residual, if that is above one."""
         return self.with_prior_scale(float(np.sqrt(max(self.chi2 / max(self.expected_chi2, 1), 1.0))))
 
     def with_prior_scale(self, scale: float) -> Run:
-        """Return the run with a prior beside residuals of a size `scale`."""
+        """Return the run with another scale of its prior; what does not depend on it is not computed again."""
         run = replace(self, prior=replace(self.prior, scale=scale))
         run.__dict__.update({name: self.__dict__[name] for name in _INDEPENDENT_OF_PRIOR if name in self.__dict__})
         return run
 
     @cached_property
     def stride(self) -> int:
-        """Steps in half an interval over which derivatives are advanced."""
+        """Number of integrator steps in half an interval of the variational equations."""
         return steps_per_half_interval(self.chain, self.observed.recording, self.trajectory.step)
 
     @cached_property
     def basis(self) -> ModalBasis:
-        """The m modes in which its derivatives are expressed."""
+        """The m modes in which derivatives are expressed."""
         driven = self.arm.inputs(self.observed.recording)
         return ModalBasis.of(self.chain, driven, 2 * self.stride * self.trajectory.step)
 
     def transferred_state(self, arm: Arm) -> Array:
-        """Return the initial state (2 nv,) in an arm with other virtual joints, with the active joints' momentum.
+        """Transfer the initial state (2 nv,) to an arm with other virtual joints, keeping the active joints' momentum.
 
-        Initial rates of fast modes differ from chain to chain; a joint that turns freely must not drift by that.
+        Chains differ in their fast modes, and so in their initial rates: without the momentum's correction a joint that
+        turns freely would drift.
         """
         state = transfer_state(self.chain, arm.chain, self.state)
         active = arm.chain.active
@@ -159,12 +160,12 @@ class Run:
         (q, v), (other_q, other_v) = np.split(self.state, 2), np.split(state, 2)
         mass = mechanism_of(self.chain, self.arm.inputs(recording).payload).mass_matrix(q[None])[0]
         other_mass = mechanism_of(arm.chain, arm.inputs(recording).payload).mass_matrix(other_q[None])[0]
-        missing = (mass @ v)[self.chain.active] - (other_mass @ other_v)[active]
-        other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], missing)
+        lost_momentum = (mass @ v)[self.chain.active] - (other_mass @ other_v)[active]
+        other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], lost_momentum)
         return np.concatenate([other_q, other_v])
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
-        """Return the linearised simulation, of perturbed arms as well."""
+        """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
         arm, kept = self.arm.smooth
         trajectory = self.trajectory
         if kept.size < trajectory.z.shape[1]:
@@ -182,16 +183,16 @@ class Run:
         measured = np.concatenate(rows)
         whole = np.empty((measured.size, slopes[0].shape[1]))
         whole[measured] = np.concatenate(slopes)
-        yield np.arange(measured.size), self._timed(self.observed.whitened(whole))
+        yield np.arange(measured.size), self._whiten_timing(self.observed.whitened(whole))
 
     def weighted_slopes(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
-        """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the loss."""
-        kept = np.sqrt(self.observed.loss.slope(self.residual**2))
+        """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the robust loss."""
+        weights = np.sqrt(self.observed.loss.slope(self.residual**2))
         for measured, part in self.slopes(linearization):
-            yield kept[measured, None] * part, kept[measured] * self.residual[measured]
+            yield weights[measured, None] * part, weights[measured] * self.residual[measured]
 
     def linearized(self, linearization: Linearization) -> SquareRootInformation:
-        """Return the linearised least-squares problem: modes' initial coordinates and rates first, then p parameters.
+        """Return the linearised least-squares problem of the slow modes' initial coordinates, rates, and parameters.
 
         Raises:
             SimulationDivergedError: derivatives that are not finite.
@@ -199,7 +200,7 @@ class Run:
         columns = 2 * self.basis.slow_count + len(linearization.perturbed)
         problem = SquareRootInformation.of(self.weighted_slopes(linearization), columns)
         problem = problem.with_rows(*self.prior_rows(columns)).with_rows(*self.timing_rows(linearization))
-        if not np.abs(problem.R).max(initial=0.0) < _LARGEST:
+        if not np.abs(problem.R).max(initial=0.0) < _LARGEST_DERIVATIVE:
             remedy = "the motion depends on its start or parameters beyond all bounds: check them"
             raise SimulationDivergedError(float(self.trajectory.time[-1]), self.trajectory.step, remedy)
         return problem
@@ -217,10 +218,13 @@ class Run:
         rows[:, : states.shape[1]] = weight @ states
         return rows, weight @ (self.prior.rest - self.state)
 
-    def timing_rows(self, linearization: Linearization, far: bool = False) -> tuple[Array, Array]:
-        """Return rows (r, columns) and right-hand side (r,) of the variance of the frames' instants; r is 0 or 1.
+    def timing_rows(self, linearization: Linearization, likelihood_ratio: bool = False) -> tuple[Array, Array]:
+        """Return the row (r, columns) and right-hand side (r,) of the timing noise's variance; r is 0 or 1.
 
-        `far` says whether they shall promise what the best variance explains, however far it is.
+        Args:
+            linearization: of this run.
+            likelihood_ratio: True for a row that predicts the likelihood ratio at the best variance, however large that
+                is; False for the score at the present one.
         """
         before = self.arm.timing_variance
         by_parameters = [(other.timing_variance - before) / step for other, step in linearization.perturbed]
@@ -228,12 +232,12 @@ class Run:
         if not any(by_parameters):
             return np.zeros((0, columns)), np.zeros(0)
         noise = self.timing_noise
-        slope, residual = (noise.likelihood_ratio if far else noise.score)(self.residual)
+        slope, residual = (noise.likelihood_ratio if likelihood_ratio else noise.score)(self.residual)
         row = np.r_[np.zeros(columns - len(by_parameters)), slope * np.array(by_parameters)]
         return row[None], np.array([residual])
 
     def scores(self, linearization: Linearization, linearized: SquareRootInformation) -> Array:
-        """Return (T, p) each instant's part in the slope of -chi^2 / 2 by the parameters, initial state eliminated."""
+        """Return the scores (T, p): each instant's part in the gradient of -chi^2 / 2, initial state eliminated."""
         parameters = len(linearization.perturbed)
         states = linearized.columns - parameters
         by_parameters = linearized.elimination_slopes(states)
@@ -249,7 +253,7 @@ class Run:
         return [series for series in self.observed.on_grid(self.residual) if np.isfinite(series).any()]
 
     def simulated_recording(self, converged: bool) -> SimulatedRecording:
-        """Return the record of the run; `converged` says whether its initial state was found."""
+        """Return the run as a record; `converged` says whether the search for its initial state did."""
         observed = self.observed
         return SimulatedRecording(
             recording=observed.recording,
@@ -262,24 +266,24 @@ class Run:
 
 
 def is_followed(runs: Sequence[Run]) -> bool:
-    """Return True if simulations of parts of a recording follow its motion, so that slopes show what they lack.
+    """Return True if a recording's runs follow its motion so closely that their linearization is valid.
 
-    Where its phase is off by phi a swing leaves a share 2 sin(phi/2) of its motion. Up to 30 % (phi = 17 deg) that is
-    linear in phi within 0.5 %, so that derivatives lead back.
+    An oscillation whose phase is off by phi leaves a residual of 2 sin(phi/2) times its amplitude. Up to 30 % of the
+    motion (phi = 17 deg) that is linear in phi within 0.5 %, so that derivatives lead to the minimum.
     """
-    missed = sum(run.chi2 - run.expected_chi2 for run in runs)
-    moved = sum(run.observed.motion for run in runs)
-    return all(run.observed.recording.kind == "quiet" for run in runs) or missed <= 0.3**2 * moved
+    excess = sum(run.chi2 - run.expected_chi2 for run in runs)
+    motion = sum(run.observed.motion for run in runs)
+    return all(run.observed.recording.kind == "quiet" for run in runs) or excess <= 0.3**2 * motion
 
 
 def earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
-    """Return the simulations of the same recording that begin earlier than a part of it."""
+    """Return the runs of the same recording that begin before a segment of it."""
     own = [run for run in runs if run.observed.recording.file == observed.recording.file]
     return [run for run in own if run.trajectory.time[0] < observed.recording.time[0]]
 
 
 def state_at(runs: Sequence[Run], observed: Observations) -> Array:
-    """Return the state (2 nv,) at which an observation begins, from the simulations of the same recording."""
+    """Return the state (2 nv,) in which the runs of a recording pass the beginning of a segment of it."""
     instant = observed.recording.time[:1]
     paths = [run.trajectory for run in runs if run.observed.recording.file == observed.recording.file]
     begun = [path for path in paths if path.time[0] <= instant[0]]
@@ -288,7 +292,7 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
 
 
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
-    """Yield each run's linearization by its perturbed arms, those of short ones of the same arms computed together."""
+    """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
     return with_coefficients([run.linearization(own) for run, own in zip(runs, perturbed, strict=True)])
 
 
@@ -299,12 +303,12 @@ def linearize_by_states(runs: Sequence[Run]) -> None:
         run.__dict__["linearized_by_state"] = run.linearized(linearization)
 
 
-def _longest_step(chain: Chain, recordings: Sequence[Recording]) -> float:
-    """Step [s] with which derivatives resolve the fastest mode that the chain has or a camera shows."""
+def _derivative_step(chain: Chain, recordings: Sequence[Recording]) -> float:
+    """Return the longest step [s] with which derivatives resolve the fastest mode of the chain or the camera."""
     _, fastest = locked_joint_frequencies(chain)
     frames = [recording.time[recording.frames] for recording in recordings]
     nyquist = 0.5 / min((float(np.median(np.diff(time))) for time in frames if time.size > 1), default=np.inf)
-    return 0.25 / max(min(fastest, nyquist), 1e-300)  # a quarter of a period: two steps at a time
+    return 0.25 / max(min(fastest, nyquist), 1e-300)  # a quarter of a period: derivatives advance two steps at a time
 
 
 def simulate_runs(
@@ -314,14 +318,14 @@ def simulate_runs(
     states: Sequence[Array],
     step_multiple: float,
 ) -> list[Run]:
-    """Simulate several recordings together.
+    """Simulate several recordings in one batch, each from its initial state.
 
     Args:
         arms: one a recording.
         observed: the recordings.
-        priors: of their initial states; None: those of the arms.
+        priors: priors of their initial states; None: those of the arms.
         states: (2 nv,) initial states.
-        step_multiple: multiple of the default step.
+        step_multiple: multiple of the integrator's default step.
 
     Raises:
         SimulationDivergedError: one of them diverged.
@@ -330,7 +334,7 @@ def simulate_runs(
     q, v = zip(*(np.split(state, 2) for state in states), strict=True)
     began = [values.began for values in observed]
     z = [values.internal_states(arm, angles) for values, arm, angles in zip(observed, arms, q, strict=True)]
-    longest = _longest_step(arms[0].chain, recordings)
+    longest = _derivative_step(arms[0].chain, recordings)
     trajectories = simulate_trajectories(arms, recordings, q, v, None, step_multiple, longest, began, z)
     if priors is None:
         priors = [InitialStatePrior.of(arm, recording) for arm, recording in zip(arms, recordings, strict=True)]

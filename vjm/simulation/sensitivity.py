@@ -1,4 +1,4 @@
-"""Derivatives of measured values by initial states and parameters."""
+"""Derivatives of predicted measurements by initial states and parameters: the variational equations of a run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,15 @@ from vjm.simulation.integrate import locked_joint_frequencies, phi_functions
 from vjm.simulation.measurement import Observations
 from vjm.simulation.system import Trajectory, torque_at
 
-_LARGEST_PHASE = 3.2  # rad an interval, inside which derivatives are interpolated: to three hundredths at this limit
-_MOST_MODES = 16
-_OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below the error above
-_STEP = 1e-6  # rad, rad/s or units of internal states: largest perturbation of a joint
-# Fields of links on which rigid-body terms depend, and those on which the curves do.
+# Modes whose phase changes by less in an interval are slow [rad]; derivatives, which are interpolated inside it, are
+# right to 3 % up to there.
+_SLOW_PHASE = 3.2
+_MAX_MODES = 16  # bounds the cost, which grows with the cube of the number of modes
+_OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below those 3 %
+# Forward difference, largest at a joint [rad, rad/s or units of internal states]: its relative error is of the order of
+# the step, and rounding adds 1e-16 / 1e-6.
+_STEP = 1e-6
+# Fields of links on which rigid-body dynamics depends, and those on which the link's curve does.
 _OF_BODIES = (
     "lengths",
     "masses",
@@ -35,17 +39,17 @@ _OF_BODIES = (
     "rest_curvature",
 )
 _OF_CURVES = ("lengths", "cells", "rest_curvature")
-_NUMBERS_A_CHUNK = 400_000  # of coefficients held at once, bounds the memory
+_MOST_COEFFICIENTS = 400_000  # held in memory at once: 3 MB of doubles
 
 
 @dataclass(frozen=True)
 class ModalBasis:
     """Natural modes of the arm at rest, in which derivatives are expressed.
 
-    Measurements do not show the initial state of the fastest of them, so initial states are in the slow ones.
+    Initial states are expressed in the slow ones only: measurements do not show the initial state of faster modes.
 
     Attributes:
-        shapes: (nv, m) joint angles of each mode, with modal mass one; slowest first.
+        shapes: (nv, m) joint angles of each mode, normalised to modal mass one; slowest first.
         slow_count: number of slow modes.
     """
 
@@ -54,23 +58,23 @@ class ModalBasis:
 
     @classmethod
     def of(cls, chain: Chain, recording: Recording, interval: float) -> ModalBasis:
-        """Return the modes of an arm, active joints free; slow ones turn little in an interval [s].
+        """Return the modes of an arm with free active joints; slow ones turn by less than 3.2 rad in an interval [s].
 
-        Fast modes, which follow forces as if these were static, are omitted where they add nothing to the deflection.
+        Fast modes respond quasi-statically, and are omitted where they add nothing to a static deflection.
         """
         M, _, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         squares, shapes = linalg.eigh(K, M)
-        slow_count = int(np.count_nonzero(np.sqrt(np.maximum(squares, 0.0)) * interval < _LARGEST_PHASE))
-        # Of modes that bend the arm: where it is about to buckle, the first one's would be infinite.
+        slow_count = int(np.count_nonzero(np.sqrt(np.maximum(squares, 0.0)) * interval < _SLOW_PHASE))
+        # Compliances of the modes that bend the arm; limited, as that of an arm about to buckle would be infinite.
         slowest, _ = locked_joint_frequencies(chain, recording.payload)
         compliance = 1 / np.maximum(squares[chain.active.size :], (2 * np.pi * slowest) ** 2)
         needed = np.count_nonzero(np.cumsum(compliance[::-1]) > _OMITTED_COMPLIANCE * np.sum(compliance))
-        slow_count = min(max(slow_count, chain.active.size + 1), chain.size, _MOST_MODES)
-        return cls(shapes[:, : min(max(slow_count, chain.active.size + int(needed)), _MOST_MODES)], slow_count)
+        slow_count = min(max(slow_count, chain.active.size + 1), chain.size, _MAX_MODES)
+        return cls(shapes[:, : min(max(slow_count, chain.active.size + int(needed)), _MAX_MODES)], slow_count)
 
     @property
     def states(self) -> Array:
-        """(2 nv, 2 slow) initial angles and rates of a unit of each slow mode's coordinate and rate."""
+        """(2 nv, 2 slow) initial angles and rates by each slow mode's coordinate and rate."""
         shapes = self.shapes[:, : self.slow_count]
         return np.asarray(linalg.block_diag(shapes, shapes))
 
@@ -83,9 +87,9 @@ class PerturbedArm(NamedTuple):
 
 
 class _Motions(NamedTuple):
-    """Motions of one arm in several recordings or segments, one after another: I instants in all.
+    """Motions of one arm in several recordings or segments, concatenated: I instants in all.
 
-    Everything but the propagation in time is a function of the instant, so all motions are evaluated at once.
+    Coefficients of the variational equations depend on the instant alone: those of all motions are one batch.
     """
 
     elapsed: Array  # (I,) since each recording began [s]
@@ -98,7 +102,7 @@ class _Motions(NamedTuple):
 
     @classmethod
     def of(cls, paths: Sequence[Trajectory], observed: Sequence[Observations]) -> Self:
-        """Join motions."""
+        """Concatenate motions."""
         elapsed = np.concatenate([path.elapsed(path.time) for path in paths])
         q, v, a, z = (np.concatenate(parts) for parts in zip(*(path.motion for path in paths), strict=True))
         return cls(elapsed, q, v, a, z, tuple(paths), tuple(observed))
@@ -110,9 +114,9 @@ class _Motions(NamedTuple):
         return [slice(stop - len(path.time), stop) for stop, path in zip(stops, self.paths, strict=True)]
 
     def followed(self, arm: Arm) -> Self:
-        """Return the motions with the internal states of another arm, which follow them."""
+        """Return the motions with the internal states that another arm's effects would have along them."""
         longest = max(len(path.time) for path in self.paths)
-        # A motion that ended stands still.
+        # Shorter motions are padded with their last instant.
         shown = np.stack(
             [np.minimum(np.arange(longest), part.stop - part.start - 1) + part.start for part in self.parts]
         )
@@ -153,19 +157,19 @@ class _EquationsOfMotion:
 def _coefficients(
     arm: Arm, bases: Sequence[ModalBasis], perturbed: Sequence[PerturbedArm], motion: _Motions
 ) -> list[tuple[Array, Array]]:
-    """Coefficients of the variational equations along motions of I instants each.
+    """Return the coefficients of the variational equations along several motions, of I instants each.
 
-    Derivatives by parameters, and of effects, are forward differences.
-
-    They are the derivatives of modal rates' and internal states' rates of change, by the unknowns (m modal coordinates,
-    m modal rates, nz internal states; (I, m + nz, 2 m + nz)) and by the parameters (I, m + nz, p).
+    Returns:
+        For each motion, derivatives of modal accelerations and internal states' rates: by the m modal coordinates, the
+        m modal rates and nz internal states (I, m + nz, 2 m + nz), and by the parameters (I, m + nz, p). Those by
+        parameters, and those of effects' forces, are forward differences.
     """
     equations, chain = _EquationsOfMotion(arm, motion), arm.chain
     inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
     state_rates = equations.state_rates(motion)
     lengths = [len(path.time) for path in motion.paths]
     shapes = np.repeat(np.stack([basis.shapes for basis in bases]), lengths, axis=0)  # (I, nv, m)
-    # Small at every joint: a force that changes sign with a rate must not see the fast modes' large angles.
+    # Steps small at every joint: those of fast modes, whose shapes are large, must not take a force across its kink.
     steps = _STEP / np.abs(shapes).max(axis=1)
     m, nz = shapes.shape[2], motion.z.shape[1]
     forces = np.zeros((len(motion.q), chain.size, 2 * m + nz + len(perturbed)))
@@ -197,18 +201,18 @@ def _coefficients(
 def _parameter_derivatives(
     equations: _EquationsOfMotion, perturbed: PerturbedArm, motion: _Motions, nominal: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
-    """Derivatives of torques (I, nv) and internal states' rates (I, nz) by a parameter."""
+    """Return forward differences of torques (I, nv) and internal states' rates (I, nz) by a parameter."""
     inertial, further, state_rates = nominal
     chain, (other_arm, step) = equations.arm.chain, perturbed
     other = other_arm.chain
     forces = motion.q * (other.stiffness - chain.stiffness) + motion.v * (other.damping - chain.damping)
     rates = np.zeros(motion.z.shape)
-    if other_arm.effects == equations.arm.effects and _equal(chain, other, _OF_BODIES):
+    if other_arm.effects == equations.arm.effects and _equal_links(chain, other, _OF_BODIES):
         if equations.force is not None and not np.array_equal(other.stiffness, chain.stiffness):
             forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further
         return forces / step, rates
     changed, nz = _EquationsOfMotion(other_arm, motion), motion.z.shape[1]
-    if changed.gravity != equations.gravity or not _equal(chain, other, _OF_BODIES):
+    if changed.gravity != equations.gravity or not _equal_links(chain, other, _OF_BODIES):
         forces = forces + changed.inertial_torque(motion) - inertial
     if sum(other_arm.states) > nz:  # internal states that only the perturbed arm has follow the motion as it is
         motion = motion.followed(other_arm)
@@ -222,8 +226,8 @@ def _parameter_derivatives(
     return forces / step, rates / step
 
 
-def _equal(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
-    """True if two chains have the same base, and links that are equal in some fields."""
+def _equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
+    """Return True if two chains have the same base, and links that are equal in some fields."""
     if chain.base != other.base:
         return False
     links = list(zip(chain.links, other.links, strict=True))
@@ -232,9 +236,12 @@ def _equal(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _propagators(state: Array, forcing: Array, interval: float) -> tuple[Array, Array]:
-    """Over K intervals of three instants each, the flow (K, d, d) and the forcing's contribution (K, d, p)."""
+    """Return transition matrices (K, d, d) of K intervals of three instants each, and the forcing's part (K, d, p).
+
+    An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants.
+    """
     lower, size = state.shape[1:]
-    upper = size - lower  # coordinates, whose rates are unknowns themselves
+    upper = size - lower  # modal coordinates, whose rates of change are unknowns themselves
     L, F = np.zeros((len(state), size, size)), np.zeros((len(state), size, forcing.shape[2]))
     L[:, :upper, upper : 2 * upper] = np.eye(upper)
     L[:, upper:], F[:, upper:] = state, forcing
@@ -246,16 +253,16 @@ def _propagators(state: Array, forcing: Array, interval: float) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Linearization:
-    """Derivatives of a simulation's predictions.
+    """Linearization of a run: derivatives of its predictions by initial state and parameters.
 
     Attributes:
         observed: the measurements.
-        arm: simulated.
+        arm: the arm that was simulated.
         basis: m modes.
         perturbed: p arms, each with one parameter changed.
-        trajectory: of one copy.
-        stride: steps in half an interval; their number is a multiple of two strides.
-        coefficients: of the variational equations along the whole trajectory; None: not known yet.
+        trajectory: the motion linearised about; its number of steps is a multiple of two strides.
+        stride: integrator steps in half an interval.
+        coefficients: those of the variational equations along the whole trajectory; None: not computed yet.
     """
 
     observed: Observations
@@ -267,21 +274,21 @@ class Linearization:
     coefficients: tuple[Array, Array] | None = None
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
-        """Yield weighted derivatives of the measured values, one stretch of time after another.
+        """Yield weighted derivatives of the measured values, one chunk of the recording after another.
 
         Yields:
-            (r,) indices of `observed.values` in the stretch, and the derivatives (r, 2 slow + p) of their predictions,
+            (r,) indices of `observed.values` in the chunk, and the derivatives (r, 2 slow + p) of their predictions,
             times their weights, by the slow modes' initial coordinates, initial rates, and by the parameters.
         """
         observed, time = self.observed, self.observed.recording.time
-        # Frames show the arm at instants of their own, maybe in the stretch before, or the next.
+        # With a late or early camera a frame may show the arm in the chunk before or the next.
         exposures = observed.arcs.exposure_times(self.arm, self.trajectory, time[observed.frames])
         delays = time[observed.frames] - exposures
         behind, ahead = float(np.max(delays, initial=0.0)), float(np.max(-delays, initial=0.0))
         first = 0
         part: Trajectory | None = None
-        for stretch in self._stretches():
-            part = stretch if part is None else _joined(part, stretch, behind + ahead)
+        for chunk in self._chunks():
+            part = chunk if part is None else _join_trajectories(part, chunk, behind + ahead)
             at_end = part.time[-1] >= self.trajectory.time[-1]
             last = time.size if at_end else int(np.searchsorted(time, part.time[-1] - ahead, side="left"))
             if last <= first:
@@ -295,8 +302,8 @@ class Linearization:
             yield measured, observed.weights[measured, None] * slopes
             first = last
 
-    def _stretches(self) -> Iterator[Trajectory]:
-        """Derivatives of the motion as trajectories of 2 slow + p copies with m modal coordinates."""
+    def _chunks(self) -> Iterator[Trajectory]:
+        """Yield derivatives of the motion: trajectories of m modal coordinates for each of 2 slow + p unknowns."""
         basis, trajectory = self.basis, self.trajectory
         size, slow_count, nz = basis.shapes.shape[1], basis.slow_count, trajectory.z.shape[1]
         count = 2 * slow_count + len(self.perturbed)
@@ -305,11 +312,11 @@ class Linearization:
         state[size : size + slow_count, slow_count : 2 * slow_count] = np.eye(slow_count)
         if nz:
             state[2 * size :] = self._initial_internal_states()
-        rows, most = self.rows, self.most_rows
+        rows, chunk_size = self.rows, self.max_chunk
         if self.coefficients or any(sum(arm.states) > nz for arm, _ in self.perturbed):
-            most = rows.size  # internal states that only perturbed arms have are followed from the start
-        for first in range(0, rows.size - 1, most):
-            part = rows[first : first + most + 1]
+            chunk_size = rows.size  # internal states that only perturbed arms have are followed from the start
+        for first in range(0, rows.size - 1, chunk_size):
+            part = rows[first : first + chunk_size + 1]
             by_state, by_parameters = self.coefficients or self._coefficients_along(part)
             flow, forced = _propagators(by_state, by_parameters, 2 * self.stride * trajectory.step)
             states = np.empty((len(flow) + 1, 2 * size + nz, count))
@@ -326,17 +333,17 @@ class Linearization:
 
     @cached_property
     def rows(self) -> Indices:
-        """Instants of the trajectory at which coefficients are taken."""
+        """Indices of the trajectory's instants at which coefficients are evaluated."""
         return np.arange(0, len(self.trajectory.time), self.stride)
 
     @property
-    def most_rows(self) -> int:
-        """Number of instants whose coefficients are held at once, to bound the memory."""
+    def max_chunk(self) -> int:
+        """Number of instants whose coefficients are held in memory at once."""
         size = int(2 * self.basis.shapes.shape[1] + self.trajectory.z.shape[1])
-        return 2 * max(20, _NUMBERS_A_CHUNK // size**2)
+        return 2 * max(20, _MOST_COEFFICIENTS // size**2)
 
     def motion(self, rows: Indices) -> Trajectory:
-        """Return the motion at some instants."""
+        """Return the motion at some of the trajectory's instants."""
         trajectory = self.trajectory
         return Trajectory(*(values[rows] for values in (trajectory.time, *trajectory.motion)), start=trajectory.began)
 
@@ -345,7 +352,7 @@ class Linearization:
         return _coefficients(self.arm, [self.basis], self.perturbed, motion)[0]
 
     def _initial_internal_states(self) -> Array:
-        """(nz, 2 slow + p) derivatives of the internal states at the start."""
+        """Return derivatives (nz, 2 slow + p) of the internal states at the start."""
         q, slow_count = self.trajectory.q[0], self.basis.slow_count
         observed = self.observed
         z = observed.internal_states(self.arm, q)
@@ -356,7 +363,7 @@ class Linearization:
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
     def _marker_slopes(self, part: Trajectory, exposures: Array, stamps: Array) -> Array:
-        """(F, 2 k, 2 slow + p) derivatives of marker coordinates in frames seen at instants (F,) or (k, F)."""
+        """Return derivatives (F, 2 k, 2 slow + p) of marker coordinates, seen at instants (F,) or (k, F)."""
         arcs, q, elapsed = self.observed.arcs, self.trajectory.angles(exposures), self.trajectory.elapsed(exposures)
         by_modes = arcs.slopes(self.arm, q, elapsed, self.basis.shapes)
         modes = np.swapaxes(part.angles(exposures), -2, -1)
@@ -368,14 +375,14 @@ class Linearization:
         base: Array | None = None
         for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[2] - len(self.perturbed)):
             # Markers are measured at the same places unless sensors or curves differ.
-            if self.arm.sensors != other.sensors or not _equal(self.arm.chain, other.chain, _OF_CURVES):
+            if self.arm.sensors != other.sensors or not _equal_links(self.arm.chain, other.chain, _OF_CURVES):
                 base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
                 changed = arcs.frames(other, self.trajectory, stamps)
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
     def _encoder_slopes(self, part: Trajectory, angles: slice) -> Array:
-        """(r, 2 slow + p) derivatives of the encoders' values `angles`."""
+        """Return derivatives (r, 2 slow + p) of the encoder values with indices `angles`."""
         observed, active = self.observed, self.arm.chain.active
         rows = slice(angles.start - observed.markers.size, angles.stop - observed.markers.size)
         instants, joints = np.divmod(observed.angles[rows], max(active.size, 1))
@@ -393,29 +400,29 @@ class Linearization:
 
 
 def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
-    """Yield linearizations, coefficients of neighbouring short ones of the same arm computed together."""
+    """Yield linearizations with their coefficients; those of neighbouring short ones of the same arm in one batch."""
     group: list[Linearization] = []
     for each in linearizations:
-        if group and not _are_alike(group, each):
-            yield from _together(group)
+        if group and not _is_compatible(group, each):
+            yield from _with_shared_coefficients(group)
             group = []
         group.append(each)
-    yield from _together(group)
+    yield from _with_shared_coefficients(group)
 
 
-def _are_alike(group: Sequence[Linearization], other: Linearization) -> bool:
-    """True if one more linearization has the arms and modes of a group, and its coefficients have room beside it."""
+def _is_compatible(group: Sequence[Linearization], other: Linearization) -> bool:
+    """Return True if a linearization has the arms of a group and its number of modes, and fits into memory with it."""
     first, (one, two) = group[0], (group[0].observed.recording, other.observed.recording)
     arms = [(first.arm, other.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, other.perturbed, strict=True))]
     return (
         all(a is b for a, b in arms)
         and first.basis.shapes.shape == other.basis.shapes.shape
         and (one.payload, one.gravity) == (two.payload, two.gravity)
-        and sum(each.rows.size for each in (*group, other)) <= first.most_rows
+        and sum(each.rows.size for each in (*group, other)) <= first.max_chunk
     )
 
 
-def _together(group: Sequence[Linearization]) -> Iterator[Linearization]:
+def _with_shared_coefficients(group: Sequence[Linearization]) -> Iterator[Linearization]:
     if len(group) < 2:
         yield from group
         return
@@ -426,8 +433,8 @@ def _together(group: Sequence[Linearization]) -> Iterator[Linearization]:
         yield replace(each, coefficients=coefficients)
 
 
-def _joined(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory:
-    """A stretch with the end of the one before."""
+def _join_trajectories(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory:
+    """Prepend the last `overlap` seconds of a chunk to the next one."""
     if overlap <= 0:
         return after
     kept = before.time < after.time[0] - 1e-12
