@@ -105,14 +105,23 @@ def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
         assert run.state == pytest.approx(np.zeros(off.size))
 
 
-def test_what_does_not_stick_is_searched_for_from_where_a_step_misses() -> None:
+def test_a_state_is_refined_where_it_alone_spoils_a_step() -> None:
     """All of what the step in its own state costs comes back in a few trials."""
     point, step, off = missing_step(ViscousFriction(link=0, coefficient=0.02))
+    step = replace(step, state_changes=[off, 0 * off])
     trial = _trial_point(point, step)
-    count = len(point.runs)
-    missed = point.problem.simulated(point.x + step.change, [off] * count, point.states, [1.0] * count)
+    missed = point.problem.simulated(point.x + step.change, [off, 0 * off], point.states, [1.0, 1.0])
     assert trial is not None
     assert trial.cost < point.cost + 0.01 * (missed.cost - point.cost)
+
+
+def test_states_are_not_refined_where_all_of_them_fall_short() -> None:
+    """The coordinates' step is then wrong, and is shortened: searches for all states would take most of the time."""
+    point, step, off = missing_step(ViscousFriction(link=0, coefficient=0.02))
+    trial = _trial_point(point, step)
+    assert trial is not None
+    for run in trial.runs:
+        assert run.state == pytest.approx(off)
 
 
 def test_a_step_is_kept_where_a_nearer_beginning_cannot_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
