@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.records import RecordingComparison
-from vjm.report.animation import arm_animation
 from vjm.report.identification import carried_points, input_section, parameter_table, recording_table
-from vjm.report.page import Grade, Page, Section, Table
+from vjm.report.interactive import arm_animation, time_histories
+from vjm.report.page import Grade, Page, Section, Table, named
 from vjm.report.text import clause, place, sizes_text
-from vjm.report.time_histories import time_histories
 from vjm.simulation.model import Model
 from vjm.text import (
     MOST_NAMED,
@@ -70,9 +69,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
             Section(points=carried),
         ]
     else:
-        wrong, evidence = ([each for each in pictures if each.name.startswith(kind)] for kind in ("symptom", "cause"))
-        still = [picture for picture in pictures if picture.name.startswith("held_out")]
-        gained = [picture for picture in pictures if picture not in (*wrong, *evidence, *still)]
+        wrong, still, gained = (named(pictures, name) for name in ("symptom", "held_out", "gain"))
         labels = {"reference": "without causes", "simulated": "with causes"}
         labels = labels if diagnosis.causes else {"reference": "model"}
         rig, models = diagnosis.model.rig, {"reference": diagnosis.reference, "simulated": diagnosis.model}
@@ -87,7 +84,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         sections = [
             Section("Symptoms", symptoms, pictures=wrong[:1]),
             Section("Symptoms in detail", pictures=wrong[1:], folded=True),
-            Section("Causes", tables=causes, pictures=evidence),
+            Section("Causes", tables=causes, pictures=named(pictures, "cause")),
             Section("Indistinguishable causes", _alternative_points(diagnosis)),
             Section(gain_heading, tables=[recordings], pictures=gained, plots=plots, still=still),
             Section("Candidates", _untestable_points(diagnosis), [_candidate_table(diagnosis)], folded=True),

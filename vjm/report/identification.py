@@ -13,11 +13,10 @@ from vjm.chain.virtual_links import Chain
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison, Identification, ModeComparison, Whiteness
 from vjm.records import Estimate, Experiment, RecordingComparison
-from vjm.report.animation import arm_animation
-from vjm.report.page import Grade, Page, Section, Table
+from vjm.report.interactive import arm_animation, time_histories
+from vjm.report.page import Grade, Page, Section, Table, named
 from vjm.report.result_json import result_object
 from vjm.report.text import place
-from vjm.report.time_histories import time_histories
 from vjm.simulation.model import Model
 from vjm.text import (
     MOST_NAMED,
@@ -72,24 +71,29 @@ def _fit_page(fit: Identification, pictures: Sequence[Picture] | None) -> Page:
     ]
     parameters, modes = parameter_table(fit.parameters, fit.nominal.chain), _mode_table(fit.modes)
     comparisons = recording_table(fit.recordings, "identified", "nominal", "torque method")
+    animation = None
     if pictures is None:
         notes = [note for note in fit.notes if note not in fit.warnings]
         sections = [Section(tables=[parameters, modes, comparisons]), Section("Notes", notes)]
     else:
-        kinds = ("fit", "tip"), ("residual",), ("correlations",)
-        simulated, residual, correlated = ([each for each in pictures if each.name.startswith(kind)] for kind in kinds)
-        data = [each for each in pictures if each not in (*simulated, *residual, *correlated)]
+        data = named(pictures, "shapes", "angles", "torque_errors", "markers")
+        followed, animation = _followed(fit, comparisons, pictures, "identified")
         method = _TRAJECTORY_METHOD if fit.trajectory else _TORQUE_METHOD
         sections = [
             Section("Parameters", tables=[parameters, modes]),
-            _followed_section(fit, comparisons, simulated, "identified"),
-            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=residual, folded=True),
-            Section("Identifiability", fit.notes, _remedy_tables(fit.parameters), correlated, folded=True),
+            followed,
+            Section("Residuals", (), _whiteness_tables(fit.whiteness), named(pictures, "residual"), folded=True),
+            Section(
+                "Identifiability",
+                fit.notes,
+                _remedy_tables(fit.parameters),
+                named(pictures, "correlations"),
+                folded=True,
+            ),
             Section("Data", pictures=data, folded=True),
             input_section(fit.experiment),
             Section("Settings", terms=_settings(fit), text=method, folded=True),
         ]
-    animation = None if pictures is None else _animation(fit, "identified")
     title = fit.experiment.rig.name
     return Page(title, "identification", headline, grade, points, fit.warnings, sections, animation)
 
@@ -99,30 +103,25 @@ def _comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None)
     headline, grade = _closeness(recordings, "given")
     points = [*_recording_points(recordings), *_not_simulated_points(recordings)]
     table, carried = recording_table(recordings, "given", "nominal"), carried_points(comparison.model)
+    animation = None
     if pictures is None:
         sections = [Section(tables=[table]), Section(points=carried)]
     else:
-        followed = _followed_section(comparison, table, pictures, "given")
+        followed, animation = _followed(comparison, table, pictures, "given")
         sections = [followed, Section("Effects", carried), input_section(comparison.experiment)]
-    animation = None if pictures is None else _animation(comparison, "given")
     title = comparison.experiment.rig.name
     return Page(title, "simulation", headline, grade, points, comparison.warnings, sections, animation)
 
 
-def _labels(name: str) -> dict[str, str]:
-    return {"reference": "nominal model", "simulated": f"{name} model"}
-
-
-def _followed_section(result: Comparison, table: Table, pictures: Sequence[Picture], name: str) -> Section:
-    still = [picture for picture in pictures if picture.name.startswith("tip")]
-    plots = time_histories(result.model.rig, result.recordings, _labels(name))
-    others = [picture for picture in pictures if picture not in still]
-    return Section("Fit per recording", tables=[table], pictures=others, plots=plots, still=still)
-
-
-def _animation(result: Comparison, name: str) -> dict[str, Any] | None:
+def _followed(
+    result: Comparison, table: Table, pictures: Sequence[Picture], name: str
+) -> tuple[Section, dict[str, Any] | None]:
+    """Return the section on how closely recordings are followed, and the animation of one of them."""
+    rig, labels = result.model.rig, {"reference": "nominal model", "simulated": f"{name} model"}
+    plots, still = time_histories(rig, result.recordings, labels), named(pictures, "tip")
+    section = Section("Fit per recording", tables=[table], pictures=named(pictures, "fit"), plots=plots, still=still)
     models = {"reference": result.nominal, "simulated": result.model}
-    return arm_animation(result.model.rig, result.recordings, _labels(name), models)
+    return section, arm_animation(rig, result.recordings, labels, models)
 
 
 def input_section(experiment: Experiment) -> Section:

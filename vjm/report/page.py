@@ -70,6 +70,11 @@ class Table:
         return [max(width, *map(len, head.split(" ")), 1) for head, width in zip(self.headers, cells, strict=True)]
 
 
+def named(pictures: Sequence[Picture], *beginnings: str) -> list[Picture]:
+    """Return the pictures whose names begin so."""
+    return [picture for picture in pictures if picture.name.startswith(beginnings)]
+
+
 @dataclass(frozen=True)
 class Section:
     """Part of a page: a heading, sentences, tables, plots, pictures, terms with their descriptions, a paragraph."""
