@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.records import RecordingComparison
+from vjm.report.figures.panels import Picture
 from vjm.report.identification import carried_points, input_section, parameter_table, recording_table
 from vjm.report.interactive import arm_animation, time_histories
 from vjm.report.page import Grade, Page, Section, Table, named
-from vjm.report.text import clause, place, sizes_text
+from vjm.report.text import clause, place, sizes_text, title_and_place
 from vjm.simulation.model import Model
 from vjm.text import (
     MOST_NAMED,
@@ -26,9 +26,6 @@ from vjm.text import (
     unit,
     with_error,
 )
-
-if TYPE_CHECKING:
-    from vjm.report.figures.panels import Picture
 
 _METHOD = (
     "The model without effects is fitted to all training recordings at once. The discretization error of its virtual "
@@ -308,9 +305,7 @@ def _untestable_points(diagnosis: Diagnosis) -> list[str]:
     by_reason: dict[str, list[str]] = {}
     for candidate in diagnosis.candidates:
         if not candidate.testable:
-            where = place(candidate.effect, diagnosis.model)
-            name = f"{in_sentence(candidate.effect.title)} ({where})".removesuffix(" ()")
-            by_reason.setdefault(candidate.reason, []).append(name)
+            by_reason.setdefault(candidate.reason, []).append(title_and_place(candidate.effect, diagnosis.model))
     texts = [f"{listed(names)} ({reason})" for reason, names in by_reason.items()]
     return [f"Not testable: {'; '.join(texts)}."] if texts else []
 

@@ -293,8 +293,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
         source = _Source.of([one for one, _ in members], total)
         rates, std = (np.concatenate(parts) for parts in zip(*((f.rates, f.std) for _, f in members), strict=True))
         centre = float(rates[:, 1, 0].mean())
-        for c, kind, power, faster, slower in ((0, "frequency", 2, "higher", "lower"),
-                                               (1, "damping", 1, "higher", "lower")):  # fmt: skip
+        for c, kind, power in ((0, "frequency", 2), (1, "damping", 1)):
             values, errors = rates[..., c] / (1 if c else centre), std[:, c] / (1 if c else centre)
             place = (amplitude / largest) ** power
             columns = np.stack([np.ones_like(place), place], axis=1) / errors[:, None]
@@ -304,7 +303,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
             beyond = sum(free.misfit_of(rate, largest, power) for _, free in members)
             own = float(np.linalg.lstsq(columns, values[:, 1] / errors, rcond=None)[0][1] * np.ptp(place))
             change = slope.times(float(np.ptp(place)))._replace(explained=beyond)
-            here, model = (f"{_plain(v) if c else _quantity(v, '1')} {faster if v > 0 else slower}"
+            here, model = (f"{_plain(v) if c else _quantity(v, '1')} {'higher' if v > 0 else 'lower'}"
                            for v in (change.value + own, own))  # fmt: skip
             model = "the same" if abs(own) < 0.05 * abs(change.value + own) else model
             yield source.symptom(

@@ -42,7 +42,7 @@ from vjm.report.figures.signals import (
     one_of_each_repeat,
     simulations,
 )
-from vjm.report.text import recording_label
+from vjm.report.text import ROLES, recording_label
 from vjm.simulation.model import Model
 from vjm.text import counted, listed, millimetres, number, short
 
@@ -338,8 +338,7 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
         axes.set(xlabel="time [s]", ylabel=f"{'xy'[axis]} [mm]")
         length, duration = stop - start, whole[1] - whole[0]
         part = "" if length > 0.99 * duration else f", {length:.2g} s of {duration:.3g} s"
-        role = "held out" if recording.role == "holdout" else "train"
-        heading = f"{short(recording.file, 22)} ({recording.kind}, {role}{part})"
+        heading = f"{short(recording.file, 22)} ({recording.kind}, {ROLES[recording.role]}{part})"
         if len(links) > 1:
             heading = f"{short(rig.links[link].name, 12)} ({rig.links[link].markers_frame} frame), {heading}"
         axes.set_title(heading)
