@@ -42,9 +42,12 @@ _METHOD = (
 
 def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = None) -> Page:
     """Return the page of a diagnosis: the report with its pictures, or without any a summary."""
-    headline, grade = _headline(diagnosis)
-    if diagnosis.causes and diagnosis.recommended is diagnosis.reference:
-        headline, grade = f"{_harm(diagnosis)} {headline}", "poor"
+    (headline, grade), gain = _headline(diagnosis), diagnosis.gain
+    if diagnosis.causes and gain is not None and gain.harmful:
+        causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
+        change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
+        harm = f"Use the model without {causes}: with {causes} the held-out error rises {change}."
+        headline, grade = f"{harm} {headline}", "poor"
     if diagnosis.budget.exhausted and diagnosis.budget.not_tried:
         titles = {candidate.effect.id: in_sentence(candidate.effect.title) for candidate in diagnosis.candidates}
         untried = listed([titles.get(name, name) for name in diagnosis.budget.not_tried[:MOST_NAMED]])
@@ -56,13 +59,13 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         points += _small_effect_points(diagnosis)
     if diagnosis.verdict != "insufficient":
         points += _next_points(diagnosis)
-    causes = [_cause_table(diagnosis)] if diagnosis.causes else []
+    cause_tables = [_cause_table(diagnosis)] if diagnosis.causes else []
     recordings, carried = _recording_table(diagnosis), carried_points(diagnosis.model)
     animation = None
     if pictures is None:
         sections = [
             Section("Symptoms", _symptom_points(diagnosis, 4)),
-            Section(tables=[*causes, _candidate_table(diagnosis, 6), recordings]),
+            Section(tables=[*cause_tables, _candidate_table(diagnosis, 6), recordings]),
             Section(points=carried),
         ]
     else:
@@ -81,7 +84,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         sections = [
             Section("Symptoms", symptoms, pictures=wrong[:1]),
             Section("Symptoms in detail", pictures=wrong[1:], folded=True),
-            Section("Causes", tables=causes, pictures=named(pictures, "cause")),
+            Section("Causes", tables=cause_tables, pictures=named(pictures, "cause")),
             Section("Indistinguishable causes", _alternative_points(diagnosis)),
             Section(gain_heading, tables=[recordings], pictures=gained, plots=plots, still=still),
             Section("Candidates", _untestable_points(diagnosis), [_candidate_table(diagnosis)], folded=True),
@@ -119,15 +122,6 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
         return f"{found}: {causes}. A further residual is not explained by any candidate{ending}.", "poor"
     part = f" Explained in part by: {causes}." if diagnosis.causes else ""
     return f"Residual not explained by any candidate{ending}.{part}", "poor"
-
-
-def _harm(diagnosis: Diagnosis) -> str:
-    gain = diagnosis.gain
-    if gain is None:
-        return ""
-    change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
-    causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
-    return f"Use the model without {causes}: with {causes} the held-out error rises {change}."
 
 
 def _minor_points(diagnosis: Diagnosis) -> list[str]:

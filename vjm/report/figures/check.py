@@ -101,13 +101,8 @@ def _draw_link(
     direction = np.array([np.cos(rest), np.sin(rest)])
     axes.plot(*np.outer(direction, [0, link.length]), color=_LINK, linewidth=9, solid_capstyle="butt", zorder=1)
     places = np.outer(arcs, direction)
-    ring: dict[str, Any] = {
-        "markersize": 19,
-        "markerfacecolor": "none",
-        "markeredgecolor": Color.AXIS,
-        "linestyle": "none",
-    }
-    axes.plot(*places.T, "o", **ring, label="described: markers at rest", zorder=4)
+    ring: dict[str, Any] = {"markersize": 19, "markerfacecolor": "none", "markeredgecolor": Color.AXIS, "zorder": 4}
+    axes.plot(*places.T, "o", **ring, linestyle="none", label="described: markers at rest")
     for k, place in enumerate(places if labelled else (), start=1):
         below: dict[str, Any] = {"ha": "center", "color": Color.AXIS, "fontsize": 9, "path_effects": _HALO, "zorder": 8}
         axes.annotate(str(k), place, (0, -19), textcoords="offset points", **below)
@@ -123,13 +118,8 @@ def _draw_frame(axes: Axes, rig: Rig, angles: tuple[float, float, float], labell
     for name, color, end, place in (("x", _RED, (size, 0.0), (-6, -17)), ("y", _GREEN, (0.0, size), (-13, -6))):
         axes.annotate("", end, (0, 0), arrowprops={**arrow, "color": color, "shrinkA": 0, "shrinkB": 0}, zorder=6)
         axes.annotate(name, end, place, textcoords="offset points", color=color, fontsize=12, fontweight="bold")
-    mark: dict[str, Any] = {
-        "markersize": 11,
-        "markerfacecolor": "white",
-        "markeredgecolor": "black",
-        "markeredgewidth": 1.8,
-    }
-    axes.plot(0, 0, "o" if link.joint == "revolute" else "s", **mark, linestyle="none", zorder=7)
+    mark: dict[str, Any] = {"markersize": 11, "markerfacecolor": "white", "markeredgecolor": "black", "zorder": 7}
+    axes.plot(0, 0, "o" if link.joint == "revolute" else "s", **mark, markeredgewidth=1.8, linestyle="none")
     axes.update_datalim([(-0.18 * link.length, 0.0)])  # room for these words
     text = f"base origin,\n{'joint' if link.joint == 'revolute' else 'clamp'}"
     axes.annotate(
