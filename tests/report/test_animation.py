@@ -13,8 +13,8 @@ from tests.report.fits import demo_fit, elbow_fit
 from tests.report.test_page import Elements
 from vjm.identification.records import Identification
 from vjm.records import RecordingComparison
-from vjm.report.animation import _MOST_FRAMES, _frame_rows, arm_animation
 from vjm.report.figures.signals import Signal, liveliest_window
+from vjm.report.interactive import _MOST_FRAMES, _frame_rows, arm_animation
 from vjm.report.output import result_page
 
 

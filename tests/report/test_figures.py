@@ -23,8 +23,7 @@ import vjm
 from tests.report.fits import SHARED, demo_fit, elbow_fit, hub_fit, pictures_of, torque_fit
 from vjm.identification.records import Identification
 from vjm.records import RecordingComparison, SimulatedRecording
-from vjm.report.figures.identification import _replay_pictures, identification_pictures
-from vjm.report.figures.measurements import data_pictures
+from vjm.report.figures.identification import _data_pictures, _replay_pictures, identification_pictures
 from vjm.report.figures.panels import DIVERGING, LINES, SMALLEST, Picture, Spectrum
 from vjm.report.figures.signals import Signal, _motion_panel, _residual_panel, liveliest_window
 from vjm.report.output import _PICTURES
@@ -251,7 +250,7 @@ def test_raw_markers_show_every_kind_of_recording() -> None:
     fit = demo_fit()
     copies = tuple(replace(fit.experiment.recordings[1], file=f"copy_{k}.csv") for k in range(12))
     crowded = replace(fit.experiment, recordings=(*copies, *fit.experiment.recordings))
-    *_, picture = data_pictures(replace(fit, experiment=crowded))
+    *_, picture = _data_pictures(replace(fit, experiment=crowded))
     headings = " ".join(axes.get_title("left") for axes in picture.figure.axes)
     assert len(picture.figure.axes) == 8
     assert "quiet.csv (quiet, train)" in headings

@@ -16,10 +16,10 @@ from tests.report.test_page import Elements
 from vjm.diagnosis.records import Diagnosis
 from vjm.identification.records import Identification
 from vjm.records import Recording, SimulatedRecording, Simulation
-from vjm.report import time_histories as module
+from vjm.report import interactive
+from vjm.report.interactive import _extreme_rows, time_histories
 from vjm.report.output import result_page
 from vjm.report.text import recording_label
-from vjm.report.time_histories import telling_rows, time_histories
 
 
 @pytest.mark.parametrize("result", [demo_fit, elbow_fit, undecided, nothing])
@@ -67,7 +67,7 @@ def test_the_plot_begins_with_the_recording_of_the_animation() -> None:
 def test_thinned_rows_keep_the_extremes(columns: int, count: int, most: int, random: object) -> None:
     seed = random.randrange(1000)  # type: ignore[attr-defined]
     values = np.random.default_rng(seed).standard_normal((count, columns))
-    rows = telling_rows(values, most)
+    rows = _extreme_rows(values, most)
     assert len(rows) <= most
     assert (np.diff(rows) > 0).all()
     assert rows[0] == 0
@@ -108,7 +108,7 @@ def test_long_recordings_are_thinned() -> None:
     assert len(text) < 3e6
     data = json.loads(text)
     moved = data["recordings"][data["first"]]
-    assert all(len(times) <= module._MOST_INSTANTS for times in moved["times"])
+    assert all(len(times) <= interactive._MOST_INSTANTS for times in moved["times"])
     tip = moved["signals"][-1]
     recording = next(each.recording for each in fit.recordings if recording_label(each.recording) == moved["label"])
     assert tip["name"] == "beam.m5.y"

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from vjm.diagnosis.records import Candidate, Cause, Diagnosis
 from vjm.records import RecordingComparison
-from vjm.report.animation import arm_animation
+from vjm.report.figures.panels import Picture
 from vjm.report.identification import carried_points, input_section, parameter_table, recording_table
-from vjm.report.page import Grade, Page, Section, Table
-from vjm.report.text import clause, place, sizes_text
-from vjm.report.time_histories import time_histories
+from vjm.report.interactive import arm_animation, time_histories
+from vjm.report.page import Grade, Page, Section, Table, named
+from vjm.report.text import clause, place, sizes_text, title_and_place
 from vjm.simulation.model import Model
 from vjm.text import (
     MOST_NAMED,
@@ -28,9 +27,6 @@ from vjm.text import (
     with_error,
 )
 
-if TYPE_CHECKING:
-    from vjm.report.figures.panels import Picture
-
 _METHOD = (
     "The model without effects is fitted to all training recordings at once. The discretization error of its virtual "
     "joints is measured with a finer chain and corrected, so that it is not taken for an effect. A score test then "
@@ -46,9 +42,12 @@ _METHOD = (
 
 def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = None) -> Page:
     """Return the page of a diagnosis: the report with its pictures, or without any a summary."""
-    headline, grade = _headline(diagnosis)
-    if diagnosis.causes and diagnosis.recommended is diagnosis.reference:
-        headline, grade = f"{_harm(diagnosis)} {headline}", "poor"
+    (headline, grade), gain = _headline(diagnosis), diagnosis.gain
+    if diagnosis.causes and gain is not None and gain.harmful:
+        causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
+        change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
+        harm = f"Use the model without {causes}: with {causes} the held-out error rises {change}."
+        headline, grade = f"{harm} {headline}", "poor"
     if diagnosis.budget.exhausted and diagnosis.budget.not_tried:
         titles = {candidate.effect.id: in_sentence(candidate.effect.title) for candidate in diagnosis.candidates}
         untried = listed([titles.get(name, name) for name in diagnosis.budget.not_tried[:MOST_NAMED]])
@@ -60,19 +59,17 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         points += _small_effect_points(diagnosis)
     if diagnosis.verdict != "insufficient":
         points += _next_points(diagnosis)
-    causes = [_cause_table(diagnosis)] if diagnosis.causes else []
+    cause_tables = [_cause_table(diagnosis)] if diagnosis.causes else []
     recordings, carried = _recording_table(diagnosis), carried_points(diagnosis.model)
     animation = None
     if pictures is None:
         sections = [
             Section("Symptoms", _symptom_points(diagnosis, 4)),
-            Section(tables=[*causes, _candidate_table(diagnosis, 6), recordings]),
+            Section(tables=[*cause_tables, _candidate_table(diagnosis, 6), recordings]),
             Section(points=carried),
         ]
     else:
-        wrong, evidence = ([each for each in pictures if each.name.startswith(kind)] for kind in ("symptom", "cause"))
-        still = [picture for picture in pictures if picture.name.startswith("held_out")]
-        gained = [picture for picture in pictures if picture not in (*wrong, *evidence, *still)]
+        wrong, still, gained = (named(pictures, name) for name in ("symptom", "held_out", "gain"))
         labels = {"reference": "without causes", "simulated": "with causes"}
         labels = labels if diagnosis.causes else {"reference": "model"}
         rig, models = diagnosis.model.rig, {"reference": diagnosis.reference, "simulated": diagnosis.model}
@@ -87,7 +84,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         sections = [
             Section("Symptoms", symptoms, pictures=wrong[:1]),
             Section("Symptoms in detail", pictures=wrong[1:], folded=True),
-            Section("Causes", tables=causes, pictures=evidence),
+            Section("Causes", tables=cause_tables, pictures=named(pictures, "cause")),
             Section("Indistinguishable causes", _alternative_points(diagnosis)),
             Section(gain_heading, tables=[recordings], pictures=gained, plots=plots, still=still),
             Section("Candidates", _untestable_points(diagnosis), [_candidate_table(diagnosis)], folded=True),
@@ -125,15 +122,6 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
         return f"{found}: {causes}. A further residual is not explained by any candidate{ending}.", "poor"
     part = f" Explained in part by: {causes}." if diagnosis.causes else ""
     return f"Residual not explained by any candidate{ending}.{part}", "poor"
-
-
-def _harm(diagnosis: Diagnosis) -> str:
-    gain = diagnosis.gain
-    if gain is None:
-        return ""
-    change = f"from {millimetres(gain.before)} to {millimetres(gain.after)}"
-    causes = "this cause" if len(diagnosis.causes) == 1 else "these causes"
-    return f"Use the model without {causes}: with {causes} the held-out error rises {change}."
 
 
 def _minor_points(diagnosis: Diagnosis) -> list[str]:
@@ -311,9 +299,7 @@ def _untestable_points(diagnosis: Diagnosis) -> list[str]:
     by_reason: dict[str, list[str]] = {}
     for candidate in diagnosis.candidates:
         if not candidate.testable:
-            where = place(candidate.effect, diagnosis.model)
-            name = f"{in_sentence(candidate.effect.title)} ({where})".removesuffix(" ()")
-            by_reason.setdefault(candidate.reason, []).append(name)
+            by_reason.setdefault(candidate.reason, []).append(title_and_place(candidate.effect, diagnosis.model))
     texts = [f"{listed(names)} ({reason})" for reason, names in by_reason.items()]
     return [f"Not testable: {'; '.join(texts)}."] if texts else []
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,17 +13,16 @@ from vjm.chain.virtual_links import Chain
 from vjm.identification.check import Check
 from vjm.identification.records import Comparison, Identification, ModeComparison, Whiteness
 from vjm.records import Estimate, Experiment, RecordingComparison
-from vjm.report.animation import arm_animation
-from vjm.report.page import Grade, Page, Section, Table
+from vjm.report.figures.panels import Picture
+from vjm.report.interactive import arm_animation, time_histories
+from vjm.report.page import Grade, Page, Section, Table, named
 from vjm.report.result_json import result_object
-from vjm.report.text import place
-from vjm.report.time_histories import time_histories
+from vjm.report.text import ROLES, title_and_place
 from vjm.simulation.model import Model
 from vjm.text import (
     MOST_NAMED,
     UNKNOWN,
     counted,
-    in_sentence,
     interval,
     listed,
     millimetres,
@@ -32,9 +31,6 @@ from vjm.text import (
     unit,
     with_error,
 )
-
-if TYPE_CHECKING:
-    from vjm.report.figures.panels import Picture
 
 _TORQUE_METHOD = (
     "Each flexible link is a chain of rigid virtual links joined by passive joints with a spring and a damper. "
@@ -72,24 +68,24 @@ def _fit_page(fit: Identification, pictures: Sequence[Picture] | None) -> Page:
     ]
     parameters, modes = parameter_table(fit.parameters, fit.nominal.chain), _mode_table(fit.modes)
     comparisons = recording_table(fit.recordings, "identified", "nominal", "torque method")
+    animation = None
     if pictures is None:
         notes = [note for note in fit.notes if note not in fit.warnings]
         sections = [Section(tables=[parameters, modes, comparisons]), Section("Notes", notes)]
     else:
-        kinds = ("fit", "tip"), ("residual",), ("correlations",)
-        simulated, residual, correlated = ([each for each in pictures if each.name.startswith(kind)] for kind in kinds)
-        data = [each for each in pictures if each not in (*simulated, *residual, *correlated)]
+        correlations = named(pictures, "correlations")
+        data = named(pictures, "shapes", "angles", "torque_errors", "markers")
+        followed, animation = _followed(fit, comparisons, pictures, "identified")
         method = _TRAJECTORY_METHOD if fit.trajectory else _TORQUE_METHOD
         sections = [
             Section("Parameters", tables=[parameters, modes]),
-            _followed_section(fit, comparisons, simulated, "identified"),
-            Section("Residuals", tables=_whiteness_tables(fit.whiteness), pictures=residual, folded=True),
-            Section("Identifiability", fit.notes, _remedy_tables(fit.parameters), correlated, folded=True),
+            followed,
+            Section("Residuals", (), _whiteness_tables(fit.whiteness), named(pictures, "residual"), folded=True),
+            Section("Identifiability", fit.notes, _remedy_tables(fit.parameters), correlations, folded=True),
             Section("Data", pictures=data, folded=True),
             input_section(fit.experiment),
             Section("Settings", terms=_settings(fit), text=method, folded=True),
         ]
-    animation = None if pictures is None else _animation(fit, "identified")
     title = fit.experiment.rig.name
     return Page(title, "identification", headline, grade, points, fit.warnings, sections, animation)
 
@@ -99,39 +95,33 @@ def _comparison_page(comparison: Comparison, pictures: Sequence[Picture] | None)
     headline, grade = _closeness(recordings, "given")
     points = [*_recording_points(recordings), *_not_simulated_points(recordings)]
     table, carried = recording_table(recordings, "given", "nominal"), carried_points(comparison.model)
+    animation = None
     if pictures is None:
         sections = [Section(tables=[table]), Section(points=carried)]
     else:
-        followed = _followed_section(comparison, table, pictures, "given")
+        followed, animation = _followed(comparison, table, pictures, "given")
         sections = [followed, Section("Effects", carried), input_section(comparison.experiment)]
-    animation = None if pictures is None else _animation(comparison, "given")
     title = comparison.experiment.rig.name
     return Page(title, "simulation", headline, grade, points, comparison.warnings, sections, animation)
 
 
-def _labels(name: str) -> dict[str, str]:
-    return {"reference": "nominal model", "simulated": f"{name} model"}
-
-
-def _followed_section(result: Comparison, table: Table, pictures: Sequence[Picture], name: str) -> Section:
-    still = [picture for picture in pictures if picture.name.startswith("tip")]
-    plots = time_histories(result.model.rig, result.recordings, _labels(name))
-    others = [picture for picture in pictures if picture not in still]
-    return Section("Fit per recording", tables=[table], pictures=others, plots=plots, still=still)
-
-
-def _animation(result: Comparison, name: str) -> dict[str, Any] | None:
+def _followed(
+    result: Comparison, table: Table, pictures: Sequence[Picture], name: str
+) -> tuple[Section, dict[str, Any] | None]:
+    """Return the section on how closely recordings are followed, and the animation of one of them."""
+    rig, labels = result.model.rig, {"reference": "nominal model", "simulated": f"{name} model"}
+    plots, still = time_histories(rig, result.recordings, labels), named(pictures, "tip")
+    section = Section("Fit per recording", tables=[table], pictures=named(pictures, "fit"), plots=plots, still=still)
     models = {"reference": result.nominal, "simulated": result.model}
-    return arm_animation(result.model.rig, result.recordings, _labels(name), models)
+    return section, arm_animation(rig, result.recordings, labels, models)
 
 
 def input_section(experiment: Experiment) -> Section:
     """Return what went into a result: the experiment file, and its recordings."""
     rows = []
     for recording in experiment.recordings:
-        role = "held out" if recording.role == "holdout" else "train"
         duration = number(float(recording.time[-1] - recording.time[0]), 3)
-        rows.append((recording.file, recording.kind, role, duration, str(recording.frames.size)))
+        rows.append((recording.file, recording.kind, ROLES[recording.role], duration, str(recording.frames.size)))
     headers = ("recording", "kind", "role", "duration [s]", "frames")
     file = "none, built in Python" if experiment.file is None else str(experiment.file)
     trained, held_out = (len(experiment.with_role(role)) for role in ("train", "holdout"))
@@ -180,11 +170,6 @@ def _ratio(comparison: RecordingComparison) -> float:
     return 0.0 if comparison.simulated is None else comparison.simulated.marker_rms / comparison.noise[0]
 
 
-def _telling(comparison: RecordingComparison) -> tuple[bool, float]:
-    """Return what recordings are sorted by: at rest, any model follows."""
-    return comparison.recording.kind != "quiet", _ratio(comparison)
-
-
 def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[str, Grade]:
     simulated = [item for item in comparisons if item.simulated is not None]
     held_out = [item for item in simulated if item.recording.role == "holdout"]
@@ -208,7 +193,9 @@ def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[s
 def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     points = []
     for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "training", 1)):
-        group = sorted((item for item in comparisons if item.recording.role == role), key=_telling, reverse=True)
+        group = [item for item in comparisons if item.recording.role == role]
+        # The worst first; at rest, any model follows.
+        group.sort(key=lambda item: (item.recording.kind != "quiet", _ratio(item)), reverse=True)
         shown = [(item, item.simulated) for item in group if item.simulated is not None]
         name = words if len(shown) == 1 or role == "holdout" else f"worst {words} recording"
         for item, simulated in shown[:most]:
@@ -275,7 +262,7 @@ def carried_points(model: Model) -> list[str]:
         (False, "In model.json only (URDF cannot express it)"),
     ):
         effects = [effect for effect in model.effects if effect.in_urdf is carried]
-        names = [f"{in_sentence(effect.title)} ({place(effect, model)})".removesuffix(" ()") for effect in effects]
+        names = [title_and_place(effect, model) for effect in effects]
         points += [f"{words}: {', '.join(names)}."] if names else []
     return points
 
@@ -361,7 +348,7 @@ def recording_table(
         theta = None if simulated is None or simulated.theta_rms is None else 1e3 * simulated.theta_rms
         row = (
             recording.file,
-            "held out" if recording.role == "holdout" else "train",
+            ROLES[recording.role],
             recording.kind,
             *(millimetres(sim.marker_rms if sim else None) for sim in (item.reference, item.alternative, simulated)),
             millimetres(noise),

@@ -12,7 +12,7 @@ from importlib import resources
 from importlib.metadata import version
 from io import StringIO
 from itertools import compress
-from typing import TYPE_CHECKING, Any, Literal, TextIO
+from typing import Any, Literal, TextIO
 
 from jinja2 import Environment, StrictUndefined, Template
 from rich import box
@@ -21,13 +21,12 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from vjm.errors import printable
+from vjm.report.figures.panels import Picture
 from vjm.text import UNKNOWN, short
-
-if TYPE_CHECKING:
-    from vjm.report.figures.panels import Picture
 
 _WIDTH = 80  # columns where the output is no terminal
 _MOST_ROWS = 16  # of a table on a terminal
+_MOST_LINES = 20  # of a verdict in Python's prompt
 _MOST_WARNINGS = 8  # on a terminal
 _RECORDING = "recording"  # header of a first column with names of files
 _SHORTEST_NAME = 12  # characters of one, of which the first seven and the last four are left
@@ -68,6 +67,11 @@ class Table:
         cells = [max((len(part) for own in column for part in own), default=1) for column in pieces]
         cells[: self.words] = [min(width, 30) for width in cells[: self.words]]
         return [max(width, *map(len, head.split(" ")), 1) for head, width in zip(self.headers, cells, strict=True)]
+
+
+def named(pictures: Sequence[Picture], *beginnings: str) -> list[Picture]:
+    """Return the pictures whose names begin so."""
+    return [picture for picture in pictures if picture.name.startswith(beginnings)]
 
 
 @dataclass(frozen=True)
@@ -122,12 +126,12 @@ class Page:
         self.write(stream)
         return stream.getvalue()
 
-    def brief(self, kind: str, most: int = 20) -> str:
-        """Return the verdict as plain text under a line with a kind of result, so many lines at most."""
+    def brief(self, kind: str) -> str:
+        """Return the verdict as plain text under a line with a kind of result, in few lines."""
         lines = [f"<{kind} of {self.title!r}>", *textwrap.wrap(printable(self.headline), _WIDTH)]
         for point in self.points:
             lines += _item(point, _WIDTH).splitlines()
-        return "\n".join(lines if len(lines) <= most else [*lines[: most - 1], "  …"])
+        return "\n".join(lines if len(lines) <= _MOST_LINES else [*lines[: _MOST_LINES - 1], "  …"])
 
     def write(self, stream: TextIO) -> None:
         """Write it without pictures, terms and paragraphs, in colour on a terminal."""

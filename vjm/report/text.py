@@ -10,17 +10,24 @@ import numpy as np
 from vjm.effects.effect import Effect
 from vjm.records import Estimate, Recording
 from vjm.simulation.model import Model
-from vjm.text import UNKNOWN, everyday_unit, number, quantity, short
+from vjm.text import UNKNOWN, everyday_unit, in_sentence, number, quantity, short
+
+ROLES = {"train": "train", "holdout": "held out"}  # of recordings, in words
 
 
 def recording_label(recording: Recording, most: int = 36) -> str:
     """Return a recording's file name, shortened to so many characters, with its role."""
-    return f"{short(recording.file, most)} ({'held out' if recording.role == 'holdout' else 'train'})"
+    return f"{short(recording.file, most)} ({ROLES[recording.role]})"
 
 
 def place(effect: Effect, model: Model) -> str:
     """Return the name of the link, or of the joint at its proximal end, where an effect acts; empty if camera-wide."""
     return "" if effect.link is None else model.chain.links[effect.link].name
+
+
+def title_and_place(effect: Effect, model: Model) -> str:
+    """Return an effect as in a list: `tip payload (beam)`."""
+    return f"{in_sentence(effect.title)} ({place(effect, model)})".removesuffix(" ()")
 
 
 def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = None) -> str:

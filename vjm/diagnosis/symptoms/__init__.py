@@ -14,7 +14,7 @@ from vjm.diagnosis.symptoms.channels import GROUPS, Channels, Coefficient, Senso
 from vjm.diagnosis.symptoms.joints import JointProfile, joint_profiles
 from vjm.diagnosis.symptoms.modes import SLOW, FreeMotion, ModeDifference, MotionComparison
 from vjm.records import Array, Record, Rig, SimulatedRecording
-from vjm.text import counted
+from vjm.text import capital, counted
 
 # Sentence of each kind, and the words that stand for {way} where the value is positive and where it is negative.
 _SENTENCES = {
@@ -163,7 +163,7 @@ class _Source(NamedTuple):
         sentence, positive, negative = _SENTENCES[template or kind]
         words = {"name": sensor or "", "size": _quantity(estimate.value, unit)} | words
         told = sentence.format(way=positive if estimate.value > 0 else negative, **words)
-        told = f"{told[:1].upper()}{told[1:]}." if self.file is None else f"{self.file}: {told}."
+        told = f"{capital(told)}." if self.file is None else f"{self.file}: {told}."
         share, local = (float(np.clip(estimate.explained / max(m, 1e-300), 0, 1)) for m in (self.total, self.misfit))
         return Symptom(kind, self.file, sensor, mode, *estimate[:2], unit, estimate.p_value, share, local, told)
 
@@ -293,9 +293,9 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
         source = _Source.of([one for one, _ in members], total)
         rates, std = (np.concatenate(parts) for parts in zip(*((f.rates, f.std) for _, f in members), strict=True))
         centre = float(rates[:, 1, 0].mean())
-        for c, kind, power, faster, slower in ((0, "frequency", 2, "higher", "lower"),
-                                               (1, "damping", 1, "higher", "lower")):  # fmt: skip
-            values, errors = rates[..., c] / (1 if c else centre), std[:, c] / (1 if c else centre)
+        for c, kind, power in ((0, "frequency", 2), (1, "damping", 1)):
+            scale = centre if kind == "frequency" else 1.0
+            values, errors = rates[..., c] / scale, std[:, c] / scale
             place = (amplitude / largest) ** power
             columns = np.stack([np.ones_like(place), place], axis=1) / errors[:, None]
             # Windows overlap by half: two in a row are taken together.
@@ -304,7 +304,7 @@ def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> It
             beyond = sum(free.misfit_of(rate, largest, power) for _, free in members)
             own = float(np.linalg.lstsq(columns, values[:, 1] / errors, rcond=None)[0][1] * np.ptp(place))
             change = slope.times(float(np.ptp(place)))._replace(explained=beyond)
-            here, model = (f"{_plain(v) if c else _quantity(v, '1')} {faster if v > 0 else slower}"
+            here, model = (f"{_plain(v) if c else _quantity(v, '1')} {'higher' if v > 0 else 'lower'}"
                            for v in (change.value + own, own))  # fmt: skip
             model = "the same" if abs(own) < 0.05 * abs(change.value + own) else model
             yield source.symptom(

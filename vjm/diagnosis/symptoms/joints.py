@@ -53,14 +53,13 @@ class JointProfile:
         ends = [float(np.subtract(*np.percentile(term, [95, 5]))) for term in terms.T[:2]]
         changes = (estimate.times(reach) for estimate, reach in zip(estimates, (*ends, 1.0), strict=False))
         slopes = np.array([estimate.value if estimate.known else 0.0 for estimate in estimates[:3]])
-        return _JointProfileFit(tuple(changes), slopes, terms * slopes, left * self.std, float(left @ left))
+        return _JointProfileFit(tuple(changes), terms * slopes, left * self.std, float(left @ left))
 
 
 class _JointProfileFit(NamedTuple):
     """Parts of a residual that position, velocity and direction explain."""
 
     changes: tuple[Coefficient, ...]  # over the ranges of position and velocity, and from backwards to forwards
-    slopes: Array  # (3,) a unit of position, of velocity, and the jump with the direction
     parts: Array  # (P, 3) what each of them explains of the values
     remaining: Array  # (P,) what nothing explains
     misfit: float  # sum of squares of that, in units of the noise

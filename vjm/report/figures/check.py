@@ -16,7 +16,7 @@ from matplotlib.patheffects import withStroke
 
 from vjm.identification.check import Check
 from vjm.identification.overview import RecordingOverview
-from vjm.records import Array, Rig
+from vjm.records import Array, Link, Rig
 from vjm.report.figures.panels import Color, Picture
 from vjm.text import number, short
 
@@ -48,9 +48,7 @@ def _draw(check: Check) -> Figure:
         axes.set(xlabel=f"x of {link.name}'s own frame [m]", ylabel=f"y of {link.name}'s own frame [m]")
     shown = max(check.overviews, key=lambda item: item.motion)
     still = next((item for item in check.overviews if item.recording.kind == "quiet"), shown)
-    markers = shown.recording.markers[shown.recording.frames][:, rig.marker_slices[0]].copy()
-    if link.markers_frame == "link":  # a lone y will do there
-        markers[..., 0] = np.where(np.isfinite(markers[..., 0]), markers[..., 0], np.array(link.markers))
+    markers = _filled(link, shown.recording.markers[shown.recording.frames][:, rig.marker_slices[0]])
     colors = colormaps["viridis"](np.linspace(0.0, 0.85, len(link.markers)))
     _draw_paths(axes, markers, colors, shown)
     # Beside recordings in millimetres a link in metres is a dot, which its labels would hide.
@@ -63,6 +61,12 @@ def _draw(check: Check) -> Figure:
     axes.autoscale_view()
     axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.09), ncols=2, markerscale=0.5)
     return figure
+
+
+def _filled(link: Link, markers: Array) -> Array:
+    """Return a link's markers (..., k, 2) with x, where it was not measured, as described; a lone y will do there."""
+    x = np.where(np.isfinite(markers[..., 0]), markers[..., 0], np.array(link.markers))
+    return np.stack([x, markers[..., 1]], axis=-1) if link.markers_frame == "link" else markers
 
 
 def _draw_paths(axes: Axes, markers: Array, colors: Array, shown: RecordingOverview) -> None:
@@ -97,13 +101,8 @@ def _draw_link(
     direction = np.array([np.cos(rest), np.sin(rest)])
     axes.plot(*np.outer(direction, [0, link.length]), color=_LINK, linewidth=9, solid_capstyle="butt", zorder=1)
     places = np.outer(arcs, direction)
-    ring: dict[str, Any] = {
-        "markersize": 19,
-        "markerfacecolor": "none",
-        "markeredgecolor": Color.AXIS,
-        "linestyle": "none",
-    }
-    axes.plot(*places.T, "o", **ring, label="described: markers at rest", zorder=4)
+    ring: dict[str, Any] = {"markersize": 19, "markerfacecolor": "none", "markeredgecolor": Color.AXIS, "zorder": 4}
+    axes.plot(*places.T, "o", **ring, linestyle="none", label="described: markers at rest")
     for k, place in enumerate(places if labelled else (), start=1):
         below: dict[str, Any] = {"ha": "center", "color": Color.AXIS, "fontsize": 9, "path_effects": _HALO, "zorder": 8}
         axes.annotate(str(k), place, (0, -19), textcoords="offset points", **below)
@@ -119,13 +118,8 @@ def _draw_frame(axes: Axes, rig: Rig, angles: tuple[float, float, float], labell
     for name, color, end, place in (("x", _RED, (size, 0.0), (-6, -17)), ("y", _GREEN, (0.0, size), (-13, -6))):
         axes.annotate("", end, (0, 0), arrowprops={**arrow, "color": color, "shrinkA": 0, "shrinkB": 0}, zorder=6)
         axes.annotate(name, end, place, textcoords="offset points", color=color, fontsize=12, fontweight="bold")
-    mark: dict[str, Any] = {
-        "markersize": 11,
-        "markerfacecolor": "white",
-        "markeredgecolor": "black",
-        "markeredgewidth": 1.8,
-    }
-    axes.plot(0, 0, "o" if link.joint == "revolute" else "s", **mark, linestyle="none", zorder=7)
+    mark: dict[str, Any] = {"markersize": 11, "markerfacecolor": "white", "markeredgecolor": "black", "zorder": 7}
+    axes.plot(0, 0, "o" if link.joint == "revolute" else "s", **mark, markeredgewidth=1.8, linestyle="none")
     axes.update_datalim([(-0.18 * link.length, 0.0)])  # room for these words
     text = f"base origin,\n{'joint' if link.joint == 'revolute' else 'clamp'}"
     axes.annotate(
@@ -154,9 +148,7 @@ def _draw_rest(axes: Axes, rig: Rig, still: RecordingOverview, colors: Array) ->
     """Draw the markers where they were at the beginning of a recording, at rest if there is a quiet one."""
     link, recording = rig.links[0], still.recording
     first = recording.frames[: 10 if recording.kind == "quiet" else 1]
-    places = np.nanmedian(recording.markers[first][:, rig.marker_slices[0]], axis=0)
-    if link.markers_frame == "link":
-        places[:, 0] = np.where(np.isfinite(places[:, 0]), places[:, 0], np.array(link.markers))
+    places = _filled(link, np.nanmedian(recording.markers[first][:, rig.marker_slices[0]], axis=0))
     when = "at rest" if recording.kind == "quiet" else "in the first frame"
     for k, (place, color) in enumerate(zip(places, colors, strict=True), start=1):
         label = f"recorded: markers {when} ({short(Path(recording.file).name, 24)})" if k == 1 else None

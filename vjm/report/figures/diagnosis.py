@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -87,15 +87,7 @@ def _before_and_after(comparison: RecordingComparison, signal: Signal) -> Figure
     return motion_figure(title, [(signal, comparison, [(window, heading)])], _LABELS)
 
 
-@dataclass(frozen=True)
-class _Evidence:
-    """Residuals without and with a cause against the quantity on which the cause depends."""
-
-    points: tuple[tuple[Array, Array], ...]  # abscissa and residual (P,), without and with the cause
-    labels: tuple[str, str]  # of abscissa and residual, with their units
-    noise: float  # 1-sigma of a residual; zero where it is not known
-    rms: bool = False  # the residual's size matters, not its mean
-    title: str = "Residual"
+_Points = Sequence[tuple[Array, Array]]  # abscissae and residuals (P,), without and with a cause
 
 
 def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingComparison]) -> Figure:
@@ -109,15 +101,18 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
             labelled = zip((without, with_it), _WITHOUT_AND_WITH, (Color.NOMINAL, Color.IDENTIFIED), strict=True)
             Spectrum.draw(left, [*labelled])
             left.set_title("Spectrum of the residual")
+        elif points := _missing_torques(cause.effect, model, comparisons):
+            abscissa = "joint angle [°]" if cause.effect.abscissa == "joint_angle" else "joint velocity [°/s]"
+            _draw_points(left, points)
+            left.set(xlabel=abscissa, ylabel="unmodelled torque [mN m]", title="Unmodelled joint torque")
         else:
-            torque = _torque_evidence(cause.effect, model, comparisons)
-            _draw_evidence(left, torque or _marker_evidence(cause.effect, before, after))
+            _draw_marker_residuals(left, cause.effect, before, after)
         _draw_added(right, before, after)
     return page.finish()
 
 
-def _marker_evidence(effect: Effect, before: SimulatedRecording, after: SimulatedRecording) -> _Evidence:
-    """Return the markers' residuals against the abscissa of an effect; against time where that is no marker's."""
+def _draw_marker_residuals(axes: Axes, effect: Effect, before: SimulatedRecording, after: SimulatedRecording) -> None:
+    """Draw the markers' residuals against the abscissa of an effect; against time where that is no marker's."""
     frames, kind = after.recording.frames, effect.abscissa
     time, shown = after.recording.time[frames], after.simulation.markers[frames]
     residuals = [each.marker_residual[frames] for each in (before, after)]
@@ -141,42 +136,40 @@ def _marker_evidence(effect: Effect, before: SimulatedRecording, after: Simulate
         x, label = (time - time[0])[:, None, None], "time since the start [s]"
     x = np.broadcast_to(x, residuals[0].shape)
     known = np.isfinite(x) & np.isfinite(residuals[0]) & np.isfinite(residuals[1])
-    points = tuple((x[known], 1e3 * each[known]) for each in residuals)
-    labels = label, "residual, RMS [mm]" if rms else "residual [mm]"
-    return _Evidence(points, labels, 1e3 * before.noise[0], rms)
+    _draw_points(axes, [(x[known], 1e3 * each[known]) for each in residuals], 1e3 * before.noise[0], rms)
+    axes.set(xlabel=label, ylabel="residual, RMS [mm]" if rms else "residual [mm]", title="Residual")
+    if kind == "marker":
+        axes.set_xticks(np.unique(x[known]))
 
 
-def _torque_evidence(effect: Effect, model: Model, comparisons: Sequence[RecordingComparison]) -> _Evidence | None:
-    """Return the missing torque at the joint of an effect that is plainest there; None where it is not known."""
+def _missing_torques(effect: Effect, model: Model, comparisons: Sequence[RecordingComparison]) -> _Points:
+    """Return the missing torque at the joint of an effect that is plainest there; nothing where it is not known."""
     if effect.abscissa not in ("joint_angle", "joint_rate"):
-        return None
+        return []
     by_angle, points = effect.abscissa == "joint_angle", []
     for role in ("reference", "simulated"):
         simulated = [getattr(each, role) for each in comparisons if getattr(each, role) is not None]
         profile = missing_torque(model.rig, simulated, f"{place(effect, model)}.theta")
         if profile is None:
-            return None
+            return []
         points.append((np.degrees(profile.position if by_angle else profile.velocity), 1e3 * profile.fit.own))
-    labels = "joint angle [°]" if by_angle else "joint velocity [°/s]", "unmodelled torque [mN m]"
-    return _Evidence(tuple(points), labels, 0.0, title="Unmodelled joint torque")
+    return points
 
 
-def _draw_evidence(axes: Axes, evidence: _Evidence) -> None:
-    noise, largest = evidence.noise, 3 * evidence.noise
-    band = (0.0, noise) if evidence.rms else (-2 * noise, 2 * noise)
+def _draw_points(axes: Axes, points: _Points, noise: float = 0.0, rms: bool = False) -> None:
+    """Draw residuals and their means, or RMS values, over bins; noise is their 1-sigma, zero where it is not known."""
+    largest = 3 * noise
+    band = (0.0, noise) if rms else (-2 * noise, 2 * noise)
     axes.axhspan(*band, color=Color.BAND, linewidth=0)
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
-    for (x, values), role, label in zip(evidence.points, ("reference", "simulated"), _WITHOUT_AND_WITH, strict=True):
-        if not evidence.rms:
+    for (x, values), role, label in zip(points, ("reference", "simulated"), _WITHOUT_AND_WITH, strict=True):
+        if not rms:
             axes.plot(*_thinned(x, values), ".", color=MARKS[role]["color"], alpha=0.3, markersize=2, zorder=1)
-        centres, means, _ = binned_means(x, values**2 if evidence.rms else values, 24 if x.size > 1000 else 10)
-        means = np.sqrt(means) if evidence.rms else means
+        centres, means, _ = binned_means(x, values**2 if rms else values, 24 if x.size > 1000 else 10)
+        means = np.sqrt(means) if rms else means
         axes.plot(centres, means, linestyle="-", linewidth=1.1, label=label, **MARKS[role])
         largest = max(largest, 1.5 * float(np.max(np.abs(means), initial=0.0)))
-    axes.set_ylim(0.0 if evidence.rms else -largest, None if evidence.rms else largest)
-    axes.set(xlabel=evidence.labels[0], ylabel=evidence.labels[1], title=evidence.title)
-    if np.all(centres == np.round(centres)):  # numbers of markers
-        axes.set_xticks(centres)
+    axes.set_ylim(0.0 if rms else -largest, None if rms else largest)
 
 
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:

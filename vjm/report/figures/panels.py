@@ -260,13 +260,8 @@ class Spectrum:
             )
         last = spectra[-1][0]
         axes.axhline(1e6 * last.white, color=Color.MEASURED, linewidth=1.6, label="white noise")
-        axes.axhline(
-            1e6 * last.limit,
-            color=Color.MEASURED,
-            linestyle=(0, (4, 2)),
-            linewidth=1.1,
-            label="limit of noise (99.9 %)",
-        )
+        dashed: dict[str, Any] = {"color": Color.MEASURED, "linestyle": (0, (4, 2)), "linewidth": 1.1}
+        axes.axhline(1e6 * last.limit, label="limit of noise (99.9 %)", **dashed)
         low, high = float(last.frequency[0]), float(last.frequency[-1])
         look: dict[str, Any] = {"color": "#a03060", "linestyle": (0, (1, 1.5)), "zorder": 1}
         for frequency in modes:

@@ -40,19 +40,13 @@ class Signal:
 
         None where nothing was measured.
         """
-        columns = [column for link in rig.links for column in link.marker_columns]
-        channels: list[tuple[str, tuple[int, ...]]] = []
-        for link in reversed(range(len(rig.links))):
-            for marker in (np.argsort(rig.links[link].markers)[::-1] + rig.marker_slices[link].start).tolist():
-                axis = moving_axis(recording.markers[:, [marker]])
-                channels.append((columns[2 * marker + axis], (marker, axis)))
-        joints = [(f"{rig.links[link].name}.theta", (joint,)) for joint, link in enumerate(rig.active_links)]
-        for name, index in [*channels, *reversed(joints)]:
-            values = _channel(recording, index)
-            rows = np.flatnonzero(np.isfinite(values))
-            if rows.size >= 2:
-                return cls(name, index, rows, recording.time[rows], values[rows])
-        return None
+        signals = {signal.index: signal for signal in measured_signals(rig, recording) if signal.rows.size >= 2}
+        channels: list[tuple[int, ...]] = []
+        for link, own in reversed([*zip(rig.links, rig.marker_slices, strict=True)]):
+            outwards = np.argsort(link.markers)[::-1] + own.start
+            channels += [(marker, moving_axis(recording.markers[:, [marker]])) for marker in outwards.tolist()]
+        channels += [(joint,) for joint in reversed(range(len(rig.active_links)))]
+        return next((signals[index] for index in channels if index in signals), None)
 
     @property
     def is_marker(self) -> bool:
@@ -113,6 +107,12 @@ def measured_signals(rig: Rig, recording: Recording) -> list[Signal]:
     return signals
 
 
+def simulations(comparison: RecordingComparison, roles: Collection[str]) -> dict[str, SimulatedRecording]:
+    """Return the simulations of a recording by role, of some of the roles, in the order in which they are drawn."""
+    pairs = [(role, getattr(comparison, role)) for role in LINES if role in roles]
+    return {role: simulated for role, simulated in pairs if simulated is not None}
+
+
 def _channel(source: Recording | Simulation, index: tuple[int, ...]) -> Array:
     return source.markers[:, index[0], index[1]] if len(index) == 2 else source.theta[:, index[0]]
 
@@ -164,11 +164,11 @@ def ranked_recordings(comparisons: Sequence[RecordingComparison], roles: Collect
     """
 
     def rank(comparison: RecordingComparison) -> tuple[bool, bool, float]:
-        first = next(getattr(comparison, role) for role in LINES if role in roles and getattr(comparison, role))
+        first = next(iter(simulations(comparison, roles).values()))
         recording = comparison.recording
         return recording.role != "holdout", recording.condition == REFERENCE, -first.marker_rms / comparison.noise[0]
 
-    return sorted((each for each in comparisons if any(getattr(each, role) for role in roles)), key=rank)
+    return sorted((each for each in comparisons if simulations(each, roles)), key=rank)
 
 
 def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Recording]) -> list[_Item]:
@@ -191,18 +191,13 @@ def _motion_panel(
     if np.count_nonzero(inside) <= most_circles:
         look = {"linestyle": "", "marker": "o", "markersize": 4.5, "markerfacecolor": "white", "color": Color.MEASURED}
     axes.plot(signal.time[inside], scale * signal.value[inside], label="measured", **look)
-    for role, simulated in reversed(_simulations(comparison, labels)):
+    for role, simulated in reversed(simulations(comparison, labels).items()):
         instants = simulated.simulation.time
         path = CubicSpline(instants, _channel(simulated.simulation, signal.index))
         # A camera may take no more than four frames a period: closely spaced instants between those of the recording.
         time = np.union1d(np.linspace(start, stop, 800), instants[(instants >= start) & (instants <= stop)])
         axes.plot(time, scale * path(time), label=labels[role], **LINES[role])
     axes.set(xlabel="time [s]", ylabel=f"{short(signal.name, 20)} [{unit}]")
-
-
-def _simulations(comparison: RecordingComparison, labels: Mapping[str, str]) -> list[tuple[str, SimulatedRecording]]:
-    pairs = [(role, getattr(comparison, role)) for role in LINES if role in labels]
-    return [(role, simulated) for role, simulated in pairs if simulated is not None]
 
 
 def _residual_panel(
@@ -218,13 +213,13 @@ def _residual_panel(
     axes.axhspan(-2 * sigma, 2 * sigma, color=Color.BAND, linewidth=0, label="±2σ noise")
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6)
     largest = 4 * sigma
-    for role, simulated in _simulations(comparison, labels):
+    for role, simulated in simulations(comparison, labels).items():
         values = scale * signal.residual(simulated)
         look = LINES[role] | {"linestyle": "-", "linewidth": 0.9}
         axes.plot(signal.time, values, label=labels[role], **look)
         largest = max(largest, 1.08 * float(np.nanmax(np.abs(values), initial=0.0)))
     axes.set_ylim(-largest, largest)
-    axes.set(xlabel="time [s]", ylabel=f"residual [{unit}]", title="Measured minus simulated, whole recording")
+    axes.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
 
 
 def motion_figure(

@@ -1,7 +1,8 @@
-"""The animation at the top of a report: measured markers over the simulated arm, as coordinates of an SVG picture."""
+"""Animation and plots of a report as numbers, which report.html.jinja and report.js draw."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,18 +11,30 @@ import numpy as np
 from vjm.chain.curve import marker_poses, rotate
 from vjm.chain.virtual_links import Chain
 from vjm.records import Array, Indices, Mask, Recording, RecordingComparison, Rig, SimulatedRecording
-from vjm.report.figures.panels import LINES
-from vjm.report.figures.signals import Signal, Window, liveliest_window, ranked_recordings
+from vjm.report.figures.signals import (
+    Signal,
+    Window,
+    liveliest_window,
+    measured_signals,
+    ranked_recordings,
+    simulations,
+)
 from vjm.report.text import recording_label
 from vjm.simulation.model import Model
 from vjm.text import number
 
+# Of the animation.
 _MOST_FRAMES = 150  # 25 in each of the six periods that are shown, as many as a film has in a second
 _ARC_POINTS = 24  # of a link's curve: straight pieces between them are off by less than a pixel
 _WIDTH = 1000.0  # of the picture, in its own unit: about a pixel of a wide screen
 _SECONDS = (8.0, 14.0)  # that it takes: six periods are then slow enough for the eye
 _VISIBLE = 0.06  # deflections smaller than this fraction of the arm are magnified
 _MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+# Of the plots.
+_ROUNDING = 0.1  # of the noise: rounding adds less than a thousandth to the variance of a residual
+_MOST_INSTANTS = 2000  # of a recording, about two a pixel of a wide screen
+_LEAST_INSTANTS = 500  # where there are many, rather fewer recordings than fewer instants
+_MOST_VALUES = 500_000  # of all recordings together, some 2.5 MB
 
 
 def arm_animation(
@@ -48,8 +61,8 @@ def arm_animation(
     recording, window = comparison.recording, liveliest_window(signal.time, signal.value)
     rows = _frame_rows(recording, window)
     time = recording.time[rows]
-    arms = {role: (models[role].arm_in(recording).chain, getattr(comparison, role)) for role in LINES if role in labels}
-    arms = {role: (chain, simulated) for role, (chain, simulated) in arms.items() if simulated is not None}
+    simulated_by = simulations(comparison, labels)
+    arms = {role: (models[role].arm_in(recording).chain, simulated) for role, simulated in simulated_by.items()}
     judged, simulated = arms[role := [*arms][-1]]
     factor = _magnification(judged, simulated.simulation.q[rows])
     curves = {
@@ -151,3 +164,87 @@ def _line(points: Array) -> str:
 
 def _path(points: Array) -> dict[str, list[float]]:
     return {"x": points[:, 0].tolist(), "y": points[:, 1].tolist()}
+
+
+def time_histories(
+    rig: Rig, comparisons: Sequence[RecordingComparison], labels: Mapping[str, str]
+) -> dict[str, Any] | None:
+    """Return every measured signal of the recordings beside its simulations, as report.js plots them.
+
+    Values are whole multiples of a tenth of the sensor's noise. Of long recordings those instants are kept that hold
+    the extremes of what is measured and of the residuals; of very many recordings the first of `ranked_recordings`.
+
+    Args:
+        rig: the arm.
+        comparisons: recordings beside their simulations.
+        labels: names of the simulations to plot, by their role in a comparison.
+
+    Returns:
+        Plain numbers, text, lists and dictionaries; None where nothing was simulated.
+    """
+    ranked = ranked_recordings(comparisons, labels)
+    if not ranked:
+        return None
+    series = (len(labels) + 1) * (2 * sum(len(link.markers) for link in rig.links) + len(rig.active_links))
+    most = max(1, _MOST_VALUES // (series * _LEAST_INSTANTS))
+    kept = [each for each in comparisons if any(each is one for one in ranked[:most])]
+    instants = min(_MOST_INSTANTS, _MOST_VALUES // (series * len(kept)))
+    recordings = [_plotted_recording(rig, each, simulations(each, labels), instants) for each in kept]
+    return {
+        "labels": labels,
+        "first": next(k for k, each in enumerate(kept) if each is ranked[0]),
+        "recordings": recordings,
+        "thinned": any(signal["thinned"] for recording in recordings for signal in recording["signals"]),
+        "left_out": len(ranked) - len(kept),
+    }
+
+
+def _plotted_recording(
+    rig: Rig, comparison: RecordingComparison, simulated: Mapping[str, SimulatedRecording], most: int
+) -> dict[str, Any]:
+    recording, outermost = comparison.recording, Signal.of(rig, comparison.recording)
+    signals = [_plotted_signal(each, comparison.noise, simulated, most) for each in measured_signals(rig, recording)]
+    times: list[list[float]] = []  # markers mostly share theirs
+    for signal in signals:
+        times += [] if signal["time"] in times else [signal["time"]]
+        signal["time"] = times.index(signal["time"])
+    first = "" if outermost is None else outermost.name
+    return {"label": recording_label(recording), "first": first, "times": times, "signals": signals}
+
+
+def _plotted_signal(
+    signal: Signal, noise: tuple[float, float], simulated: Mapping[str, SimulatedRecording], most: int
+) -> dict[str, Any]:
+    residuals = {role: signal.residual(one) for role, one in simulated.items()}
+    rows = _extreme_rows(np.nan_to_num(np.stack([signal.value, *residuals.values()], axis=1)), most)
+    (factor, unit), sigma, time = signal.unit, noise[0 if signal.is_marker else 1], signal.time[rows]
+    step = _ROUNDING * sigma
+    digits = 2 - math.floor(math.log10(float(np.diff(time).min()))) if time.size > 1 else 3
+    return {
+        "name": signal.name,
+        "unit": unit,
+        "step": factor * step,
+        "noise": factor * sigma,
+        "thinned": rows.size < signal.time.size,
+        "time": [round(instant, max(digits, 0)) for instant in time.tolist()],
+        "measured": _whole(signal.value[rows] / step),
+        **{role: _whole((signal.value - residual)[rows] / step) for role, residual in residuals.items()},
+    }
+
+
+def _extreme_rows(values: Array, most: int) -> Indices:
+    """Return at most so many rows of values (F, s), increasing: in each of even stretches the extremes of each column.
+
+    Both extremes of a stretch are what a line drawn through all its rows covers on a screen.
+    """
+    if len(values) <= most:
+        return np.arange(len(values))
+    rows = [0, len(values) - 1]
+    for stretch in np.array_split(np.arange(len(values)), max(1, (most - 2) // (2 * values.shape[1]))):
+        rows += [*stretch[values[stretch].argmin(axis=0)], *stretch[values[stretch].argmax(axis=0)]]
+    return np.unique(rows)
+
+
+def _whole(values: Array) -> list[int | None]:
+    """Return whole numbers; None where a simulation's recording lacks what was measured."""
+    return [int(value) if math.isfinite(value) else None for value in np.round(values).tolist()]
