@@ -108,7 +108,7 @@ def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
 def test_a_state_is_refined_where_it_alone_spoils_a_step() -> None:
     """All of what the step in its own state costs comes back in a few trials."""
     point, step, off = missing_step(ViscousFriction(link=0, coefficient=0.02))
-    step = replace(step, state_changes=[off, 0 * off])
+    step = replace(step, state_changes=[off, 0 * off], predicted_decreases=[10.0, 0.0])
     trial = _trial_point(point, step)
     missed = point.problem.simulated(point.x + step.change, [off, 0 * off], point.states, [1.0, 1.0])
     assert trial is not None
