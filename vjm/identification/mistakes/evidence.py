@@ -73,23 +73,24 @@ def polar_angles(rig: Rig, markers: Array) -> tuple[Array, Array] | None:
     return arcs, angles
 
 
-def root_headings(rig: Rig, markers: Array) -> tuple[Array, Array, float] | None:
+def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array, Array | None, float] | None:
     """Return the heading (F,) of the first link at its base, what of it was extrapolated (F,) and its noise [rad].
 
     It is extrapolated from the directions between the three markers nearest to the base, for wherever the origin of
-    coordinates is they are the same; from fewer markers it holds the link's bending, from one the base's place too.
-    None where too few markers are seen.
+    coordinates is they are the same; if `based`, from the base itself and the two nearest. From fewer points it holds
+    the link's bending, which then is not known (None); from a single marker always the base's place too. None where too
+    few markers are seen.
     """
     arcs, points = _seen_markers(rig, markers)
     if not arcs.size:
         return None
-    if arcs.size == 1:
-        points, arcs = np.concatenate([np.zeros_like(points), points], axis=1), np.array([0.0, *arcs])
+    if based or arcs.size == 1:
+        points, arcs = np.concatenate([np.zeros_like(points[:, :1]), points], axis=1), np.array([0.0, *arcs])
     steps = np.diff(points[:, :3], axis=1)
     directions = np.arctan2(steps[..., 1], steps[..., 0])
     noise = (rig.marker_noise or 1e-3 * rig.links[0].length) * np.sqrt(2.0) / np.diff(arcs[:3])
     if arcs.size == 2:
-        return directions[:, 0], np.zeros(len(directions)), float(noise[0])
+        return directions[:, 0], None, float(noise[0])
     # A clamped link's slope grows with the arc length from zero on: linearly to begin with.
     centers = (arcs[:2] + arcs[1:3]) / 2
     share = centers[0] / (centers[1] - centers[0])
