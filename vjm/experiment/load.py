@@ -19,8 +19,7 @@ import pandas as pd
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError, RecordingError, shown, suggestion
-from vjm.experiment.columns import check_known_columns, known_columns, needed_columns
-from vjm.experiment.conventions import Camera, Conventions, Units
+from vjm.experiment.conventions import Camera, Conventions, Units, check_known_columns, known_columns, needed_columns
 from vjm.experiment.records import (
     Array,
     Experiment,

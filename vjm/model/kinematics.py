@@ -16,7 +16,7 @@ from vjm.records import Array, Record
 
 
 @dataclass(frozen=True)
-class TreeJoint:
+class _TreeJoint:
     """A joint of one coordinate: where it stands on its parent, and its screw.
 
     Attributes:
@@ -47,7 +47,7 @@ class MarkerTree(Record):
         slopes: (k, 3, nv) derivatives of the offsets by the coordinates [m/rad].
     """
 
-    joints: tuple[TreeJoint, ...]
+    joints: tuple[_TreeJoint, ...]
     bodies: tuple[int, ...]
     offsets: Array
     slopes: Array
@@ -108,7 +108,7 @@ def marker_tree(model: FlexibleModel, places: Sequence[tuple[str, Array]]) -> Ma
         screw = np.asarray(data.joints[number].S).ravel()  # linear part first
         slides = not screw[3:].any()
         axis = screw[:3] if slides else screw[3:]
-        joints.append(TreeJoint(robot.parents[number] - 1, placement.rotation, placement.translation, axis, slides))
+        joints.append(_TreeJoint(robot.parents[number] - 1, placement.rotation, placement.translation, axis, slides))
     bodies, offsets, slopes = [], [], []
     for frame, offset in places:
         if not robot.existFrame(frame):

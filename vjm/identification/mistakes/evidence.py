@@ -1,12 +1,14 @@
-"""Mistakes in an experiment, and how sure the recordings are of them."""
+"""Mistakes in an experiment, how sure the recordings are of them, and what they show of angles and modes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS
+from vjm.experiment.spectrum import measure_modes, sensor_noise
 from vjm.records import Array, Indices, Mask, Recording, Rig
 
 # Logarithms of how many times likelier the data are with the mistake than without: a mistake is certain where the data
@@ -109,3 +111,35 @@ def _seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
     complete: Mask = np.asarray(seen[:, used].all(axis=1))
     points[~complete] = np.nan
     return (arcs[used], points[:, used]) if complete.sum() >= 10 else (np.zeros(0), points[:, :0])
+
+
+def angle_at(recording: Recording, rows: Indices) -> Array:
+    """Return the first active joint's angle at some rows (F,) [rad]; zero where there is no such joint."""
+    if not recording.theta.shape[1]:
+        return np.zeros(rows.size)
+    known = np.isfinite(recording.theta[:, 0])
+    return np.asarray(np.interp(recording.time[rows], recording.time[known], recording.theta[known, 0]))
+
+
+def seen_modes(rig: Rig, recording: Recording, most: int) -> Array:
+    """Return the frequencies (m,) that the first link's outermost markers show in its frame, slowest first [Hz]."""
+    if not rig.links[0].markers or recording.kind not in ("driven", "decay") or recording.input != "torque":
+        return np.empty(0)
+    rows = recording.frames[:20_000]  # of a longer recording, its beginning
+    markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
+    y = markers[..., 1]
+    if rig.links[0].markers_frame == "base":
+        y = np.cos(theta)[:, None] * y - np.sin(theta)[:, None] * markers[..., 0]
+    y = y[:, np.isfinite(y).mean(axis=0) > 0.5][:, -2:]  # NaN in frames that lack one are left out
+    known = np.isfinite(y).all(axis=1)
+    if (
+        not y.size
+        or known.sum() < 16
+        or not any(moves(column[known], rig.marker_noise, rig.links[0].length) for column in y.T)
+    ):
+        return np.empty(0)
+    driven = np.isfinite(recording.tau).all(axis=1) & bool(recording.tau.shape[1])
+    torque = (recording.time[driven], recording.tau[driven]) if driven.sum() > 2 else None
+    noise = sensor_noise(replace(rig, marker_noise=None), [replace(recording, kind="decay")])[0]
+    deflection = y[known] - y[known].mean(axis=0)
+    return measure_modes(recording.time[rows][known], deflection, noise, most, torque).frequencies

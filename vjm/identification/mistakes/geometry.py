@@ -12,13 +12,13 @@ from vjm.experiment.conventions import FACTORS, Conventions
 from vjm.identification.mistakes.evidence import (
     LIKELY,
     Mistake,
+    angle_at,
     chosen_frames,
     negated,
     root_headings,
     swings,
     unit_factors,
 )
-from vjm.identification.overview import angle_at
 from vjm.records import Array, Experiment, Indices, Link, Mask
 
 # What is off by less is a scale, a marker or a pose to be found by a diagnosis, and no mistake of another kind: the
