@@ -86,6 +86,11 @@ class Camera:
         """Names of the two columns, without their signs."""
         return self.axes[0][-1], self.axes[1][-1]
 
+    @property
+    def columns(self) -> str:
+        """Letters of all columns that a marker may have: the two, and x and y, which are read all the same."""
+        return "".join(sorted({*"xy", *self.letters}))
+
     def to_base(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Return x and y (T,) in the base frame [m] of the two columns' coordinates (T,) [m]."""
         signs = [-1.0 if axis.startswith("-") else 1.0 for axis in self.axes]

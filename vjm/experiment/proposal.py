@@ -126,8 +126,7 @@ class ExperimentProposal:
         }
 
     def _largest(self, *endings: str) -> float | None:
-        both = [each for pair in self.files for each in pair if each is not None]
-        columns = [each.column(name) for each in both for name in each.ending(*endings)]
+        columns = [each.column(name) for each in self._all_files for name in each.ending(*endings)]
         sizes = [float(np.nanmax(np.abs(column))) for column in columns if column is not None]
         return max(sizes, default=None)
 

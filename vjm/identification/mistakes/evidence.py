@@ -63,18 +63,6 @@ def swings(signal: Array) -> int:
     return int(np.count_nonzero(np.diff(np.sign(signal - signal.mean()))))
 
 
-def polar_angles(rig: Rig, markers: Array) -> tuple[Array, Array] | None:
-    """Return arc lengths (k,) and angles (F, k) from the base to the first link's markers [rad]; None if too few.
-
-    Angles are in the frame of the coordinates, NaN in frames without all of those markers that are seen in most.
-    """
-    arcs, points = _seen_markers(rig, markers)
-    if not arcs.size:
-        return None
-    angles = np.arctan2(points[..., 1], points[..., 0])
-    return arcs, angles
-
-
 def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array, Array | None, float] | None:
     """Return the heading (F,) of the first link at its base, what of it was extrapolated (F,) and its noise [rad].
 
@@ -83,7 +71,7 @@ def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array,
     the link's bending, which then is not known (None); from a single marker always the base's place too. None where too
     few markers are seen.
     """
-    arcs, points = _seen_markers(rig, markers)
+    arcs, points = seen_markers(rig, markers)
     if not arcs.size:
         return None
     if based or arcs.size == 1:
@@ -101,8 +89,11 @@ def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array,
     return directions[:, 0] - bending, bending, float(np.hypot((1 + share) * noise[0], share * noise[1]))
 
 
-def _seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
-    """Return arc lengths (k,) and places (F, k, 2) of the first link's markers that most frames show."""
+def seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
+    """Return arc lengths (k,) and places (F, k, 2) of the first link's markers that most frames show, none if too few.
+
+    Frames without all of these are NaN.
+    """
     arcs, points = np.array(rig.links[0].markers), markers.copy()
     if rig.links[0].markers_frame == "link":  # a lone y will do there
         points[..., 0] = np.where(np.isfinite(points[..., 0]), points[..., 0], arcs)

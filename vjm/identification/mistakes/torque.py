@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vjm.experiment.conventions import FACTORS
-from vjm.identification.mistakes.evidence import LIKELY, Mistake, angle_at, negated, polar_angles, root_headings
+from vjm.identification.mistakes.evidence import LIKELY, Mistake, angle_at, negated, root_headings, seen_markers
 from vjm.records import Array, Experiment, Link, Recording, Rig
 
 _GRAM = 1e-3  # kg
@@ -68,10 +68,12 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
         return []
     theta = angle_at(recording, rows)
     markers = recording.markers[rows][:, rig.marker_slices[0]]
-    seen, root = polar_angles(rig, markers), root_headings(rig, markers)
-    if seen is None or root is None:
+    root = root_headings(rig, markers)
+    if root is None:
         return []
-    (arcs, angles), (heading, _, heading_noise) = seen, root
+    heading, _, heading_noise = root
+    arcs, points = seen_markers(rig, markers)
+    angles = np.arctan2(points[..., 1], points[..., 0])
     complete = np.isfinite(heading) & np.isfinite(angles).all(axis=1)
     if rig.links[0].markers_frame == "link":  # angles are those of deflections
         angles, heading = angles + theta[:, None], theta
