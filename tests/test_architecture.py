@@ -47,7 +47,7 @@ REPORT_READS = {
     "vjm.simulation.measurement.MarkerArcs",
     "vjm.identification.check.Check",
     "vjm.identification.comparison.Comparison",
-    "vjm.identification.overview.RecordingOverview",
+    "vjm.identification.check.RecordingOverview",
     "vjm.identification.training_data.PreparedRecording",
 }
 

@@ -14,7 +14,7 @@ from vjm.cli.arguments import METHODS, PARAMETERS, SIMULATORS, parse
 from vjm.diagnosis import diagnose
 from vjm.identification import METHODS as KNOWN_METHODS
 from vjm.identification import PARAMETRISATIONS, identify
-from vjm.model.simulators import SIMULATORS as KNOWN_SIMULATORS
+from vjm.model.urdf import SIMULATORS as KNOWN_SIMULATORS
 
 
 def test_choices_are_those_of_the_identification() -> None:

@@ -33,9 +33,8 @@ from vjm.cli import commands, main
 from vjm.cli.commands import _progress
 from vjm.effects import CubicStiffness, TipPayload
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.check import Check
+from vjm.identification.check import Check, overview
 from vjm.identification.comparison import Comparison
-from vjm.identification.overview import overviews_of
 from vjm.model.urdf import chain_to_urdf
 from vjm.report import output
 
@@ -47,7 +46,7 @@ def checked() -> Check:
     fit = demo_fit()
     doubts = ("careful", f"{fit.recordings[0].recording.file}: {'something is doubtful, ' * 9}")
     identifiable = {"uniform": fit.parameters, "joints": elbow_fit().parameters}
-    overviews = overviews_of(fit.experiment)
+    overviews = tuple(overview(fit.experiment.rig, one) for one in fit.experiment.recordings)
     return Check(fit.experiment, doubts, np.array([1.2, 7.4]), (4,), identifiable, overviews=overviews)
 
 
@@ -207,7 +206,7 @@ def test_check_of_hopeless_recordings_ends_with_status_2(
         (),
         {},
         "identification: nothing moves; excite it",
-        overviews_of(demo_fit().experiment),
+        tuple(overview(demo_fit().experiment.rig, one) for one in demo_fit().experiment.recordings),
     )
     monkeypatch.setattr(commands, "check", lambda experiment: hopeless)
     status, out, err = run(capsys, "check", DEMO, "-o", tmp_path / "out")

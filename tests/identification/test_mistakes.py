@@ -25,7 +25,7 @@ from vjm.experiment.conventions import Camera, Conventions, Units
 from vjm.identification import identify
 from vjm.identification.check import failure_of
 from vjm.identification.mistakes import find_mistakes
-from vjm.identification.mistakes.geometry import heading_mistakes, headings
+from vjm.identification.mistakes.geometry import heading_mistakes
 from vjm.model.modes import linearise
 from vjm.records import Experiment, Link, Recording, RecordingComparison, Rig
 from vjm.simulation.arm import Arm
@@ -222,29 +222,47 @@ def test_numbers_that_are_known_badly_are_no_mistake_of_a_unit(wrong: dict[str, 
     assert find_mistakes(factors(**wrong)(without_section(hub()))) == ()
 
 
-@pytest.mark.parametrize("ratio", [-3.0, -4.5, -6.0])
-def test_a_stiff_drive_that_bends_the_link_more_than_it_turns_it_is_no_mistake_of_a_unit(ratio: float) -> None:
-    """From three markers the heading at the base is told with an error that goes with bending, as the angle does."""
+def stiffly_driven(ratio: float, second: float, count: int) -> Experiment:
+    """Recordings of a drive that turns the link by 10 mrad and bends it by so many times that, and in another mode."""
     experiment = hub()
     length = experiment.rig.links[0].length
-    link = replace(experiment.rig.links[0], markers=(length / 3, 2 * length / 3, length))
+    link = replace(experiment.rig.links[0], markers=tuple((length * np.arange(1, count + 1) / count).tolist()))
     arc = np.linspace(0.0, 1.0, 301)
+    rows = np.round(300 * np.arange(1, count + 1) / count).astype(int) - 1
 
     def moved(recording: Recording) -> Recording:
         turn = 0.01 * np.sin(2 * np.pi * 4.0 * recording.time)
         tilt = turn[:, None] * (1.0 + ratio * (arc - arc**2 / 2))  # a cantilever that bends under a force at its tip
-        faster = 0.002 * np.sin(2 * np.pi * 11.0 * recording.time)[:, None]  # its second mode, which no swing repeats
+        faster = second * np.sin(2 * np.pi * 11.0 * recording.time)[:, None]  # its second mode, which no swing repeats
         tilt = tilt + faster * (arc - 1.5 * arc**2)
         steps = link.length * np.stack([np.cos(tilt), np.sin(tilt)], axis=2) * (arc[1] - arc[0])
-        markers = np.cumsum(steps, axis=1)[:, [99, 199, 299]]
+        markers = np.cumsum(steps, axis=1)[:, rows]
         seen = np.isfinite(recording.markers).all(axis=(1, 2))
         return replace(recording, theta=turn[:, None], markers=np.where(seen[:, None, None], markers, np.nan))
 
     recordings = tuple(moved(one) for one in experiment.recordings[:3])
-    experiment = replace(experiment, rig=replace(experiment.rig, links=(link,)), recordings=recordings)
-    found = headings(experiment, ())
-    assert len(found) == 3
-    assert heading_mistakes(experiment, found, None) == []
+    return replace(experiment, rig=replace(experiment.rig, links=(link,)), recordings=recordings)
+
+
+@pytest.mark.parametrize("ratio", [-8.0, -6.0, -4.5, -3.0])
+@pytest.mark.parametrize("second", [0.0, 0.002, 0.004, 0.01])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_a_stiff_drive_that_bends_the_link_more_than_it_turns_it_is_no_mistake(
+    ratio: float, second: float, count: int
+) -> None:
+    """The heading at the base is told with an error that goes with bending, as the angle does."""
+    assert heading_mistakes(stiffly_driven(ratio, second, count), (), None) == []
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+@pytest.mark.parametrize("wrong", [-1.0, np.rad2deg(1.0)])
+def test_an_angle_of_a_link_that_bends_little_is_judged_from_few_markers_too(count: int, wrong: float) -> None:
+    right = stiffly_driven(-0.1, 0.0, count)
+    assert heading_mistakes(right, (), None) == []
+    (found,) = heading_mistakes(recordings(lambda r: replace(r, theta=wrong * r.theta))(right), (), None)
+    assert found.certain
+    assert ("turn against" if wrong < 0 else 'angle = "deg"') in str(found)
+    assert len(found.files) == 3
 
 
 def test_one_recording_with_swapped_labels_is_the_one_named() -> None:

@@ -23,8 +23,7 @@ from vjm.chain.virtual_links import Chain, MovingBase
 from vjm.effects import CoulombFriction, CubicStiffness, InPlaneGravity, JointSpring, TipPayload
 from vjm.errors import ChoiceError, ShapeError
 from vjm.model.dynamics import Mechanism
-from vjm.model.simulators import SIMULATORS, simulator_file
-from vjm.model.urdf import chain_to_urdf
+from vjm.model.urdf import SIMULATORS, chain_to_urdf, simulator_file
 from vjm.simulation.model import Model
 
 Array = NDArray[np.float64]

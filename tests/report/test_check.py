@@ -14,8 +14,7 @@ import vjm
 from tests.report.fits import DEMO
 from tests.report.schema import CheckResult
 from vjm.cli import main
-from vjm.identification.check import Check
-from vjm.identification.overview import RecordingOverview
+from vjm.identification.check import Check, RecordingOverview
 from vjm.records import Experiment, Link, Recording, Rig
 from vjm.report.figures.check import check_picture
 

@@ -19,8 +19,7 @@ import pandas as pd
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError, RecordingError, shown, suggestion
-from vjm.experiment.columns import check_known_columns, known_columns, needed_columns
-from vjm.experiment.conventions import Camera, Conventions, Units
+from vjm.experiment.conventions import Camera, Conventions, Units, check_known_columns, known_columns, needed_columns
 from vjm.experiment.records import (
     Array,
     Experiment,
@@ -125,8 +124,7 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
 def _own_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera) -> dict[str, str]:
     """Return the files' names of columns by the documentation's, of [columns], in which bare dotted keys nest."""
     columns: dict[str, str] = {}
-    letters = "".join(sorted({*"xy", *camera.letters}))
-    known = list(known_columns(rig, letters))
+    known = list(known_columns(rig, camera.columns))
 
     def collect(prefix: str, value: Any) -> None:
         if isinstance(value, dict) and value:
@@ -271,7 +269,7 @@ def _read_table(file: Path, rig: Rig, conventions: Conventions, found: dict[str,
     """Return the numbers of a file's columns that are named; others are an error unless [columns] names some."""
     header, body = _read_text(file)
     found.update(dict.fromkeys(header))
-    letters = "".join(sorted({*"xy", *conventions.camera.letters}))
+    letters = conventions.camera.columns
     names = [conventions.standard_name(name) for name in header]
     known = set(known_columns(rig, letters))
     used = tuple(not conventions.columns or name in known for name in names)

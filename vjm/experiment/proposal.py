@@ -40,7 +40,7 @@ _UNITS = {  # as they are written in headers
 
 
 @dataclass(frozen=True)
-class CsvFile:
+class _CsvFile:
     """Numbers of a CSV file, and what its columns seem to be.
 
     Attributes:
@@ -71,7 +71,7 @@ class CsvFile:
 
 
 @dataclass(frozen=True)
-class ProposedRecording:
+class _ProposedRecording:
     """A table [[recording]], and why it says what it says."""
 
     file: str
@@ -93,7 +93,7 @@ class ExperimentProposal:
     """
 
     folder: Path
-    files: tuple[tuple[CsvFile, CsvFile | None], ...]
+    files: tuple[tuple[_CsvFile, _CsvFile | None], ...]
     given: dict[str, Any] = field(default_factory=dict)
     chosen: dict[str, str] = field(default_factory=dict)
 
@@ -126,8 +126,7 @@ class ExperimentProposal:
         }
 
     def _largest(self, *endings: str) -> float | None:
-        both = [each for pair in self.files for each in pair if each is not None]
-        columns = [each.column(name) for each in both for name in each.ending(*endings)]
+        columns = [each.column(name) for each in self._all_files for name in each.ending(*endings)]
         sizes = [float(np.nanmax(np.abs(column))) for column in columns if column is not None]
         return max(sizes, default=None)
 
@@ -160,7 +159,7 @@ class ExperimentProposal:
         return unit, f"guessed: rows follow every {step:.4g}"
 
     @property
-    def _all_files(self) -> Iterator[CsvFile]:
+    def _all_files(self) -> Iterator[_CsvFile]:
         return (each for pair in self.files for each in pair if each is not None)
 
     @cached_property
@@ -202,7 +201,7 @@ class ExperimentProposal:
         return arcs if next(iter(self.links)) == link and np.all(np.diff([0.0, *arcs]) > 0) else None
 
     @cached_property
-    def recordings(self) -> tuple[ProposedRecording, ...]:
+    def recordings(self) -> tuple[_ProposedRecording, ...]:
         """The recordings: what moved them, and the last moving one held out."""
         kinds = [self._kind(one, motors) for one, motors in self.files]
         moving = [k for k, (kind, _) in enumerate(kinds) if kind in ("driven", "decay")]
@@ -212,10 +211,10 @@ class ExperimentProposal:
             names = [os.path.relpath(each.path, self.folder) for each in (one, motors) if each is not None]
             role = "holdout" if k == held_out else "train"
             motors_file = Path(names[1]).as_posix() if motors else None
-            proposed.append(ProposedRecording(Path(names[0]).as_posix(), motors_file, kind, role, reason))
+            proposed.append(_ProposedRecording(Path(names[0]).as_posix(), motors_file, kind, role, reason))
         return tuple(proposed)
 
-    def _kind(self, one: CsvFile, motors: CsvFile | None) -> tuple[str, str]:
+    def _kind(self, one: _CsvFile, motors: _CsvFile | None) -> tuple[str, str]:
         both = [each for each in (one, motors) if each is not None]
         torques = [column for each in both for name in each.ending(".tau") if (column := each.column(name)) is not None]
         largest = max((float(np.nanmax(np.abs(torque))) for torque in torques), default=0.0)
@@ -241,7 +240,7 @@ class ExperimentProposal:
         return environment.from_string(template).render(proposal=self, given=self.given, unknown=UNKNOWN)
 
 
-def read_csv(path: Path) -> CsvFile:
+def read_csv(path: Path) -> _CsvFile:
     """Read a CSV file of numbers with a header, and guess what its columns are.
 
     Raises:
@@ -258,7 +257,7 @@ def read_csv(path: Path) -> CsvFile:
     values = {name: column for name, column in zip(header, numbers, strict=True) if np.isfinite(column).any()}
     if not values:
         raise RecordingError(path, None, None, "there is no column of numbers", "a header line, then rows of numbers")
-    return CsvFile(path, header, values, _recognized(values))
+    return _CsvFile(path, header, values, _recognized(values))
 
 
 def _recognized(values: Mapping[str, Array]) -> dict[str, str]:
@@ -307,7 +306,7 @@ def propose(folder: Path, paths: Sequence[Path]) -> ExperimentProposal:
             raise RecordingError(path, None, None, "its name is not UTF-8", "a name that an experiment file can hold")
     files = [read_csv(path) for path in paths]
     markers = [one for one in files if one.has_markers]
-    motors: dict[Path, CsvFile] = {}
+    motors: dict[Path, _CsvFile] = {}
     for one in files:
         if one.has_markers:
             continue

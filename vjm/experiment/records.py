@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from vjm.errors import ExperimentError, RecordingError, printable, shown
 from vjm.experiment.checks import cleaned, experiment_warnings
-from vjm.experiment.columns import angle_of, check_columns
-from vjm.experiment.conventions import Conventions
+from vjm.experiment.conventions import Conventions, angle_of, check_columns
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, VjmError
 from vjm.experiment.checks import overlapping_samples
+from vjm.experiment.spectrum import sensor_noise
 from vjm.identification.mistakes import find_mistakes
-from vjm.identification.overview import RecordingOverview, overviews_of
+from vjm.identification.mistakes.evidence import seen_modes
 from vjm.identification.parameters import PARAMETRISATIONS, Parametrisation
 from vjm.identification.records import ModeComparison, Whiteness
 from vjm.identification.torque_method import fit_torque
@@ -20,13 +21,60 @@ from vjm.identification.training_data import FREQUENCY_TOLERANCE, JointChoice, T
 from vjm.identification.trajectory_fit import DIVERGED_MISFIT, TrajectoryFit
 from vjm.identification.uncertainty import Information
 from vjm.model.modes import modes
-from vjm.records import Array, Estimate, Experiment, Link, Recording, RecordingComparison, Result
+from vjm.records import Array, Estimate, Experiment, Link, Record, Recording, RecordingComparison, Result, Rig
 from vjm.text import counted, listed, millimetres, number, ratio
 
 # Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
 # fifth. What is certain but smaller needs no warning.
 _LARGE_RESIDUAL = 1.5  # RMS over noise, and mean square of weighted residuals
 _MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
+
+
+@dataclass(frozen=True, repr=False)
+class RecordingOverview(Record):
+    """One recording in numbers.
+
+    Attributes:
+        recording: as it was read.
+        duration: from the first row to the last [s].
+        frame_rate: of the camera [Hz].
+        sensor_rate: of the encoder [Hz]; None where there is none.
+        frames: number of rows in which the camera saw anything.
+        missing: number of marker coordinates that it did not see in those, though it did in others.
+        noise: 1-sigma of a marker coordinate in this recording alone [m].
+        motion: standard deviation of the coordinate that moves most, over that noise.
+        modes: (m,) frequencies of the bending that it shows [Hz].
+    """
+
+    recording: Recording
+    duration: float
+    frame_rate: float
+    sensor_rate: float | None
+    frames: int
+    missing: int
+    noise: float
+    motion: float
+    modes: Array
+
+
+def overview(rig: Rig, recording: Recording) -> RecordingOverview:
+    """Return one recording in numbers."""
+    frames, time = recording.frames, recording.time
+    markers = recording.markers[frames].reshape(frames.size, -1)
+    markers = markers[:, np.isfinite(markers).any(axis=0)]
+    encoder = time[np.isfinite(recording.theta).any(axis=1)]
+    noise = sensor_noise(replace(rig, marker_noise=None), [replace(recording, kind="decay")])[0]
+    return RecordingOverview(
+        recording,
+        float(np.ptp(time)),
+        1.0 / float(np.median(np.diff(time[frames]))),
+        1.0 / float(np.median(np.diff(encoder))) if encoder.size > 1 else None,
+        frames.size,
+        int(np.count_nonzero(~np.isfinite(markers))),
+        noise,
+        float(np.nanstd(markers, axis=0).max()) / noise,
+        seen_modes(rig, recording, 3),
+    )
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,7 +109,7 @@ def check(experiment: Experiment) -> Check:
         if not problem:
             raise
         expected = np.empty(0)  # of numbers that are absurd
-    overviews = overviews_of(experiment)
+    overviews = tuple(overview(rig, recording) for recording in experiment.recordings)
     if problem:
         return Check(experiment, tuple(doubts), expected, (), {}, problem, overviews)
     try:

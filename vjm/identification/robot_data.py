@@ -198,14 +198,14 @@ def angles_from_markers(
         positions, slopes = tree.positions(whole(phi))
         return positions, slopes[..., shown]
 
-    at_rest = locate(np.zeros((len(motors), shown.size)))[0]
+    straight = np.zeros((len(motors), shown.size))
+    at_rest, slopes = locate(straight)
     reach = float(np.linalg.norm(at_rest, axis=-1).max())
-    slopes = locate(np.zeros((len(motors), shown.size)))[1].mean(axis=0).reshape(-1, shown.size)
-    told = _frames_that_tell(slopes, np.isfinite(seen).reshape(len(seen), -1))
+    told = _frames_that_tell(slopes.mean(axis=0).reshape(-1, shown.size), np.isfinite(seen).reshape(len(seen), -1))
     if told.sum() < FEWEST_FRAMES:
         reason = f"only {int(told.sum())} frames show markers enough to tell all angles"
         raise InsufficientDataError("stiffness", reason, f"record {FEWEST_FRAMES} or more of them")
-    phi = solve_angles(locate, seen, np.zeros((len(motors), shown.size)))
+    phi = solve_angles(locate, seen, straight)
     residual = np.where(told[:, None, None], seen - locate(phi)[0], np.nan)
     misfit = float(np.sqrt(np.nanmean(residual**2)))
     if not misfit <= _LARGEST_MISFIT * reach:

@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from vjm.errors import ChoiceError, MissingPackageError, ModelFileError, ShapeError
 from vjm.model.dynamics import RigidBodies
-from vjm.model.equilibrium import EquilibriumStatus, balance
-from vjm.model.modes import Modes, modes_of
+from vjm.model.modes import EquilibriumStatus, Modes, balance, modes_of
 from vjm.model.urdf_document import FlexibleLink, UrdfDocument, flexible_links_of, springs_of
 from vjm.records import Array, Indices
 
@@ -412,7 +411,7 @@ class FlexibleModel:
     def static_equilibrium(self, q: ArrayLike, loads: Loads | None = None) -> StaticEquilibrium:
         """Find where the passive joints rest under gravity and loads, the active ones held: g + K q - p = J^T w.
 
-        Newton's method with a line search (`vjm.model.equilibrium.balance`); one that does not converge says so by its
+        Newton's method with a line search (`vjm.model.modes.balance`); one that does not converge says so by its
         status and raises nothing.
 
         Args:

@@ -79,13 +79,6 @@ class _LinkOptions(NamedTuple):
     density: float | None
 
 
-class _JointOptions(NamedTuple):
-    """Options of `flexify` that concern the joint."""
-
-    stiffness: float | None
-    rotor_inertia: float | None
-
-
 @dataclass(frozen=True)
 class _Beam:
     """A link as a beam in the link's frame: where it lies, where it is cut and about what it bends and twists."""
@@ -183,7 +176,8 @@ def flexify(
     of_link = _LinkOptions(
         joints, bending_stiffness, bending, torsion, axis, child, ends, section, youngs_modulus, shear_modulus, density
     )
-    _check_places(link, of_link, joint, _JointOptions(stiffness, rotor_inertia), kelvin_voigt)
+    of_joint = {"stiffness": stiffness, "rotor_inertia": rotor_inertia}
+    _check_places((("link", link, of_link._asdict()), ("joint", joint, of_joint)), kelvin_voigt)
     document = UrdfDocument.read(urdf)
     if link is not None:
         document = _with_flexible_link(document, _named(document, "link", link), of_link, kelvin_voigt)
@@ -193,15 +187,13 @@ def flexify(
     return document.text
 
 
-def _check_places(
-    link: str | None, of_link: _LinkOptions, joint: str | None, of_joint: _JointOptions, kelvin_voigt: float
-) -> None:
-    """Refuse options without the link or the joint that they are of."""
-    if link is None and joint is None:
+def _check_places(places: Sequence[tuple[str, str | None, Mapping[str, object]]], kelvin_voigt: float) -> None:
+    """Refuse options without the link or the joint that they are of: its kind, its name and the options of each."""
+    if all(given is None for _, given, _ in places):
         raise ShapeError("link, joint", "neither", "the name of a link or of a joint to make flexible")
     if not 0 <= kelvin_voigt < math.inf:
         raise ShapeError("kelvin_voigt", kelvin_voigt, "zero or a positive number [s]")
-    for what, given, options in (("link", link, of_link._asdict()), ("joint", joint, of_joint._asdict())):
+    for what, given, options in places:
         loose = [name for name, value in options.items() if given is None and value is not None]
         if loose:
             raise ShapeError(what, None, f"the name of the {what} that {loose[0]} is of")

@@ -16,7 +16,7 @@ from vjm.records import Array, Record
 
 
 @dataclass(frozen=True)
-class TreeJoint:
+class _TreeJoint:
     """A joint of one coordinate: where it stands on its parent, and its screw.
 
     Attributes:
@@ -47,7 +47,7 @@ class MarkerTree(Record):
         slopes: (k, 3, nv) derivatives of the offsets by the coordinates [m/rad].
     """
 
-    joints: tuple[TreeJoint, ...]
+    joints: tuple[_TreeJoint, ...]
     bodies: tuple[int, ...]
     offsets: Array
     slopes: Array
@@ -108,7 +108,7 @@ def marker_tree(model: FlexibleModel, places: Sequence[tuple[str, Array]]) -> Ma
         screw = np.asarray(data.joints[number].S).ravel()  # linear part first
         slides = not screw[3:].any()
         axis = screw[:3] if slides else screw[3:]
-        joints.append(TreeJoint(robot.parents[number] - 1, placement.rotation, placement.translation, axis, slides))
+        joints.append(_TreeJoint(robot.parents[number] - 1, placement.rotation, placement.translation, axis, slides))
     bodies, offsets, slopes = [], [], []
     for frame, offset in places:
         if not robot.existFrame(frame):
@@ -124,7 +124,7 @@ def marker_tree(model: FlexibleModel, places: Sequence[tuple[str, Array]]) -> Ma
 
 def _on_curve(model: FlexibleModel, frame: str, offset: Array) -> tuple[str, Array, Array]:
     """Return the virtual link that carries a marker, the offset in it (3,), and the offset's slope by q (3, nv)."""
-    slope = np.zeros((3, model.model.nv))
+    slope, data = np.zeros((3, model.model.nv)), model.model.createData()
     for link in model.links:
         bent = next(names for axis, names in link.joints.items() if axis != "torsion")
         names = [link.name, *(f"{link.name}_virtual_{j}_link" for j in range(1, len(bent) + 1))]
@@ -150,18 +150,11 @@ def _on_curve(model: FlexibleModel, frame: str, offset: Array) -> tuple[str, Arr
             heading = heading - (arcs < on_beam)
             for name, turn, move in zip(joints, heading, shift, strict=True):
                 k = model.indices([name])[0]
-                axis_vector = _axis_in_link(model, name, names)
+                # In the frames of the virtual links, which are all parallel at rest.
+                axis_vector = np.asarray(data.joints[model.model.getJointId(name)].S).ravel()[3:]
                 slope[:, k] += move * np.cross(axis_vector, link.direction) + turn * np.cross(axis_vector, beside)
         return names[piece], place - origins[piece], slope
     return frame, offset, slope
-
-
-def _axis_in_link(model: FlexibleModel, name: str, names: Sequence[str]) -> Array:
-    """Return the axis of a virtual joint (3,) in the frame of the virtual links, all parallel at rest."""
-    robot = model.model
-    number = robot.getJointId(name)
-    screw = np.asarray(robot.createData().joints[number].S).ravel()[3:]
-    return np.asarray(screw)
 
 
 def _cuts(model: FlexibleModel, link: FlexibleLink, joints: Sequence[str]) -> Layout:

@@ -1,9 +1,11 @@
-"""Natural frequencies, damping ratios and shapes of a chain, linearised about its rest position (M, D, K)."""
+"""Positions of rest, and natural frequencies, damping ratios and shapes of a chain linearised about them (M, D, K)."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,9 +14,15 @@ from scipy import linalg
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
 from vjm.model.dynamics import Mechanism, mechanism_of
-from vjm.model.equilibrium import balance
 from vjm.records import Array
 
+# `unstable`: in balance, but about to fall over or to buckle; `stalled`: no step reduces the torques;
+# `iterations`: too many steps.
+EquilibriumStatus = Literal["converged", "unstable", "stalled", "iterations"]
+_TOLERANCE = 1e-9  # rad or m, of the last step
+_ITERATIONS = 100  # Newton doubles the digits with each of the last ones: more than this many is no convergence
+_LARGEST_STEP = 0.5  # rad or m: where a joint's torque is far from linear in its angle
+_ARMIJO = 1e-4  # J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. 2006, section 3.1
 _RIGID = 1e-6  # a mode this much slower than the fastest is a rigid-body motion
 
 
@@ -111,3 +119,64 @@ def modes_of(M: Array, D: Array, K: Array) -> Modes:
     shapes = shapes[:, kept]
     ratios = np.einsum("im,ij,jm->m", shapes, D, shapes) / (2 * omega)
     return Modes(omega / (2 * np.pi), ratios, shapes)
+
+
+@dataclass(frozen=True)
+class _BalancedPosition:
+    """End of Newton's method.
+
+    Attributes:
+        position: (n,) [rad], sliding joints [m].
+        status: `converged`, or why not.
+        iterations: number of steps.
+        residual: largest torque out of balance [N m].
+    """
+
+    position: Array
+    status: EquilibriumStatus
+    iterations: int
+    residual: float
+
+
+def balance(residual: Callable[[Array], Array], tangent: Callable[[Array], Array], start: Array) -> _BalancedPosition:
+    """Find where torques are in balance, by Newton's method with backtracking.
+
+    Each step solves K_t d = -r with the tangent stiffness K_t; it is halved until |r|^2 has decreased by 1e-4 of what
+    its slope promises (J. Nocedal and S. J. Wright, Numerical Optimization, 2nd ed. 2006, section 11.2).
+
+    Args:
+        residual: torques out of balance r (n,) [N m] at a position (n,).
+        tangent: their derivative K_t (n, n) [N m/rad].
+        start: (n,) position.
+    """
+    position = np.array(start, dtype=float)
+    torque, steps = residual(position), 0
+    status: EquilibriumStatus = "iterations"
+    if position.size == 0:
+        return _BalancedPosition(position, "converged", 0, 0.0)
+    while steps < _ITERATIONS:
+        steps += 1
+        slope = tangent(position)
+        step = -np.linalg.lstsq(slope, torque, rcond=None)[0]
+        largest = float(np.abs(step).max())
+        if np.linalg.norm(slope @ step + torque) > np.linalg.norm(torque) / 2:  # no turn of any joint reduces them
+            status = "stalled"
+            break
+        share = min(1.0, _LARGEST_STEP / max(largest, 1e-300))
+        while share > 1e-10:
+            trial = position + share * step
+            after = residual(trial)
+            if after @ after <= (1 - 2 * _ARMIJO * share) * (torque @ torque):
+                position, torque = trial, after
+                break
+            share /= 2
+        else:  # rounding alone keeps a tiny step from reducing the torques
+            status = "converged" if largest < _TOLERANCE else "stalled"
+            break
+        if largest < _TOLERANCE:
+            status = "converged"
+            break
+    slope = tangent(position)
+    if status == "converged" and np.linalg.eigvalsh((slope + slope.T) / 2)[0] <= 0:
+        status = "unstable"
+    return _BalancedPosition(position, status, steps, float(np.abs(torque).max()))

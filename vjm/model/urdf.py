@@ -1,9 +1,12 @@
-"""URDF of a virtual-joint chain, written from the templates in `urdf_templates`."""
+"""Files that simulators read, written from the templates in `urdf_templates`: a virtual-joint chain's URDF and more.
+
+URDF has no springs: beside it goes MJCF, SDF, or a script that sets the springs up.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -13,13 +16,27 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.errors import ShapeError, printable
+from vjm.errors import ChoiceError, ShapeError, printable
+from vjm.model.dynamics import Mechanism
+from vjm.records import Array
 
 _FOLDER = "urdf_templates"
+# Simulators and how the file that each reads beside the URDF ends.
+SIMULATORS: Mapping[str, str] = {
+    "pinocchio": ".py",
+    "mujoco": ".xml",
+    "gazebo": ".sdf",
+    "drake": ".py",
+    "pybullet": ".py",
+}
+_FRAME = 0.01  # s; between positions of the tip that the scripts return; all steps are whole parts of it
+_STEP = 0.25  # over the largest eigenvalue's inverse; Runge-Kutta's fourth-order error is then 4e-5 of that mode
+_BULLET_SUBSTEPS = 4  # PyBullet's steps are of first order
+_BEND = 0.1  # rad; of each link, from which the scripts and MuJoCo's keyframe release the arm
 _HUB_MASS = 1e-14  # kg; a hub before a root joint has none, but MuJoCo takes no moving body of less than 1e-15 kg
 
 
-class Inertial(NamedTuple):
+class _Inertial(NamedTuple):
     """Mass [kg], its centre on the x axis [m] and principal moments of inertia about the centre [kg m^2]."""
 
     mass: float
@@ -29,7 +46,7 @@ class Inertial(NamedTuple):
     izz: float
 
 
-class Shape(NamedTuple):
+class _Shape(NamedTuple):
     """Visual shape at x [m]: `box` (x, y, z), `cylinder` about z (radius, length) or `sphere` (radius,) [m]."""
 
     kind: str
@@ -40,18 +57,18 @@ class Shape(NamedTuple):
 
 # Of the ground and of frames: without an inertial element PyBullet would give them 1 kg; with one of no mass, none, and
 # a base of no mass stands still.
-_NO_MASS = Inertial(0.0, 0.0, 0.0, 0.0, 0.0)
+_NO_MASS = _Inertial(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Body(NamedTuple):
+class _Body(NamedTuple):
     """URDF link; without mass it is a bare frame."""
 
     name: str
-    inertial: Inertial = _NO_MASS
-    shapes: tuple[Shape, ...] = ()
+    inertial: _Inertial = _NO_MASS
+    shapes: tuple[_Shape, ...] = ()
 
 
-class Joint(NamedTuple):
+class _Joint(NamedTuple):
     """URDF joint at x on its parent's x axis [m], and the body that it carries, turned by yaw [rad].
 
     It turns about z, or slides along `axis` by no more than `reach` [m].
@@ -61,7 +78,7 @@ class Joint(NamedTuple):
     type: str
     parent: str
     x: float
-    body: Body
+    body: _Body
     damping: float | None = None
     yaw: float = 0.0
     friction: float = 0.0
@@ -89,11 +106,11 @@ def chain_to_urdf(chain: Chain, friction: Mapping[str, float] | None = None) -> 
         ShapeError: no link, two links of one name, a name that XML cannot hold, a hub inertia, payload or friction
             below zero, a curvature that is not finite, or something at a joint that is not there.
     """
-    base, joints = bodies_of(chain, friction or {})
+    base, joints = _bodies_of(chain, friction or {})
     return template("chain.urdf.jinja").render(chain=chain, base=base, joints=joints)
 
 
-def bodies_of(chain: Chain, friction: Mapping[str, float]) -> tuple[Body, list[Joint]]:
+def _bodies_of(chain: Chain, friction: Mapping[str, float]) -> tuple[_Body, list[_Joint]]:
     """Return the arm's base, and all joints with the bodies that they carry, from the base outwards.
 
     Raises:
@@ -101,7 +118,7 @@ def bodies_of(chain: Chain, friction: Mapping[str, float]) -> tuple[Body, list[J
     """
     _check(chain, friction)
     foot = 0.02 * chain.links[0].length
-    base = Body("base", shapes=(Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
+    base = _Body("base", shapes=(_Shape("cylinder", (2 * foot, foot), 0.0, "vjm_base"),))
     return base, list(_joints(chain, base.name, friction))
 
 
@@ -127,14 +144,14 @@ def _environment() -> Environment:
     return environment
 
 
-def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[Joint]:
+def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[_Joint]:
     """All joints with the bodies that they carry, from the base, their parent, outwards."""
     if chain.base is not None:
         radius, mass, axis = 0.1 * chain.links[0].length, chain.base.mass, chain.base.axis
         across = mass * radius**2 / 4  # a disc's; nothing turns it
-        table = Body("base_table", Inertial(mass, 0.0, across, across, 2 * across))
+        table = _Body("base_table", _Inertial(mass, 0.0, across, across, 2 * across))
         slide = (float(axis[0]), float(axis[1]), 0.0)
-        yield Joint("base_slide", "prismatic", parent, 0.0, table, chain.base.damping, 0.0, 0.0, slide, radius)
+        yield _Joint("base_slide", "prismatic", parent, 0.0, table, chain.base.damping, 0.0, 0.0, slide, radius)
         parent = table.name
     for link in chain.links:
         name, dry = link.name, friction.get(link.name, 0.0)
@@ -142,33 +159,33 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
         carried = body if link.root_stiffness is None else _hub(link)
         kind = "continuous" if link.joint == "revolute" else "fixed"
         damping = link.joint_damping if link.joint_damping or dry else None
-        yield Joint(f"{name}_joint", kind, parent, 0.0, carried, damping, friction=dry)
+        yield _Joint(f"{name}_joint", kind, parent, 0.0, carried, damping, friction=dry)
         if link.root_stiffness is not None:
-            yield Joint(f"{name}_root", "revolute", carried.name, 0.0, body, link.root_damping)
+            yield _Joint(f"{name}_root", "revolute", carried.name, 0.0, body, link.root_damping)
         for j in range(1, link.virtual_joints + 1):
             parent, body, x = body.name, _virtual_link(link, j), link.lengths[j - 1]
             yaw = link.rest_curvature * link.cells[j - 1]
-            yield Joint(f"{name}_virtual_{j}", "revolute", parent, x, body, link.damping[j - 1], yaw)
+            yield _Joint(f"{name}_virtual_{j}", "revolute", parent, x, body, link.damping[j - 1], yaw)
         parent = f"{name}_tip"
-        yield Joint(f"{name}_tip_mount", "fixed", body.name, link.lengths[-1], Body(parent))
+        yield _Joint(f"{name}_tip_mount", "fixed", body.name, link.lengths[-1], _Body(parent))
         if link.payload:
             # A point mass: an inertia of zero keeps M(q) exact, and is physically valid.
-            point = Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
+            point = _Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
             radius = (3 * link.payload / (4 * math.pi * 7850.0)) ** (1 / 3)  # of a ball of steel
-            body = Body(f"{name}_payload", point, (Shape("sphere", (radius,), 0.0, "vjm_payload"),))
-            yield Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
+            body = _Body(f"{name}_payload", point, (_Shape("sphere", (radius,), 0.0, "vjm_payload"),))
+            yield _Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
 
 
-def _hub(link: LinkChain) -> Body:
+def _hub(link: LinkChain) -> _Body:
     """The body between active joint and root joint; a bare frame where nothing turns."""
     name, turning = f"{link.name}_hub", float(link.hub_inertia)
     if link.joint == "clamped" and not turning:
-        return Body(name)
-    disc = Inertial(_HUB_MASS, 0.0, turning / 2, turning / 2, turning)
-    return Body(name, disc, (_hub_shape(link),) if link.joint == "revolute" else ())
+        return _Body(name)
+    disc = _Inertial(_HUB_MASS, 0.0, turning / 2, turning / 2, turning)
+    return _Body(name, disc, (_hub_shape(link),) if link.joint == "revolute" else ())
 
 
-def _virtual_link(link: LinkChain, j: int) -> Body:
+def _virtual_link(link: LinkChain, j: int) -> _Body:
     """Virtual link j, with what turns with virtual link 0 about the joint's axis.
 
     izz is the chain's moment of inertia, plus that of hub and root for virtual link 0: these carry no mass here, so
@@ -183,18 +200,18 @@ def _virtual_link(link: LinkChain, j: int) -> Body:
     along_x = turning - along_y
     disc = link.carried_inertia if j == 0 else 0.0
     ixx, iyy = along_y + along_z + disc / 2, along_x + along_z + disc / 2
-    inertial = Inertial(mass, link.mass_centers[j], ixx, iyy, turning + disc)
-    shapes = [Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
+    inertial = _Inertial(mass, link.mass_centers[j], ixx, iyy, turning + disc)
+    shapes = [_Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
     if j:
         radius = max(0.6 * thickness, 0.008 * link.length)
-        shapes.append(Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint"))
+        shapes.append(_Shape("cylinder", (radius, 1.1 * width), 0.0, "vjm_virtual_joint"))
     elif link.joint == "revolute" and link.root_stiffness is None:
         shapes.append(_hub_shape(link))
-    return Body(f"{link.name}_virtual_{j}_link", inertial, tuple(shapes))
+    return _Body(f"{link.name}_virtual_{j}_link", inertial, tuple(shapes))
 
 
-def _hub_shape(link: LinkChain) -> Shape:
-    return Shape("cylinder", (0.025 * link.length, 1.3 * _section(link)[0]), 0.0, "vjm_hub")
+def _hub_shape(link: LinkChain) -> _Shape:
+    return _Shape("cylinder", (0.025 * link.length, 1.3 * _section(link)[0]), 0.0, "vjm_hub")
 
 
 def _section(link: LinkChain) -> tuple[float, float]:
@@ -229,3 +246,145 @@ def _check(chain: Chain, friction: Mapping[str, float]) -> None:
     for field, value in sizes.items():
         if not 0 <= value < math.inf:
             raise ShapeError(field, value, "zero or a positive number")
+
+
+class _Movable(NamedTuple):
+    """A joint that moves, with what acts there.
+
+    Its spring is at rest at `reference` [rad or m]; its drive has an inertia of `armature`; below `slip_rate` [rad/s]
+    a step of the simulation may bring its dry friction to rest.
+    """
+
+    joint: _Joint
+    active: bool
+    stiffness: float
+    reference: float
+    damping: float
+    armature: float
+    slip_rate: float
+    start: float
+
+
+class _Site(NamedTuple):
+    """A marker on the x axis of a body [m]."""
+
+    name: str
+    body: str
+    x: float
+
+
+def simulator_file(
+    chain: Chain,
+    simulator: str,
+    urdf: str,
+    friction: Mapping[str, float] | None = None,
+    markers: Sequence[Sequence[float]] = (),
+    left_out: Sequence[str] = (),
+) -> str:
+    """Return what a simulator reads beside the URDF of a chain, with springs, dampers, friction and gravity.
+
+    MuJoCo gets MJCF and Gazebo SDF, each complete in itself; Pinocchio, Drake and PyBullet a Python script that loads
+    the URDF and sets the springs up. Joints, bodies and coordinates are those of the URDF, every number exact.
+
+    Args:
+        chain: the arm.
+        simulator: one of `SIMULATORS`.
+        urdf: name of the URDF file beside it, which a script loads.
+        friction: dry friction at active joints, by their link's name [N m].
+        markers: for each link, arc lengths of its markers [m]. They lie on the virtual links, which are chords of the
+            curve on which vjm has them: with the link bent, up to a hundredth of its length away.
+        left_out: effects that it does not have, for a comment.
+
+    Raises:
+        ChoiceError: another simulator.
+        ShapeError: as of `chain_to_urdf`; a base under load without a spring to carry it; drives whose inertia the
+            simulator has no place for.
+    """
+    if simulator not in SIMULATORS:
+        raise ChoiceError("simulator", simulator, SIMULATORS)
+    if chain.armature and simulator in ("gazebo", "pybullet"):
+        raise ShapeError("armature", chain.armature, f"zero, for {simulator}; a hub_inertia turns with the arm")
+    base, joints = _bodies_of(chain, friction or {})
+    step, compliance = _step_and_compliance(chain)
+    movable = _movable_joints(chain, joints, step * compliance)
+    suffix = SIMULATORS[simulator]
+    name = f"{simulator}.py.jinja" if suffix == ".py" else {".xml": "mjcf.xml.jinja", ".sdf": "world.sdf.jinja"}[suffix]
+    return template(name).render(
+        chain=chain,
+        base=base,
+        joints=_with_payloads(joints) if simulator == "gazebo" else joints,
+        movable={one.joint.name: one for one in movable},
+        sites=_sites(chain, markers),
+        tip=f"{chain.links[-1].name}_tip",
+        armature=[one.armature for one in movable] if chain.armature else None,
+        step=step,
+        substeps=_BULLET_SUBSTEPS,
+        frame=_FRAME,
+        urdf=urdf,
+        left_out=[text.replace("--", "- -") for text in left_out],  # XML has no -- in a comment
+    )
+
+
+def _step_and_compliance(chain: Chain) -> tuple[float, Array]:
+    """Time step [s] that resolves the fastest mode of the chain at zero, and (nv,) the inverse of what joints feel."""
+    q = np.zeros((1, chain.size))
+    inverse = np.linalg.inv(Mechanism(chain).mass_matrix(q)[0])
+    zero, identity = np.zeros_like(inverse), np.eye(chain.size)
+    slopes = np.block([[zero, identity], [-inverse * chain.stiffness, -inverse * chain.damping]])
+    fastest = float(np.abs(np.linalg.eigvals(slopes)).max())
+    return _FRAME / max(1, math.ceil(_FRAME * fastest / _STEP)), np.diag(inverse)
+
+
+def _movable_joints(chain: Chain, joints: Sequence[_Joint], slip: Array) -> list[_Movable]:
+    """Joints of the coordinates, in their order; slip (nv,) is the change of rate in a step under a torque of one."""
+    reference, armature, start = np.zeros(chain.size), np.zeros(chain.size), np.zeros(chain.size)
+    armature[chain.active] = chain.armature
+    for link, part in zip(chain.links, chain.passive_slices, strict=True):
+        start[part] = _BEND / link.virtual_joints
+    if chain.base is not None:
+        weight = Mechanism(chain).base_weight
+        if weight and not chain.base.stiffness:
+            raise ShapeError("base.stiffness", 0.0, "a positive stiffness, since the base carries a weight")
+        reference[0] = -weight / chain.base.stiffness if weight else 0.0
+    moving = [joint for joint in joints if joint.type != "fixed"]
+    return [
+        _Movable(
+            joint, bool(k in chain.active), float(chain.stiffness[k]), float(reference[k]), float(chain.damping[k]),
+            float(armature[k]), float(joint.friction * slip[k]) or 1.0, float(start[k]),
+        )
+        for k, joint in enumerate(moving)
+    ]  # fmt: skip
+
+
+def _sites(chain: Chain, markers: Sequence[Sequence[float]]) -> list[_Site]:
+    sites = []
+    for link, arcs in zip(chain.links, markers, strict=False):
+        starts = np.concatenate([[0.0], link.joint_arcs])
+        for k, arc in enumerate(arcs, 1):
+            j = int(np.searchsorted(link.joint_arcs, arc))
+            sites.append(_Site(f"{link.name}.m{k}", f"{link.name}_virtual_{j}_link", float(arc - starts[j])))
+    return sites
+
+
+def _with_payloads(joints: Sequence[_Joint]) -> list[_Joint]:
+    """Joints whose bodies have an inertia that SDF takes, which is positive: payloads are part of the link they are on.
+
+    The payload's point mass m at the distance d from the composite's centre adds m d^2 to its moments.
+    """
+    at = {joint.body.name: joint for joint in joints}
+    merged = dict(at)
+    for joint in joints:
+        point = joint.body.inertial
+        if joint.type != "fixed" or not point.mass or point.izz:
+            continue
+        tip = at[joint.parent]
+        carrier = merged[tip.parent]
+        body = carrier.body.inertial
+        mass = body.mass + point.mass
+        center = (body.mass * body.center + point.mass * tip.x) / mass
+        added = body.mass * (body.center - center) ** 2 + point.mass * (tip.x - center) ** 2
+        whole = _Inertial(mass, center, body.ixx, body.iyy + added, body.izz + added)
+        merged[tip.parent] = carrier._replace(body=carrier.body._replace(inertial=whole))
+        shown = _Body(joint.body.name, shapes=joint.body.shapes)
+        merged[joint.body.name] = joint._replace(body=shown)
+    return list(merged.values())

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, Motion, RateIndependentUpdate, is_nonsmooth
-from vjm.model.simulators import simulator_file
-from vjm.model.urdf import chain_to_urdf
+from vjm.model.urdf import chain_to_urdf, simulator_file
 from vjm.records import Array, Recording
 from vjm.text import in_sentence
 
@@ -148,7 +147,7 @@ class Arm:
             markers: for each link, arc lengths of its markers [m].
 
         Raises:
-            ChoiceError, ShapeError: as of `vjm.model.simulators.simulator_file`.
+            ChoiceError, ShapeError: as of `vjm.model.urdf.simulator_file`.
         """
         still = Recording(np.zeros(1), np.zeros((1, 0, 2)), kind="quiet", gravity=self.chain.gravity)
         for effect in self.effects:

@@ -19,7 +19,7 @@ from vjm.files import write_text
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
-from vjm.model.simulators import SIMULATORS
+from vjm.model.urdf import SIMULATORS
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.control import ControlLaw, simulate_motion

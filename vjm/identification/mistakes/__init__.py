@@ -11,7 +11,6 @@ from vjm.identification.mistakes.evidence import Mistake
 from vjm.identification.mistakes.geometry import (
     distance_mistakes,
     heading_mistakes,
-    headings,
     length_mistake,
     origin_mistakes,
     sideways_mistakes,
@@ -33,10 +32,9 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
         wrong = {file for mistake in found for file in mistake.files}
         if lengths or len(wrong) == len({recording.file for recording in experiment.recordings}):
             return tuple(found)
-        turning = headings(experiment, tuple(wrong))
         moments = [] if wrong else balances(experiment)
         gains = torque_gains(experiment, moments)
-        turned = heading_mistakes(experiment, turning, torque_sign(gains))
+        turned = heading_mistakes(experiment, tuple(wrong), torque_sign(gains))
         moved = origin_mistakes(experiment, tuple(wrong))
         if turned or moved or wrong:
             return (*found, *turned, *moved, *noise_mistakes(experiment))

@@ -1,12 +1,14 @@
-"""Mistakes in an experiment, and how sure the recordings are of them."""
+"""Mistakes in an experiment, how sure the recordings are of them, and what they show of angles and modes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS
+from vjm.experiment.spectrum import measure_modes, sensor_noise
 from vjm.records import Array, Indices, Mask, Recording, Rig
 
 # Logarithms of how many times likelier the data are with the mistake than without: a mistake is certain where the data
@@ -61,35 +63,24 @@ def swings(signal: Array) -> int:
     return int(np.count_nonzero(np.diff(np.sign(signal - signal.mean()))))
 
 
-def polar_angles(rig: Rig, markers: Array) -> tuple[Array, Array] | None:
-    """Return arc lengths (k,) and angles (F, k) from the base to the first link's markers [rad]; None if too few.
-
-    Angles are in the frame of the coordinates, NaN in frames without all of those markers that are seen in most.
-    """
-    arcs, points = _seen_markers(rig, markers)
-    if not arcs.size:
-        return None
-    angles = np.arctan2(points[..., 1], points[..., 0])
-    return arcs, angles
-
-
-def root_headings(rig: Rig, markers: Array) -> tuple[Array, Array, float] | None:
+def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array, Array | None, float] | None:
     """Return the heading (F,) of the first link at its base, what of it was extrapolated (F,) and its noise [rad].
 
     It is extrapolated from the directions between the three markers nearest to the base, for wherever the origin of
-    coordinates is they are the same; from fewer markers it holds the link's bending, from one the base's place too.
-    None where too few markers are seen.
+    coordinates is they are the same; if `based`, from the base itself and the two nearest. From fewer points it holds
+    the link's bending, which then is not known (None); from a single marker always the base's place too. None where too
+    few markers are seen.
     """
-    arcs, points = _seen_markers(rig, markers)
+    arcs, points = seen_markers(rig, markers)
     if not arcs.size:
         return None
-    if arcs.size == 1:
-        points, arcs = np.concatenate([np.zeros_like(points), points], axis=1), np.array([0.0, *arcs])
+    if based or arcs.size == 1:
+        points, arcs = np.concatenate([np.zeros_like(points[:, :1]), points], axis=1), np.array([0.0, *arcs])
     steps = np.diff(points[:, :3], axis=1)
     directions = np.arctan2(steps[..., 1], steps[..., 0])
     noise = (rig.marker_noise or 1e-3 * rig.links[0].length) * np.sqrt(2.0) / np.diff(arcs[:3])
     if arcs.size == 2:
-        return directions[:, 0], np.zeros(len(directions)), float(noise[0])
+        return directions[:, 0], None, float(noise[0])
     # A clamped link's slope grows with the arc length from zero on: linearly to begin with.
     centers = (arcs[:2] + arcs[1:3]) / 2
     share = centers[0] / (centers[1] - centers[0])
@@ -98,8 +89,11 @@ def root_headings(rig: Rig, markers: Array) -> tuple[Array, Array, float] | None
     return directions[:, 0] - bending, bending, float(np.hypot((1 + share) * noise[0], share * noise[1]))
 
 
-def _seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
-    """Return arc lengths (k,) and places (F, k, 2) of the first link's markers that most frames show."""
+def seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
+    """Return arc lengths (k,) and places (F, k, 2) of the first link's markers that most frames show, none if too few.
+
+    Frames without all of these are NaN.
+    """
     arcs, points = np.array(rig.links[0].markers), markers.copy()
     if rig.links[0].markers_frame == "link":  # a lone y will do there
         points[..., 0] = np.where(np.isfinite(points[..., 0]), points[..., 0], arcs)
@@ -108,3 +102,35 @@ def _seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
     complete: Mask = np.asarray(seen[:, used].all(axis=1))
     points[~complete] = np.nan
     return (arcs[used], points[:, used]) if complete.sum() >= 10 else (np.zeros(0), points[:, :0])
+
+
+def angle_at(recording: Recording, rows: Indices) -> Array:
+    """Return the first active joint's angle at some rows (F,) [rad]; zero where there is no such joint."""
+    if not recording.theta.shape[1]:
+        return np.zeros(rows.size)
+    known = np.isfinite(recording.theta[:, 0])
+    return np.asarray(np.interp(recording.time[rows], recording.time[known], recording.theta[known, 0]))
+
+
+def seen_modes(rig: Rig, recording: Recording, most: int) -> Array:
+    """Return the frequencies (m,) that the first link's outermost markers show in its frame, slowest first [Hz]."""
+    if not rig.links[0].markers or recording.kind not in ("driven", "decay") or recording.input != "torque":
+        return np.empty(0)
+    rows = recording.frames[:20_000]  # of a longer recording, its beginning
+    markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
+    y = markers[..., 1]
+    if rig.links[0].markers_frame == "base":
+        y = np.cos(theta)[:, None] * y - np.sin(theta)[:, None] * markers[..., 0]
+    y = y[:, np.isfinite(y).mean(axis=0) > 0.5][:, -2:]  # NaN in frames that lack one are left out
+    known = np.isfinite(y).all(axis=1)
+    if (
+        not y.size
+        or known.sum() < 16
+        or not any(moves(column[known], rig.marker_noise, rig.links[0].length) for column in y.T)
+    ):
+        return np.empty(0)
+    driven = np.isfinite(recording.tau).all(axis=1) & bool(recording.tau.shape[1])
+    torque = (recording.time[driven], recording.tau[driven]) if driven.sum() > 2 else None
+    noise = sensor_noise(replace(rig, marker_noise=None), [replace(recording, kind="decay")])[0]
+    deflection = y[known] - y[known].mean(axis=0)
+    return measure_modes(recording.time[rows][known], deflection, noise, most, torque).frequencies

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -13,38 +12,23 @@ from vjm.experiment.conventions import FACTORS, Conventions
 from vjm.identification.mistakes.evidence import (
     LIKELY,
     Mistake,
+    angle_at,
     chosen_frames,
     negated,
     root_headings,
     swings,
     unit_factors,
 )
-from vjm.identification.overview import angle_at
-from vjm.records import Array, Experiment, Indices, Link, Mask, Recording, Rig
+from vjm.records import Array, Experiment, Indices, Link, Mask
 
 # What is off by less is a scale, a marker or a pose to be found by a diagnosis, and no mistake of another kind: the
 # slack of vjm.experiment.checks, and five times the everyday misalignment of a camera that somebody aligned.
 _RELATIVE, _SHARE = 0.04, 0.02  # of a distance, and of the link's length
+# Of the direction from the base to a single marker [rad], whose bending nothing shows: while the joint turns, as far as
+# links bend in proportion to their loads; at rest in a mean posture, under their own weight, farther.
+_UNSEEN_SWING, _UNSEEN_SAG = 0.1, 0.3
+_OFFSET = 0.05  # rad; of a heading from where the camera's axes and the encoder's zero have it
 _ORIGIN = 0.005  # of the length: what the origin may be off, a few millimetres on an arm of a metre
-
-
-@dataclass(frozen=True)
-class _Heading:
-    """Turning of the first link's markers about the base, compared with its joint's angle in a recording.
-
-    Attributes:
-        file: the recording's.
-        slope: of the markers' heading over the joint's angle; one where all is right; None without an active joint.
-        gain: logarithm of how much likelier that slope is than the one expected.
-        offset: of the heading at angle zero [rad].
-        offset_std: what it may be without a mistake [rad].
-    """
-
-    file: str
-    slope: float | None
-    gain: float
-    offset: float
-    offset_std: float
 
 
 class _Hypothesis(NamedTuple):
@@ -173,72 +157,90 @@ def sideways_mistakes(experiment: Experiment) -> Iterator[Mistake]:
                 break
 
 
-def headings(experiment: Experiment, skipped: Sequence[str]) -> list[_Heading]:
-    """Compare the heading of the first link's markers at the base with the joint's angle, recording by recording.
+def heading_mistakes(experiment: Experiment, skipped: Sequence[str], torque_sign: float | None) -> list[Mistake]:
+    """Return mistakes of axes, of the frame and of the joint's angle that the headings of the first link show.
 
-    Recordings whose distances already show a mistake are `skipped`. The slope is one of those that a mistake can make:
-    the other sign, another unit, or none at all where coordinates are in the link's frame.
+    Args:
+        experiment: the recordings.
+        skipped: files of those whose distances already show a mistake.
+        torque_sign: of the torque relative to the motion of the markers; None where it was not seen.
+    """
+    link = experiment.rig.links[0]
+    slope, slope_gain, offsets = _headings(experiment, skipped)
+    based, bent = link.markers_frame == "base", _UNSEEN_SAG if len(link.markers) == 1 else 0.0
+    groups: dict[int | None, list[tuple[str, float, float]]] = {}
+    for file, offset in offsets:
+        quarter, gain = _quarter(offset, float(np.hypot(_OFFSET, bent))) if based else (0, 0.0)
+        if slope_gain:
+            quarter, gain = quarter if slope in (1.0, -1.0) else 0, slope_gain
+        if gain > LIKELY:
+            groups.setdefault(quarter, []).append((file, offset, gain))
+    mistakes = []
+    for quarter, group in groups.items():
+        files, turns, gains = zip(*group, strict=True)
+        offset = float(np.angle(np.mean(np.exp(1j * np.array(turns)))))
+        text = _heading_text(experiment, slope, quarter, offset, torque_sign)
+        mistakes.append(Mistake(text, max(gains), files))
+    return mistakes
+
+
+def _headings(experiment: Experiment, skipped: Sequence[str]) -> tuple[float | None, float, list[tuple[str, float]]]:
+    """Compare the heading of the first link's markers at the base with the joint's angle.
+
+    The slope of the one over the other is one that a mistake can make: of the other sign, of another unit, or none
+    where coordinates are in the link's frame. It is the sensor's, and so the same in all recordings. A stiff drive
+    bends the link as it turns it, and a heading extrapolated to the base is off by about what bending it supposes; but
+    bending looks different from the markers alone and from the base on, and a mistake does not: it shows both ways.
+
+    Returns:
+        The slope (None without an active joint); the logarithm of how much likelier it is than the one expected, zero
+        where that will do; each recording's file, with its heading at angle zero [rad].
     """
     rig = experiment.rig
-    if not rig.links[0].markers:
-        return []
-    units = unit_factors("angle", experiment.conventions.units.angle)
-    expected = 1.0 if rig.links[0].markers_frame == "base" else 0.0
+    link, units = rig.links[0], unit_factors("angle", experiment.conventions.units.angle)
     slopes = [1.0, -1.0, 0.0, *(sign * factor for factor in units.values() for sign in (1, -1))]
-    if expected == 0.0:
+    if link.markers_frame == "link":
         slopes = [0.0, 1.0, -1.0]  # a unit of the angle does not show there
-    measured, likelihoods = [], []
-    for recording in experiment.recordings:
-        seen = None if recording.file in skipped else _seen_heading(rig, recording)
-        if seen is None:
-            continue
-        theta, heading, bending, noise = seen
-        x, y = theta - theta.mean(), heading - heading.mean()
-        rest = y - np.array(slopes)[:, None] * x
-        likelihoods.append(_heading_likelihoods(rest, bending - bending.mean(), swings(x) + 1, noise))
-        measured.append((recording, theta, heading))
-    if not measured:
-        return []
-    revolute = rig.links[0].joint == "revolute"
-    pooled = int(np.argmax(np.sum(likelihoods, axis=0)))
-    result = []
-    for (recording, theta, heading), own in zip(measured, likelihoods, strict=True):
-        best = int(np.argmax(own))
-        best = best if own[best] - own[pooled] > LIKELY else pooled
-        gain = float(own[best] - own[slopes.index(expected)])
-        slope = slopes[best] if revolute else None
-        offset = np.angle(np.mean(np.exp(1j * (heading - (slope or 0.0) * theta))))
-        bent = 0.3 if len(rig.links[0].markers) == 1 else 0.0  # rad; in a single marker's heading
-        result.append(_Heading(recording.file, slope, gain, float(offset), float(np.hypot(0.05, bent))))
-    return result
+    chosen = [recording for recording in experiment.recordings if link.markers and recording.file not in skipped]
+    ways = 2 if len(link.markers) > 2 else 1  # two markers alone show no bending
+    measured, gains = [], np.zeros((ways, len(slopes)))
+    for recording in chosen:
+        rows = chosen_frames(recording)
+        markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
+        seen = [root_headings(rig, markers, based) for based in (False, True)]
+        if seen[0] is not None:
+            measured.append((recording.file, theta, seen[0][0]))
+            likelihoods = [
+                _slope_likelihoods(np.array(slopes), theta, *each, len(chosen)) for each in seen[-ways:] if each
+            ]
+            gains += [own - own[0] for own in likelihoods]
+    best = int(np.argmax(gains.min(axis=0)))
+    gain = float(gains[:, best].min())
+    slope: float | None = slopes[best] if gain > LIKELY else slopes[0]
+    if link.joint != "revolute":
+        slope = None
+    turned = [(file, np.exp(1j * (heading - (slope or 0.0) * theta))) for file, theta, heading in measured]
+    offsets = [(file, float(np.angle(np.nanmean(each)))) for file, each in turned]
+    return slope, gain if slope not in (None, slopes[0]) else 0.0, offsets
 
 
-def _heading_likelihoods(rest: Array, bending: Array, count: int, noise: float) -> Array:
-    """Return the log-likelihoods (S,) of what S slopes leave (S, F) of so many independent headings.
+def _slope_likelihoods(
+    slopes: Array, theta: Array, heading: Array, bending: Array | None, noise: float, recordings: int
+) -> Array:
+    """Return the log-likelihoods (S,) of slopes of the heading (F,) over the joint's angle (F,) in a recording.
 
-    The bending (F,) up to the first marker was extrapolated with the wrong shape, and is off by as much as itself. A
-    part of that goes with the joint's motion, which no number of swings averages out: a factor of mean zero and
-    deviation one. The rest, of faster modes, adds to the noise.
+    The measured slope is off by the part of the extrapolated bending that goes with the angle, times a factor of mean
+    zero and deviation one that is the same in all `recordings`, and so counts but once; and by all that does not go
+    with it, and averages out over the swings. With few of these, Student's distribution.
     """
-    noise = float(np.hypot(noise, np.std(bending)))
-    product, square, factor = np.mean(rest * bending, axis=1), float(np.mean(bending**2)), np.zeros(len(rest))
-    for _ in range(20):  # the maximum over the factor; each step scales by the last misfit
-        misfit = np.mean((rest - factor[:, None] * bending) ** 2, axis=1) + noise**2
-        factor = count * product / (count * square + misfit)
-    misfit = np.mean((rest - factor[:, None] * bending) ** 2, axis=1) + noise**2
-    return np.asarray(-0.5 * count * np.log(misfit) - 0.5 * factor**2)
-
-
-def _seen_heading(rig: Rig, recording: Recording) -> tuple[Array, Array, Array, float] | None:
-    """Return joint angle (F,), heading at the base, what of it is extrapolated (F,) and its noise [rad]; or None."""
-    rows = chosen_frames(recording)
-    markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
-    seen = root_headings(rig, markers)
-    if seen is None:
-        return None
-    heading, bending, noise = seen
     known = np.isfinite(heading)
-    return theta[known], np.unwrap(heading[known]), bending[known], noise
+    x, y = theta[known] - theta[known].mean(), np.unwrap(heading[known])
+    y -= y.mean()
+    square, count = max(float(np.mean(x**2)), 1e-300), swings(x) + 1
+    slope = float(np.mean(x * y)) / square
+    bent = _UNSEEN_SWING / np.sqrt(square) if bending is None else float(np.mean(x * bending[known])) / square
+    variance = recordings * bent**2 + (float(np.mean((y - slope * x) ** 2)) + noise**2) / (count * square)
+    return np.asarray(-0.5 * count * np.log1p((slope - slopes) ** 2 / (count * variance)))
 
 
 def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mistake]:
@@ -275,39 +277,11 @@ def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mist
     return [Mistake(text, max(gains), files)]
 
 
-def heading_mistakes(experiment: Experiment, found: Sequence[_Heading], torque_sign: float | None) -> list[Mistake]:
-    """Return mistakes of axes, of the frame and of the joint's angle that the headings show.
-
-    Args:
-        experiment: the recordings.
-        found: what `headings` returned.
-        torque_sign: of the torque relative to the motion of the markers; None where it was not seen.
-    """
-    link = experiment.rig.links[0]
-    groups: dict[tuple[float | None, int | None], list[tuple[_Heading, float]]] = {}
-    total = {slope: sum(each.gain for each in found if each.slope == slope) for slope in {each.slope for each in found}}
-    expected = 1.0 if link.markers_frame == "base" else 0.0
-    for each in found:
-        if each.slope is not None and each.slope != expected and total[each.slope] > LIKELY:
-            turned = _quarter(each)[0] if abs(each.slope) == 1 and link.markers_frame == "base" else 0
-            groups.setdefault((each.slope, turned), []).append((each, total[each.slope]))
-        elif link.markers_frame == "base":
-            quarter, gain = _quarter(each)
-            if gain > LIKELY:
-                groups.setdefault((each.slope and 1.0, quarter), []).append((each, gain))
-    mistakes = []
-    for (slope, quarter), group in groups.items():
-        offset = float(np.angle(np.mean([np.exp(1j * each.offset) for each, _ in group])))
-        text = _heading_text(experiment, slope, quarter, offset, torque_sign)
-        mistakes.append(Mistake(text, max(gain for _, gain in group), tuple(each.file for each, _ in group)))
-    return mistakes
-
-
-def _quarter(heading: _Heading) -> tuple[int | None, float]:
+def _quarter(offset: float, std: float) -> tuple[int | None, float]:
     """Return how many quarter turns explain an offset best (None: another angle), and the gain over no turn."""
-    deviations = np.angle(np.exp(1j * (heading.offset - np.arange(4) * np.pi / 2)))
-    fits = -0.5 * (deviations / heading.offset_std) ** 2 - np.array([0.0, 1.0, 1.0, 1.0]) * np.log(3.0)
-    other = -float(np.log(2 * np.pi / heading.offset_std))
+    deviations = np.angle(np.exp(1j * (offset - np.arange(4) * np.pi / 2)))
+    fits = -0.5 * (deviations / std) ** 2 - np.array([0.0, 1.0, 1.0, 1.0]) * np.log(3.0)
+    other = -float(np.log(2 * np.pi / std))
     best = int(np.argmax(fits))
     return (None, other - float(fits[0])) if other > fits[best] else (best, float(fits[best] - fits[0]))
 

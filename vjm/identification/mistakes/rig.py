@@ -16,8 +16,7 @@ import numpy as np
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import VjmError
 from vjm.experiment.spectrum import sensor_noise
-from vjm.identification.mistakes.evidence import CERTAIN, LIKELY, Mistake, unit_factors
-from vjm.identification.overview import seen_modes
+from vjm.identification.mistakes.evidence import CERTAIN, LIKELY, Mistake, seen_modes, unit_factors
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Experiment, Link
 from vjm.simulation.integrate import locked_joint_frequencies

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from vjm.experiment.conventions import FACTORS
-from vjm.identification.mistakes.evidence import LIKELY, Mistake, negated, polar_angles, root_headings
-from vjm.identification.overview import angle_at
+from vjm.identification.mistakes.evidence import LIKELY, Mistake, angle_at, negated, root_headings, seen_markers
 from vjm.records import Array, Experiment, Link, Recording, Rig
 
 _GRAM = 1e-3  # kg
@@ -25,7 +24,7 @@ _UNKNOWN = np.array([0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])  # of the link's, whe
 _SHORTEST = 16  # samples of a window: its second derivative is then sampled well
 
 
-class Scales(NamedTuple):
+class _Scales(NamedTuple):
     """Hypothesis: true torque and the rig's inertias over those that are given; by default none is wrong."""
 
     torque: float = 1.0
@@ -69,10 +68,12 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
         return []
     theta = angle_at(recording, rows)
     markers = recording.markers[rows][:, rig.marker_slices[0]]
-    seen, root = polar_angles(rig, markers), root_headings(rig, markers)
-    if seen is None or root is None:
+    root = root_headings(rig, markers)
+    if root is None:
         return []
-    (arcs, angles), (heading, _, heading_noise) = seen, root
+    heading, _, heading_noise = root
+    arcs, points = seen_markers(rig, markers)
+    angles = np.arctan2(points[..., 1], points[..., 0])
     complete = np.isfinite(heading) & np.isfinite(angles).all(axis=1)
     if rig.links[0].markers_frame == "link":  # angles are those of deflections
         angles, heading = angles + theta[:, None], theta
@@ -137,12 +138,12 @@ def _mass_moments(rig: Rig, payload: float, arcs: Array) -> tuple[Array, Array]:
     return squares, firsts
 
 
-def torque_gains(experiment: Experiment, found: list[list[_Balance]]) -> dict[Scales, float]:
+def torque_gains(experiment: Experiment, found: list[list[_Balance]]) -> dict[_Scales, float]:
     """Return the log-likelihood of each hypothesis over that of none, by how well torque and motion then balance."""
     current = FACTORS["torque"][experiment.conventions.units.torque]
     sizes = [size / current for size in FACTORS["torque"].values()]
-    scales = [Scales(), Scales(-1.0), *(Scales(sign * size) for size in sizes if size != 1.0 for sign in (1, -1))]
-    scales += [Scales(mass=_GRAM), *(Scales(hub=size) for size in _HUB_UNITS)]
+    scales = [_Scales(), _Scales(-1.0), *(_Scales(sign * size) for size in sizes if size != 1.0 for sign in (1, -1))]
+    scales += [_Scales(mass=_GRAM), *(_Scales(hub=size) for size in _HUB_UNITS)]
     link = experiment.rig.links[0]
     gains = np.sum([_gains(link, recording, scales) for recording in _driven(found, silent=False)], axis=0)
     return dict(zip(scales, np.broadcast_to(gains, len(scales)).tolist(), strict=True))
@@ -153,7 +154,7 @@ def _driven(found: list[list[_Balance]], silent: bool) -> list[list[_Balance]]:
     return [each for each in found if each[0].driven and (not np.any(each[0].torque)) is silent]
 
 
-def _gains(link: Link, recording: list[_Balance], scales: list[Scales]) -> Array:
+def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Array:
     """Return log-likelihoods (f,) of hypotheses over that of the first one.
 
     Each may suppose another hub: its inertia is known roughly, if at all, and much may be the motor's behind a gear.
@@ -188,14 +189,14 @@ def _moving_gain(recording: list[_Balance]) -> float:
     return float(np.mean(told))
 
 
-def torque_sign(gains: dict[Scales, float]) -> float | None:
+def torque_sign(gains: dict[_Scales, float]) -> float | None:
     """Return the sign of the torque relative to the motion of the markers; None where it is not certain."""
     positive = max((gain for scales, gain in gains.items() if scales.torque > 0), default=0.0)
     negative = max((gain for scales, gain in gains.items() if scales.torque < 0), default=0.0)
     return None if abs(positive - negative) < LIKELY else 1.0 if positive > negative else -1.0
 
 
-def torque_mistakes(experiment: Experiment, found: list[list[_Balance]], gains: dict[Scales, float]) -> list[Mistake]:
+def torque_mistakes(experiment: Experiment, found: list[list[_Balance]], gains: dict[_Scales, float]) -> list[Mistake]:
     """Return mistakes in sign, unit or presence of the torque or in inertias, else a gravity that was not declared."""
     link, conventions = experiment.rig.links[0], experiment.conventions
     best = max(gains, key=lambda scales: gains[scales])
@@ -215,7 +216,7 @@ def torque_mistakes(experiment: Experiment, found: list[list[_Balance]], gains: 
         return [gravity] if gravity else []
     negative = best.torque < 0
     unit = next(name for name in FACTORS["torque"] if name != conventions.units.torque)
-    if best == Scales(-1.0):
+    if best == _Scales(-1.0):
         text = f"{tau} turns the link against the way it moves: its sign is wrong; {negated(tau)}"
     elif best.torque != 1.0:
         text = (

@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc
 from matplotlib.patheffects import withStroke
 
-from vjm.identification.check import Check
-from vjm.identification.overview import RecordingOverview
+from vjm.identification.check import Check, RecordingOverview
 from vjm.records import Array, Link, Rig
 from vjm.report.figures.panels import Color, Picture
 from vjm.text import number, short
