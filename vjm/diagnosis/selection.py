@@ -302,11 +302,12 @@ class Search:
     def least_decrease(self, fit: TrajectoryFit) -> float:
         """Return the decrease of chi^2 from which a further effect matters beside a model: a share of what remains.
 
-        Large causes come before small ones. Fits of stick-slip and play leave a share of what they explain, which must
-        not be taken for another effect.
+        Large causes come before small ones. Fits of stick-slip and play may leave a share of what they explain, which
+        must not be taken for another effect, as far as they leave anything.
         """
-        left = [self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth]
-        return max([self.options.least_decrease(fit.chi2), *(_NONSMOOTH_REST * decrease for decrease in left)])
+        left = sum(self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth)
+        unexplained = max(fit.chi2 - fit.point.expected_chi2, 0.0)
+        return max(self.options.least_decrease(fit.chi2), min(_NONSMOOTH_REST * left, unexplained))
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
