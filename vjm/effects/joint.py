@@ -220,12 +220,18 @@ _FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP, _GRADUAL_CONTACT = 1000.0, 2.2,
 
 @dataclass(frozen=True)
 class ClampCompliance(LinkEffect):
-    """A clamp in which the link's root turns, by the compliance times the bending moment there."""
+    """A clamp in which the link's root turns, on a spring with a damper beside it.
+
+    The spring turns by the compliance times its part of the bending moment there.
+    """
 
     compliance: float = magnitude("rad/(N m)", 0.01, lower=0.0, in_rig_units=True)
+    # Typical: 0.035 of a typical spring's moment in the slowest mode, 3.5 rad / T: the loss factor of built-up
+    # structures, 0.01 to 0.1. At most as large as that moment: beyond, the damper holds the root in every mode.
+    damping: float = shape_parameter("N m s/rad", 1.0, upper=30.0, linear=True, in_rig_units=True)
 
     description = "compliant clamp: the link's root rotates under load"
-    clause = "the clamp of '{link}' is compliant, {compliance}"
+    clause = "the clamp of '{link}' is compliant, {compliance}[, damping {damping}]"
     reference = "K. R. Chun, Free vibration of a beam with one end spring-hinged, J. Applied Mechanics 39(4), 1972"
     distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
     common = True
@@ -233,19 +239,28 @@ class ClampCompliance(LinkEffect):
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a joint at the root."""
-        return chain if self.is_null else self.with_link(chain, **_in_series(self.link_of(chain), 1 / self.compliance))
+        if self.is_null:
+            return chain
+        return self.with_link(chain, **_in_series(self.link_of(chain), 1 / self.compliance, self.damping))
 
 
 @dataclass(frozen=True)
 class GearElasticity(JointEffect):
-    """A spring between the motor, where the encoder is, and the hub; the motor has a share of the hub's inertia."""
+    """A spring, with a damper beside it, between the motor, where the encoder is, and the hub.
+
+    The motor has a share of the hub's inertia.
+    """
 
     stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
+    # Typical: 7 % of critical where the halves of a hub of 0.045 m l^2 swing against each other on a typical spring, by
+    # 51 rad / T. At most as large as that spring's torque in the slowest mode, 3.5 rad / T behind a heavy hub: beyond,
+    # the damper holds the hub to the motor in every mode.
+    damping: float = shape_parameter("N m s/rad", 0.1, upper=9.0, linear=True, in_rig_units=True)
 
     on_drive = False
     description = "gear elasticity between the motor's encoder and the hub"
-    clause = "the gear or shaft between motor and hub of '{link}' is elastic, {stiffness}"
+    clause = "the gear or shaft between motor and hub of '{link}' is elastic, {stiffness}[, damping {damping}]"
     reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
     distinguishing_experiment = "a marker on the hub, or a recording with a known mass on the tip"
     in_simulators = True
@@ -255,7 +270,8 @@ class GearElasticity(JointEffect):
         if self.is_null:
             return chain
         link = self.link_of(chain)
-        return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link, self.motor_share))
+        spring = _in_series(link, self.stiffness, self.damping)
+        return self.with_link(chain, **spring, **_behind_gear(link, self.motor_share))
 
 
 # Logarithms of a table's frequency over the typical one, 2.3 / T, to which searches may go: an eighth of it is slower
@@ -431,7 +447,7 @@ class Backlash(JointEffect):
         return self.units(chain)[2] * _CONTACT_STEP
 
 
-def _in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> dict[str, float]:
+def _in_series(link: LinkChain, stiffness: float, damping: float) -> dict[str, float]:
     """The link's root joint with a spring [N m/rad] and damper [N m s/rad] in series with those that are there.
 
     Of two springs, each with a light damper beside it, a share k / k_1 of the turn is in the first.
