@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
-from vjm.effects import BUILTIN, Effect, TipPayload, magnitude
+from vjm.effects import BUILTIN, Effect, GearElasticity, TipPayload, magnitude
 from vjm.errors import ShapeError
 from vjm.records import Rig
 
@@ -134,6 +134,16 @@ def test_what_effects_do_scales_with_the_rig(length: float, mass: float, time: f
                 assert second == pytest.approx(unit * first, rel=1e-6, abs=1e-14 * unit), (effect.id, hook)
         update = one.rate_independent_update(before), other.rate_independent_update(after)
         assert None in update or update[1](q, z, to) == pytest.approx(update[0](q, z, to))  # type: ignore[misc]
+
+
+def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_linear() -> None:
+    (absent,) = GearElasticity().variants(Rig("hub", (LINK,)), [])
+    damping = absent.parameters[2]
+    assert (absent.damping, damping.grid, damping.bounds[0]) == (0.0, (0.0,), 0.0)
+    present = absent.at(np.array([0.5, 0.3, 2.0]))
+    assert present.damping == 2 * damping.typical_magnitude
+    assert present.coordinates == pytest.approx([0.5, 0.3, 2.0])
+    assert present.with_softer_joint(2.0).damping == 0.0
 
 
 def test_coordinates_stay_in_the_rig_s_units() -> None:

@@ -45,7 +45,7 @@ class Parameter:
     threshold: float = np.inf  # of a reciprocal one: value below which it acts, where its coordinate is zero
     integer: bool = False  # it is a whole number, which is never varied in a fit
     # Of a shape parameter that may be zero: its coordinate is the value over a typical one, since the logarithm's slope
-    # vanishes there. Searches start from zero.
+    # vanishes there.
     linear: bool = False
     # Searches start from peaks of the residuals' spectrum, over time or over the joint's angle, instead of the grid.
     from_spectrum: Literal["", "time", "joint_angle"] = ""
@@ -161,8 +161,6 @@ class Effect:
     # unit; what is in square brackets is left out unless its parameter is known to differ from zero. Without a clause,
     # the description is followed by the values.
     clause: ClassVar[str] = ""
-    # What its model takes for granted beyond its parameters: noun phrases separated by semicolons, or `none`.
-    assumptions: ClassVar[str] = ""
     reference: ClassVar[str] = ""  # the publication in which the model is described
     distinguishing_experiment: ClassVar[str] = ""  # the recording that distinguishes it from effects that look alike
     # Abscissa of the picture that shows the residual without and with it: `time`; `amplitude`, the local one of the

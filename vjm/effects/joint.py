@@ -228,7 +228,9 @@ class ClampCompliance(LinkEffect):
     compliance: float = magnitude("rad/(N m)", 0.01, lower=0.0, in_rig_units=True)
     # Typical: 0.035 of a typical spring's moment in the slowest mode, 3.5 rad / T: the loss factor of built-up
     # structures, 0.01 to 0.1. At most as large as that moment: beyond, the damper holds the root in every mode.
-    damping: float = shape_parameter("N m s/rad", 1.0, upper=30.0, linear=True, in_rig_units=True)
+    # Searches start from typical: a little of it does to all modes of a clamped link what the link's own damping does,
+    # and what tells the two apart goes with its square, which has no slope at zero.
+    damping: float = shape_parameter("N m s/rad", 1.0, upper=30.0, linear=True, grid=(1.0,), in_rig_units=True)
 
     description = "compliant clamp: the link's root rotates under load"
     clause = "the clamp of '{link}' is compliant, {compliance}[, damping {damping}]"
