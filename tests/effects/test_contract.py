@@ -175,6 +175,8 @@ def test_it_says_what_it_is(effect: Effect) -> None:
     for text in (effect.description, effect.reference, effect.distinguishing_experiment):
         assert len(text) > 20
         assert not text.endswith(".")
+    assumed = effect.assumptions.split("; ")
+    assert assumed == ["none"] or all(len(each) > 5 and each[-1] not in ".;" for each in assumed)
     assert effect.description[0].islower()
     with pytest.raises(FrozenInstanceError):
         effect.link = 3  # type: ignore[misc]

@@ -1,7 +1,8 @@
 """Fits of models with effects: the coordinates of the chain and of the effects, all at once.
 
 Maximum likelihood over whole trajectories, as in `vjm.identification.trajectory_fit`, whose coordinates are extended
-by each effect's sizes (in units of typical magnitudes, zero where absent) and shape parameters (logarithms).
+by each effect's sizes (in units of typical magnitudes, zero where absent) and shape parameters (logarithms, or linear
+where they may be zero).
 """
 
 from __future__ import annotations

@@ -161,6 +161,8 @@ class Effect:
     # unit; what is in square brackets is left out unless its parameter is known to differ from zero. Without a clause,
     # the description is followed by the values.
     clause: ClassVar[str] = ""
+    # What its model takes for granted beyond its parameters: noun phrases separated by semicolons, or `none`.
+    assumptions: ClassVar[str] = ""
     reference: ClassVar[str] = ""  # the publication in which the model is described
     distinguishing_experiment: ClassVar[str] = ""  # the recording that distinguishes it from effects that look alike
     # Abscissa of the picture that shows the residual without and with it: `time`; `amplitude`, the local one of the

@@ -94,6 +94,7 @@ class CoulombFriction(_DryFriction):
 
     description = "dry (Coulomb) friction at the active joint"
     clause = "dry friction of {torque} at the joint of '{link}'"
+    assumptions = "equal torque in both directions, at all angles and under all loads; no more at rest than in motion"
     reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
     distinguishing_experiment = "slow sweeps in both directions, and motion that stops"
     common = True
@@ -127,6 +128,7 @@ class Stribeck(_DryFriction):
     title = "Stribeck friction"
     description = "dry friction at the active joint that falls with speed (Stribeck)"
     clause = "dry friction of {torque} at the joint of '{link}' that falls with speed, Stribeck velocity {speed}"
+    assumptions = "a fall as exp(-(rate / speed)^2), without memory; equal torque in both directions and at all angles"
     reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
     distinguishing_experiment = "sweeps at several constant speeds, slow and fast"
 
@@ -148,6 +150,7 @@ class ViscousFriction(JointEffect):
 
     description = "viscous friction at the active joint"
     clause = "viscous friction of {coefficient} at the joint of '{link}'"
+    assumptions = "equal coefficient in both directions, at all angles and temperatures"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "joint motion over a wide range of speeds with little bending"
     abscissa = "joint_rate"
@@ -167,6 +170,7 @@ class JointSpring(JointEffect):
 
     description = "joint spring: a cable or hose that pulls the active joint back to zero"
     clause = "a cable or hose pulls the joint of '{link}' back to zero, {stiffness}"
+    assumptions = "constant stiffness, without loss; rest at the joint's zero"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
     distinguishing_experiment = "slow sweeps in both directions over a wide joint range"
     abscissa = "joint_angle"
@@ -185,6 +189,7 @@ class TorqueGain(ColumnEffect):
 
     description = "torque gain: the true torque is a multiple of the recorded one"
     clause = "the true torque at the joint of '{link}' is {gain} times the recorded one"
+    assumptions = "one constant gain at all torques and rates; no delay"
     reference = "M. Gautier and S. Briot, Global identification of joint drive gains, J. Dynamic Systems 136(5), 2014"
     distinguishing_experiment = "a recording with a weighed mass on the tip"
     common = True
@@ -202,6 +207,7 @@ class TorqueOffset(ColumnEffect):
 
     description = "torque offset: a constant torque added to the recorded one"
     clause = "the true torque at the joint of '{link}' is the recorded one plus {offset}"
+    assumptions = "one constant offset in every recording and at all angles"
     reference = "J. Swevers et al., Dynamic model identification for industrial robots, IEEE Control Syst. 27(5), 2007"
     distinguishing_experiment = "recordings at several hub angles, and slow sweeps in both directions"
     abscissa = "joint_angle"
@@ -234,6 +240,7 @@ class ClampCompliance(LinkEffect):
 
     description = "compliant clamp: the link's root rotates under load"
     clause = "the clamp of '{link}' is compliant, {compliance}[, damping {damping}]"
+    assumptions = "a linear spring and damper; a root that turns about its own end and does not shift"
     reference = "K. R. Chun, Free vibration of a beam with one end spring-hinged, J. Applied Mechanics 39(4), 1972"
     distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
     common = True
@@ -263,6 +270,7 @@ class GearElasticity(JointEffect):
     on_drive = False
     description = "gear elasticity between the motor's encoder and the hub"
     clause = "the gear or shaft between motor and hub of '{link}' is elastic, {stiffness}[, damping {damping}]"
+    assumptions = "a linear spring and damper; an encoder on the motor; motor and hub that share the rig's hub inertia"
     reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
     distinguishing_experiment = "a marker on the hub, or a recording with a known mass on the tip"
     in_simulators = True
@@ -309,6 +317,9 @@ class BaseCompliance(Effect):
     clause = (
         "the table moves under the base: {mass} on a spring of {stiffness}, direction {direction}, damping ratio "
         "{damping_ratio}"
+    )
+    assumptions = (
+        "a rigid table that slides along one line and does not turn; a linear spring and damper; a camera on the ground"
     )
     reference = "E. I. Rivin, Stiffness and Damping in Mechanical Design, Marcel Dekker, 1999, chapter 5"
     distinguishing_experiment = "a fiducial on the base in the camera's view, or an accelerometer on the table"
@@ -392,6 +403,9 @@ class Backlash(JointEffect):
     nonsmooth = True
     description = "backlash between the motor and the hub"
     clause = "backlash of {gap} between motor and hub of '{link}'"
+    assumptions = (
+        "flanks much stiffer than the link, with a loss of their own; no friction in the gap; an encoder on the motor"
+    )
     reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
     distinguishing_experiment = "a marker on the hub, and slow motion with reversals"
 
