@@ -43,6 +43,7 @@ def page() -> str:
                 continue
             parts.append(f"\n### `{effect.id}`\n\n{effect.description[0].upper()}{effect.description[1:]}.\n")
             parts.append(f"\n- Parameters: {parameters(effect)}\n")
+            parts.append(f"- Assumes: {effect.assumptions}\n")
             if effect.distinguishing_experiment:
                 parts.append(f"- Distinguished from similar effects by: {effect.distinguishing_experiment}\n")
             if effect.reference:

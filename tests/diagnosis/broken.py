@@ -22,6 +22,7 @@ class CubicFriction(JointEffect):
 
     id = "cubic_friction"
     description = "friction that grows with the cube of the rate"
+    assumptions = "the same torque at all angles"
     reference = "A. Author, A Book, 2001"
     dissipative = True
 
@@ -58,6 +59,13 @@ class Unreferenced(CubicFriction):
 
 
 @dataclass(frozen=True)
+class Unassuming(CubicFriction):
+    """Does not even say that it assumes nothing."""
+
+    assumptions = " "
+
+
+@dataclass(frozen=True)
 class Undeclared(CubicFriction):
     exponent: float = 3.0
 
@@ -75,6 +83,7 @@ class WithoutSize(Effect):
 
     id = "without_size"
     description = "a torque without a size"
+    assumptions = "none"
     reference = "A. Author, A Book, 2001"
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
@@ -89,6 +98,7 @@ class Camera(Effect):
 
     id = "camera_shift"
     description = "a camera that is shifted along the arm"
+    assumptions = "the same shift in every recording"
     reference = "A. Author, A Book, 2001"
 
     def marker_positions(self, positions: Array, headings: Array, time: Array) -> Array:
@@ -181,6 +191,7 @@ class SmoothedAway(JointEffect):
 
     id = "smoothed_away"
     description = "a spring at the active joint"
+    assumptions = "constant stiffness"
     reference = "A. Author, A Book, 2001"
 
     def chain(self, chain: Chain) -> Chain:
@@ -250,6 +261,7 @@ class TakesDampingAway(JointEffect):
 
     id = "less_damping"
     description = "less damping than there is"
+    assumptions = "none"
     reference = "A. Author, A Book, 2001"
     dissipative = True
 
@@ -305,6 +317,7 @@ class Stiffer(JointEffect):
 
     id = "stiffer"
     description = "a stiffer link"
+    assumptions = "none"
     reference = "A. Author, A Book, 2001"
 
     def chain(self, chain: Chain) -> Chain:

@@ -14,7 +14,7 @@ from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload,
 
 
 def test_standard_errors_follow_each_parameters_scale() -> None:
-    """A size is proportional to its coordinate, a time constant exponential, a gear's stiffness reciprocal."""
+    """Sizes and dampings go with their coordinates, a time constant exponentially, a gear's stiffness inversely."""
     creep = ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.12)
     parameters = _with_errors(creep, np.diag([0.01, 0.04]))
     unit = {parameter.name: parameter.typical_magnitude for parameter in creep.parameters}
@@ -23,10 +23,12 @@ def test_standard_errors_follow_each_parameters_scale() -> None:
     assert parameters["time_constant"].std == pytest.approx(0.2 * 0.12, rel=1e-4)
     assert parameters["time_constant"].unit == "s"
     gear = GearElasticity(link=0, stiffness=56.0)
-    coordinate, _ = gear.coordinates
-    assert _with_errors(gear, np.diag([1e-4, 0.0]))["stiffness"].std == pytest.approx(
-        56.0 * 0.01 / coordinate, rel=1e-3
-    )
+    coordinate, _, damping = gear.coordinates
+    assert damping == 0.0
+    parameters = _with_errors(gear, np.diag([1e-4, 0.0, 0.04]))
+    assert parameters["stiffness"].std == pytest.approx(56.0 * 0.01 / coordinate, rel=1e-3)
+    # At its bound, where the logarithm would have no slope, a damping has the error that it has elsewhere.
+    assert parameters["damping"].std == pytest.approx(0.2 * gear.parameters[2].typical_magnitude, rel=1e-4)
 
 
 def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() -> None:

@@ -21,6 +21,7 @@ BROKEN = [
     (broken.Undecorated(), "form", "not a dataclass"),
     (broken.Nameless(), "form", "'cubic friction!'; expected letters, digits and _"),
     (broken.Unreferenced(), "form", "no `reference`"),
+    (broken.Unassuming(), "form", "no `assumptions`; expected .* or 'none'"),
     (broken.Undeclared(), "form", "`exponent` is neither"),
     (broken.PresentByDefault(), "form", "`coefficient` is 0.004 by default"),
     (broken.WithoutSize(), "form", "defines `force` but no size"),

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis import selection
+from vjm.diagnosis.alternatives import _with_errors
 from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, fit_segments, information_of, refit
+from vjm.diagnosis.cross_validation import is_determined
 from vjm.diagnosis.diagnose import _with_residual
 from vjm.diagnosis.records import Candidate
 from vjm.effects import (
@@ -66,6 +68,24 @@ def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -
     assert found.point.misfit == pytest.approx(1.0, abs=0.03)
     assert found.effects[0].values["stiffness"] == pytest.approx(56.0, rel=0.015)
     assert found.effects[0].values["motor_share"] == pytest.approx(0.35, abs=0.02)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.05, 0.3])
+def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> None:
+    """At zero it ends at its bound; what is found of the gear beside it is as certain as anywhere."""
+    truth = GearElasticity(link=0, stiffness=56.0, motor_share=0.35, damping=damping)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), 2, duration=4.0)
+    found = refit(in_segments(recordings), [replace(truth, stiffness=10.0, motor_share=0.5, damping=0.0)])
+    assert found is not None
+    assert found.point.misfit == pytest.approx(1.0, abs=0.03)
+    (gear,), (part,) = found.effects, found.point.problem.parts
+    sizes = _with_errors(gear, information_of(found).covariance[part, part])
+    for name, most in (("stiffness", 0.8), ("motor_share", 0.01), ("damping", 0.05)):
+        size, true = sizes[name], truth.values[name]
+        assert size.std is not None
+        assert abs(size.value - true) < 3 * size.std
+        assert size.std < most
+    assert is_determined(found, gear, 1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 3])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.effects.setups import LINK, PRESENT, RIG, chain_of, typical_magnitude
-from vjm.effects import BUILTIN, Effect, TipPayload, magnitude
+from vjm.effects import BUILTIN, Effect, GearElasticity, TipPayload, magnitude
 from vjm.errors import ShapeError
 from vjm.records import Rig
 
@@ -136,6 +136,16 @@ def test_what_effects_do_scales_with_the_rig(length: float, mass: float, time: f
         assert None in update or update[1](q, z, to) == pytest.approx(update[0](q, z, to))  # type: ignore[misc]
 
 
+def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_linear() -> None:
+    (absent,) = GearElasticity().variants(Rig("hub", (LINK,)), [])
+    damping = absent.parameters[2]
+    assert (absent.damping, damping.grid, damping.bounds[0]) == (0.0, (0.0,), 0.0)
+    present = absent.at(np.array([0.5, 0.3, 2.0]))
+    assert present.damping == 2 * damping.typical_magnitude
+    assert present.coordinates == pytest.approx([0.5, 0.3, 2.0])
+    assert present.with_softer_joint(2.0).damping == 0.0
+
+
 def test_coordinates_stay_in_the_rig_s_units() -> None:
     (absent,) = TipPayload().variants(Rig("hub", (LINK,)), [])
     present = absent.at(np.array([2.0]))
@@ -165,6 +175,8 @@ def test_it_says_what_it_is(effect: Effect) -> None:
     for text in (effect.description, effect.reference, effect.distinguishing_experiment):
         assert len(text) > 20
         assert not text.endswith(".")
+    assumed = effect.assumptions.split("; ")
+    assert assumed == ["none"] or all(len(each) > 5 and each[-1] not in ".;" for each in assumed)
     assert effect.description[0].islower()
     with pytest.raises(FrozenInstanceError):
         effect.link = 3  # type: ignore[misc]

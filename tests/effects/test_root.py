@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.effects.setups import LINK, POST, chain_of
+from tests.effects.test_forces import driven
+from tests.fine_beam import Beam, Physics, Run, simulate_runs
 from vjm.chain.virtual_links import Array
-from vjm.effects import Backlash, ClampCompliance, GearElasticity
+from vjm.effects import Backlash, ClampCompliance, Effect, GearElasticity
 from vjm.model.modes import modes
+from vjm.records import Rig
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import simulate_trajectories
+from vjm.simulation.measurement import MarkerArcs
 
 HUB, CLAMPED = chain_of(LINK), chain_of(POST)
 GAP = 0.01
@@ -40,8 +48,54 @@ def test_a_gear_splits_the_hub() -> None:
     assert stiff == pytest.approx(modes(HUB).frequencies[:3], rel=1e-4)
 
 
+def test_a_damper_is_beside_the_spring() -> None:
+    clamp = ClampCompliance(compliance=0.005, damping=0.7).chain(CLAMPED).links[0]
+    gear = GearElasticity(stiffness=60.0, damping=0.3).chain(HUB).links[0]
+    assert (clamp.root_damping, gear.root_damping) == (0.7, 0.3)
+    for absent in (ClampCompliance(damping=0.7), GearElasticity(damping=0.3)):
+        assert absent.chain(HUB) is HUB
+
+
+def test_a_motor_and_a_hub_lose_what_two_inertias_lose() -> None:
+    """The link is so stiff and light that nothing else moves: ratio d (1/a + 1/b) / (2 omega) of critical damping."""
+    rod = replace(LINK, bending_stiffness=2e5, mass=1e-4)
+    chain = chain_of(rod, kelvin_voigt=0.0)
+    mobility = 1 / 0.006 + 1 / (0.014 + rod.mass / 3)
+    found = modes(GearElasticity(stiffness=60.0, motor_share=0.3, damping=0.05).chain(chain))
+    pulsation = np.sqrt(60.0 * mobility)
+    assert 2 * np.pi * found.frequencies[0] == pytest.approx(pulsation, rel=1e-4)
+    assert found.damping_ratios[0] == pytest.approx(0.05 * mobility / (2 * pulsation), rel=1e-4)
+
+
+DAMPED = GearElasticity(stiffness=60.0, motor_share=0.35, damping=0.3), ClampCompliance(compliance=0.01, damping=4.0)
+
+
+@pytest.mark.parametrize("effect", DAMPED, ids=lambda effect: effect.id)
+def test_a_damper_acts_on_a_chain_as_on_a_continuous_beam(effect: Effect) -> None:
+    """It changes a driven motion by as much."""
+    time = np.linspace(0.0, 1.5, 751)
+    torque = 0.2 * np.sin(5 * time) + 0.08 * np.sin(17 * time) + 0.2 * np.sin(60 * time)
+    beam = Beam(LINK.length, LINK.mass, LINK.bending_stiffness, 1e-3, "revolute", LINK.hub_inertia)
+    shown: list[tuple[Array, Array]] = []
+    for present in (effect, replace(effect, damping=0.0)):
+        physics = Physics(**{f"{effect.id}_{name}": value for name, value in present.values.items()})
+        (motion,) = simulate_runs(beam, physics, time, [Run(torque)])
+        arm = Arm.of(chain_of(LINK, n=16), (present,))
+        rest = np.zeros(arm.chain.size)
+        (steps,) = simulate_trajectories([arm], [driven(torque, time)], [rest], [rest])
+        markers = MarkerArcs.of(Rig("hub", (LINK,))).positions(arm.chain, steps.angles(time))
+        shown.append((markers.reshape(time.size, -1), motion.positions(LINK.markers).reshape(time.size, -1)))
+    chain, other = (with_damper - without for with_damper, without in zip(*shown, strict=True))
+    assert np.abs(other).max() > 1e-4
+    assert np.sqrt(np.mean((chain - other) ** 2)) < 0.02 * np.sqrt(np.mean(other**2))
+
+
 def test_springs_at_one_root_are_in_series_in_any_order() -> None:
-    effects = [GearElasticity(stiffness=60.0), ClampCompliance(compliance=0.02), Backlash(gap=GAP)]
+    effects = [
+        GearElasticity(stiffness=60.0, damping=0.3),
+        ClampCompliance(compliance=0.02, damping=0.7),
+        Backlash(gap=GAP),
+    ]
     chains = []
     for order in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
         chain = HUB
@@ -50,7 +104,9 @@ def test_springs_at_one_root_are_in_series_in_any_order() -> None:
         chains.append(chain.links[0])
     for link in chains:
         assert link.root_stiffness == pytest.approx(1 / (1 / 60 + 0.02 + 1 / STIFFNESS))
-        assert link.root_damping == pytest.approx(chains[0].root_damping)
+        # Each damper takes its share of the turn, squared.
+        shares = np.array([1 / 60, 0.02, 1 / STIFFNESS]) * link.root_stiffness
+        assert link.root_damping == pytest.approx(shares**2 @ [0.3, 0.7, DAMPING])
         assert (link.hub_inertia, link.root_inertia) == pytest.approx((0.01, 0.01))
 
 

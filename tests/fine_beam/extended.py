@@ -20,6 +20,8 @@ from tests.fine_beam.hidden import Physics, slip_rate, transmission_torque
 
 Array = NDArray[np.float64]
 
+_TWIST: Array = np.array([[1.0, -1.0], [-1.0, 1.0]])  # of motor and hub against each other
+
 
 class Fields(NamedTuple):
     """Along the beams of a batch, at N nodes: cosine and sine of the heading, its rate (rad/s); (B, N) each."""
@@ -117,14 +119,19 @@ class Extended:
             root = self.bending.start - 1
             whole[root, root] += 1.0 / self.physics.clamp_compliance_compliance
         if self.motor and self.physics.backlash_gap == 0.0:
-            whole[:2, :2] += self.physics.gear_elasticity_stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+            whole[:2, :2] += self.physics.gear_elasticity_stiffness * _TWIST
         if self.physics.has_table:
             whole[-1, -1] = self.physics.base_compliance_stiffness
         return whole, bending
 
     def _damping(self, k: int) -> Array:
-        """Kelvin-Voigt damping and the modes' structural damping with distinct payload k, (n, n)."""
+        """Dampers, of bending and of joints, and the modes' structural damping with distinct payload k, (n, n)."""
         viscous = self.beam.kelvin_voigt_time * self.bending_stiffness
+        if self.root:
+            root = self.bending.start - 1
+            viscous[root, root] += self.physics.clamp_compliance_damping
+        if self.motor and self.physics.backlash_gap == 0.0:
+            viscous[:2, :2] += self.physics.gear_elasticity_damping * _TWIST
         if self.physics.has_table:
             critical = 2.0 * np.sqrt(self.physics.base_compliance_stiffness * self.physics.base_compliance_mass)
             viscous[-1, -1] = self.physics.base_compliance_damping_ratio * critical

@@ -32,11 +32,12 @@ class Physics:
         joint_spring_stiffness: pulls the joint to angle 0, N m/rad.
         torque_gain_gain: true over recorded torque.
         torque_offset_offset: true less recorded torque, N m.
-        gear_elasticity_stiffness, gear_elasticity_motor_share: between motor and hub, N m/rad; the motor's part of the
-            hub's inertia.
+        gear_elasticity_stiffness, gear_elasticity_motor_share, gear_elasticity_damping: between motor and hub, N m/rad;
+            the motor's part of the hub's inertia; of a damper beside the spring, N m s/rad.
         backlash_gap, backlash_motor_share: whole dead zone between motor and hub, rad; as of the gear, which counts
             where there are both.
-        clamp_compliance_compliance: turn of the link's root over its bending moment, rad/(N m).
+        clamp_compliance_compliance, clamp_compliance_damping: turn of the link's root over its bending moment at rest,
+            rad/(N m); of a damper beside the spring, N m s/rad.
         base_compliance_stiffness, base_compliance_mass, base_compliance_direction, base_compliance_damping_ratio: of a
             table that slides under the base, from where its load holds it; N/m, kg, rad, and of the table by itself.
         linear_drag_coefficient: force per length over normal velocity, N s/m^2.
@@ -67,9 +68,11 @@ class Physics:
     torque_offset_offset: float = 0.0
     gear_elasticity_stiffness: float = inf
     gear_elasticity_motor_share: float = 0.5
+    gear_elasticity_damping: float = 0.0
     backlash_gap: float = 0.0
     backlash_motor_share: float = 0.5
     clamp_compliance_compliance: float = 0.0
+    clamp_compliance_damping: float = 0.0
     base_compliance_stiffness: float = inf
     base_compliance_mass: float = 5.0
     base_compliance_direction: float = 0.5 * pi
@@ -150,12 +153,13 @@ def is_mechanical(effect: str) -> bool:
 def transmission_torque(physics: Physics, hub_inertia: float, twist: Array, twist_rate: Array) -> Array:
     """Torque of motor on hub, N m, (B,), for motor less hub angle, rad and rad/s, (B,), where it is not linear.
 
-    The flanks push and never pull. With an elastic gear as well, the flanks are as soft as the gear.
+    The flanks push and never pull. With an elastic gear as well, the flanks are as soft as the gear, and its damper is
+    beside their own.
     """
     elastic = isfinite(physics.gear_elasticity_stiffness)
     stiffness = physics.gear_elasticity_stiffness if elastic else FLANK_STIFFNESS
     ratio = 0.1 * FLANK_DAMPING_RATIO if elastic else FLANK_DAMPING_RATIO
-    damping = 2.0 * ratio * np.sqrt(stiffness * physics.motor_share * hub_inertia)
+    damping = 2.0 * ratio * np.sqrt(stiffness * physics.motor_share * hub_inertia) + physics.gear_elasticity_damping
     side = np.sign(twist)
     depth = np.maximum(np.abs(twist) - 0.5 * physics.backlash_gap, 0.0)
     push = stiffness * depth + damping * side * twist_rate * np.minimum(depth / FLANK_DEPTH, 1.0)

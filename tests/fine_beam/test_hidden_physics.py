@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_simpson, solve_ivp
 from scipy.optimize import brentq
 
 from tests.fine_beam import linear_modes, simulate, static_state
@@ -128,6 +128,34 @@ def test_elastic_gear_of_a_rigid_arm() -> None:
     assert rms(stiff, alone(HUB, Physics(), Run(drive(TIME)))) < 1e-6
 
 
+@pytest.mark.parametrize("damping", [0.05, 0.5, 3.0])
+def test_the_damper_beside_an_elastic_gear_slows_the_twist_of_two_inertias(damping: float) -> None:
+    """Motor and arm against each other, x'' = -(1/a + 1/b) (k x + d x'): underdamped, and next to no swing at all."""
+    motor, arm = 0.3 * 0.02, INERTIA - 0.3 * 0.02
+    physics = Physics(gear_elasticity_stiffness=60.0, gear_elasticity_motor_share=0.3, gear_elasticity_damping=damping)
+    push = np.zeros(2 * Extended(RIGID, physics, NONE).size)
+    push[:2] = 0.01 * arm / (motor + arm), -0.01 * motor / (motor + arm)  # a twist about the centre of both
+    motion = alone(RIGID, physics, Run(push=push), step=5e-4)
+    mobility = 1.0 / motor + 1.0 / arm
+    decay, square = 0.5 * damping * mobility, 60.0 * mobility
+    pulsation = np.sqrt(complex(square - decay**2))
+    swing = np.cos(pulsation * TIME) + decay / pulsation * np.sin(pulsation * TIME)
+    twist = 0.01 * (np.exp(-decay * TIME) * swing).real
+    np.testing.assert_allclose(motion.coordinates[:, 0] - motion.coordinates[:, 1], twist, atol=5e-5)
+
+
+@pytest.mark.parametrize("damping", [0.1, 1.0])
+def test_the_damper_beside_a_clamp_s_spring_damps_a_rigid_link(damping: float) -> None:
+    """Of an oscillator J x'' + d x' + x / c = 0, the exact eigenvalue."""
+    rigid = replace(RIGID, joint="clamped", hub_inertia=0.0)
+    physics = Physics(clamp_compliance_compliance=0.05, clamp_compliance_damping=damping)
+    values = np.linalg.eigvals(Extended(rigid, physics, NONE).linear(0))
+    slowest = values[np.argmin(np.abs(values))]
+    inertia = 0.44 / 3.0
+    assert slowest.real == pytest.approx(-0.5 * damping / inertia, rel=2e-3)
+    assert abs(slowest) ** 2 == pytest.approx(20.0 / inertia, rel=2e-3)
+
+
 def test_play_passes_nothing_until_it_closes() -> None:
     physics = Physics(backlash_gap=0.01)
     torque = np.full(501, 1e-3)
@@ -242,6 +270,23 @@ def test_what_only_takes_energy_never_gives_any(physics: Physics) -> None:
 
 
 @pytest.mark.parametrize(
+    ("physics", "twist"),
+    [
+        (Physics(gear_elasticity_stiffness=60.0, gear_elasticity_damping=0.2), [1.0, -1.0]),
+        (Physics(clamp_compliance_compliance=5e-3, clamp_compliance_damping=2.0), [0.0, 1.0]),
+    ],
+    ids=["gear", "clamp"],
+)
+def test_energy_falls_by_what_dampers_of_joints_take(physics: Physics, twist: list[float]) -> None:
+    motion = alone(UNDAMPED, physics, Run(tip_amplitudes=(0.05, 0.005)), step=1e-3)
+    damping = physics.gear_elasticity_damping + physics.clamp_compliance_damping
+    taken = cumulative_simpson(damping * (motion.rates[:, :2] @ twist) ** 2, x=TIME, initial=0.0)
+    stored = energy(motion)
+    np.testing.assert_allclose(stored, stored[0] - taken, atol=1e-5 * stored[0])
+    assert taken[-1] > 0.02 * stored[0]
+
+
+@pytest.mark.parametrize(
     ("physics", "error"),
     [
         (Physics(coulomb_friction_torque=0.008), 3e-6),
@@ -250,9 +295,10 @@ def test_what_only_takes_energy_never_gives_any(physics: Physics) -> None:
         (Physics(hysteresis_ratio=0.1, viscoelastic_creep_ratio=0.05, cubic_stiffness_coefficient=-0.1), 1e-7),
         (Physics(stiffness_asymmetry_ratio=0.1, taper_taper=0.2), 1e-7),
         (table(stiffness=500.0, mass=2.0, direction=0.9), 1e-7),
+        (Physics(gear_elasticity_stiffness=60.0, gear_elasticity_damping=0.5), 1e-7),
         (Physics(quadratic_drag_coefficient=0.1, clamp_compliance_compliance=5e-3, stiffness_drift_rate=0.01), 1e-7),
     ],
-    ids=["coulomb", "backlash", "gear", "hysteresis", "asymmetry", "table", "drag"],
+    ids=["coulomb", "backlash", "gear", "hysteresis", "asymmetry", "table", "damped gear", "drag"],
 )
 def test_half_the_step_changes_next_to_nothing(physics: Physics, error: float) -> None:
     run = Run(drive(TIME))

@@ -105,7 +105,9 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("cogging", "amplitude"): (2, 1, -2),
     ("actuator_lag", "time_constant"): (0, 0, 1),
     ("gear_elasticity", "stiffness"): (2, 1, -2),
+    ("gear_elasticity", "damping"): (2, 1, -1),
     ("clamp_compliance", "compliance"): (-2, -1, 2),
+    ("clamp_compliance", "damping"): (2, 1, -1),
     ("base_compliance", "stiffness"): (0, 1, -2),
     ("base_compliance", "mass"): (0, 1, 0),
     ("linear_drag", "coefficient"): (-1, 1, -1),
@@ -234,8 +236,14 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
     """Parameters that say how an effect is, not how large."""
     spread = float(2.0 ** random.uniform(-0.7, 0.7))
     match effect:
-        case "gear_elasticity" | "backlash":
+        case "backlash":
             return {"motor_share": random.uniform(0.2, 0.8)}
+        case "gear_elasticity":
+            # Motor and hub swing against each other by about 110 rad/s, with 0.1 % to 10 % of critical damping.
+            return {"motor_share": random.uniform(0.2, 0.8), "damping": 0.001 * 100.0 ** random.uniform()}
+        case "clamp_compliance":
+            # Loss factors of the spring from 0.001 to 0.1 in the slowest mode, 7.4 rad/s.
+            return {"damping": 0.027 * 100.0 ** random.uniform()}
         case "viscoelastic_creep":
             return {"time_constant": 0.1 * spread}
         case "hysteresis":

@@ -9,7 +9,8 @@ import pytest
 
 import vjm
 from tests.hidden.conftest import Plant
-from tests.hidden.rigs import Conditions, Truth
+from tests.hidden.rigs import Conditions, Truth, write_hidden
+from tests.hidden.severities import draw
 from vjm.effects import BUILTIN
 
 # Of every kind, each with one that looks like it: a search among them takes half as long as among all.
@@ -96,6 +97,40 @@ def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
     assert abs(torque.value - hidden.parameters["torque"]) < 2 * (torque.std or 0.0)
     assert diagnosis.gain is not None
     assert diagnosis.gain.reduction > 0.95
+
+
+@pytest.mark.parametrize(
+    ("seed", "damping"),
+    [(1, 0.1), *(pytest.param(k, d, marks=pytest.mark.slow) for k, d in [(2, 0.02), (2, 0.0), (3, 0.0), (3, 0.1)])],
+)
+def test_a_gear_has_its_stiffness_and_its_damping(tmp_path: Path, seed: int, damping: float) -> None:
+    drawn = draw("gear_elasticity", seed)
+    truth = write_hidden(tmp_path, "hub", [replace(drawn, parameters={**drawn.parameters, "damping": damping})], seed)
+    diagnosis = vjm.diagnose(with_few(tmp_path / "experiment.toml"), effects=["gear_elasticity"], budget=UNLIMITED)
+    assert diagnosis.verdict == "named"
+    assert_found(diagnosis, truth)
+    (cause,) = diagnosis.causes
+    for name, value in truth.effects[0].parameters.items():
+        size = cause.parameters[name]
+        assert size.std is not None
+        assert abs(size.value - value) < 3 * size.std
+    assert ("damping" in diagnosis.summary().partition("Held-out")[0]) == (damping > 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [0.0, 1.0])
+def test_a_clamp_has_its_compliance_and_its_damping(tmp_path: Path, damping: float) -> None:
+    """Beside the link's own damping, which a small one looks like: between none and this the likelihood has a dip."""
+    drawn = draw("clamp_compliance", 3, "clamped")
+    hidden = replace(drawn, parameters={**drawn.parameters, "damping": damping})
+    truth = write_hidden(tmp_path, "clamped", [hidden], 3)
+    diagnosis = diagnosed(tmp_path / "experiment.toml", ["clamp_compliance"])
+    assert diagnosis.verdict == "named"
+    assert_found(diagnosis, truth)
+    for name, value in truth.effects[0].parameters.items():
+        size = diagnosis.causes[0].parameters[name]
+        assert size.std is not None
+        assert abs(size.value - value) < 3 * size.std
 
 
 @pytest.mark.slow

@@ -63,7 +63,7 @@ def test_result_has_the_keys_of_the_interface(diagnosis: Diagnosis) -> None:
 def test_rivals_are_named() -> None:
     (cause,) = DiagnoseResult.model_validate_json(json_text(result_object(undecided()))).causes
     assert cause.indistinguishable_from == ["clamp_compliance"]
-    assert cause.alternatives[0].parameters == {"compliance": CLAMP.compliance}
+    assert cause.alternatives[0].parameters == {"compliance": CLAMP.compliance, "damping": 0.0}
     assert cause.parameters["mass"].value == 0.0133
 
 

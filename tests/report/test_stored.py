@@ -54,7 +54,7 @@ def test_every_effect_comes_back_exactly(tmp_path: Path) -> None:
     content = written(model, tmp_path / "model.json")
     assert [each["effect"] for each in content["effects"]] == [each.id for each in effects]
     assert {each["link"] for each in content["effects"]} == {None, "upper", "fore"}
-    assert content["effects"][-1]["parameters"] == {"stiffness": None, "motor_share": 0.5}
+    assert content["effects"][-1]["parameters"] == {"stiffness": None, "motor_share": 0.5, "damping": 0.0}
     assert read_model(tmp_path / "model.json", experiment)[0].effects == effects
     assert load_model(tmp_path / "model.json").effects == effects
 

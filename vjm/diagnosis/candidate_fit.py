@@ -1,7 +1,8 @@
 """Maximum-likelihood fits of models with effects, to recordings or to their segments (multiple shooting).
 
 Chain, effects and initial states are fitted together, as in `vjm.identification.trajectory_fit`. The coordinates of an
-effect are its magnitudes in units of typical ones, zero where it is absent, and logarithms of its shape parameters.
+effect are its magnitudes in units of typical ones, zero where it is absent, and its shape parameters: logarithms, or
+linear where they may be zero.
 """
 
 from __future__ import annotations

@@ -149,7 +149,7 @@ def _overridden(effect: Effect) -> str:
 
 
 def _form(effect: Effect, seed: int) -> _Checks:
-    """Require a frozen Effect dataclass with id, description and reference, its parameters null by default."""
+    """Require a frozen Effect dataclass that says what it is and assumes, its parameters null by default."""
     kind, derived = type(effect), "an instance of a class derived from vjm.effects.Effect"
     yield isinstance(effect, Effect), f"{effect!r}", derived
     # Without a decorator of its own, a subclass has its parent's fields only, whatever it declares.
@@ -158,6 +158,8 @@ def _form(effect: Effect, seed: int) -> _Checks:
     yield re.fullmatch(r"[A-Za-z0-9_]+", str(kind.id)), f"the id {kind.id!r}", "letters, digits and _"
     yield kind.description, "no `description`", "its meaning in a few words, as in 'friction at the joint'"
     yield kind.reference, "no `reference`", "where the model is described"
+    expected = "what its model takes for granted beyond its parameters, each as a noun phrase, or 'none'"
+    yield kind.assumptions.strip(), "no `assumptions`", expected
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     for field in fields(effect):
         declared = field.name in parameters or field.kw_only

@@ -33,6 +33,7 @@ class ActuatorLag(ColumnEffect):
 
     description = "actuator lag: the true torque follows the recorded one late"
     clause = "the actuator torque at the joint of '{link}' lags the recorded one, time constant {time_constant}"
+    assumptions = "a linear lag of first order, the same for all torques; no lag built up before a recording"
     reference = "M. W. Spong, S. Hutchinson and M. Vidyasagar, Robot Modeling and Control, Wiley, 2006, chapter 6"
     distinguishing_experiment = "a fast chirp, with encoder and torque on one clock"
 
@@ -111,6 +112,7 @@ class TorqueSaturation(ColumnEffect):
 
     description = "torque saturation: the true torque is clipped"
     clause = "the torque at the joint of '{link}' saturates at {limit}"
+    assumptions = "one limit for both directions, at all rates and temperatures"
     reference = "T. Hu and Z. Lin, Control Systems with Actuator Saturation: Analysis and Design, Birkhaeuser, 2001"
     distinguishing_experiment = "the same drive at half the amplitude"
 
@@ -169,6 +171,7 @@ class Cogging(WaveEffect, JointEffect):
 
     description = "cogging: a motor torque that is periodic in the joint angle"
     clause = "cogging torque of {amplitude} at the joint of '{link}', {count}"
+    assumptions = "a single wave in the joint's angle, the same at all torques and rates"
     reference = (
         "T. M. Jahns and W. L. Soong, Pulsating torque minimization techniques, IEEE Trans. Ind. Electron., 1996"
     )

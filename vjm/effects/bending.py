@@ -29,6 +29,7 @@ class StructuralDamping(LinkEffect):
 
     description = "structural damping: rate-independent bending loss"
     clause = "structural damping in '{link}', loss factor {loss_factor}"
+    assumptions = "the same loss factor in every mode of the arm, straight and at rest; linear loss"
     reference = "S. H. Crandall, The role of damping in vibration theory, Journal of Sound and Vibration 11(1), 1970"
     distinguishing_experiment = "two or more modes in free decay"
     abscissa = "amplitude"
@@ -63,6 +64,7 @@ class CubicStiffness(LinkEffect):
 
     description = "cubic stiffness: bending stiffness that changes with curvature"
     clause = "the bending stiffness of '{link}' changes with curvature, coefficient {coefficient}"
+    assumptions = "a moment odd in the curvature; one coefficient along the link; linear loss"
     reference = "A. H. Nayfeh and P. F. Pai, Linear and Nonlinear Structural Mechanics, Wiley, 2004"
     distinguishing_experiment = "recordings at two amplitudes"
     abscissa = "amplitude"
@@ -82,6 +84,7 @@ class StiffnessDrift(LinkEffect):
 
     description = "bending stiffness that drifts during each recording"
     clause = "the bending stiffness of '{link}' drifts by {rate} during each recording"
+    assumptions = "a drift linear in time, the same in every recording and along the link; constant loss"
     reference = "H. Sohn, Effects of environmental and operational variability, Phil. Trans. Royal Society A 365, 2007"
     distinguishing_experiment = "recordings at two amplitudes, or a restart after the link has warmed up"
 
@@ -99,6 +102,7 @@ class RestCurvature(LinkEffect):
 
     description = "rest curvature: a link that is bent when unloaded"
     clause = "link '{link}' is curved at rest, {curvature}"
+    assumptions = "an arc of constant curvature; the same shape in every recording"
     reference = "S. P. Timoshenko and J. M. Gere, Theory of Elastic Stability, 2nd edition, McGraw-Hill, 1961"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "marker"
@@ -123,6 +127,7 @@ class Taper(LinkEffect):
 
     description = "taper: thickness that changes along the link"
     clause = "link '{link}' is tapered: thickness falls by {taper} of its mean from root to tip"
+    assumptions = "thickness linear in the arc length; constant width and material"
     reference = (
         "H. H. Mabie and C. B. Rogers, Transverse vibrations of tapered cantilever beams with end loads, "
         "J. Acoustical Society of America 36(3), 1964"
@@ -167,6 +172,7 @@ class StiffnessAsymmetry(LinkEffect):
 
     description = "bilinear stiffness: a link that is stiffer bent one way than the other"
     clause = "link '{link}' is stiffer by {ratio} bent to the left, softer by as much to the right"
+    assumptions = "a kink at the unloaded shape, the same along the link; the same loss both ways"
     reference = "T. G. Chondros et al., Vibration of a beam with a breathing crack, J. Sound Vibration 239(1), 2001"
     distinguishing_experiment = "static deflections to both sides, or decays released from either side"
     abscissa = "position"
@@ -182,6 +188,7 @@ class UnmodelledMode(Effect):
     """Too few virtual joints for what the recordings show: a reason to refit, no physics."""
 
     description = "a bending mode beyond those of the virtual joints"
+    assumptions = "none"
     reference = "M. J. Balas, Feedback control of flexible systems, IEEE Transactions on Automatic Control 23(4), 1978"
     distinguishing_experiment = "the same fit with two more virtual joints"
 
@@ -201,6 +208,7 @@ class ViscoelasticCreep(LinkEffect):
 
     description = "viscoelastic creep: part of the bending stiffness relaxes"
     clause = "link '{link}' creeps: a fraction {ratio} of its bending stiffness relaxes, time constant {time_constant}"
+    assumptions = "a single relaxation time, the same along the link; full relaxation where a recording begins"
     reference = "C. Zener, Elasticity and Anelasticity of Metals, University of Chicago Press, 1948"
     distinguishing_experiment = "two or more modes in free decay, and a held static deflection"
     abscissa = "amplitude"
@@ -236,6 +244,9 @@ class Hysteresis(LinkEffect):
 
     description = "hysteresis: part of the bending stiffness yields beyond an angle"
     clause = "hysteresis in '{link}': a fraction {ratio} of its bending stiffness yields beyond {yield_angle}"
+    assumptions = (
+        "slip spread evenly along the link; Bouc and Wen's loop with exponent 1; no slip before a recording begins"
+    )
     reference = "Y.-K. Wen, Method for random vibration of hysteretic systems, J. Eng. Mechanics ASCE 102(2), 1976"
     distinguishing_experiment = "recordings at two amplitudes, and a slow motion"
     abscissa = "amplitude"

@@ -44,6 +44,9 @@ class Parameter:
     reciprocal: bool = False  # the effect grows with one over the value, whose null is infinite
     threshold: float = np.inf  # of a reciprocal one: value below which it acts, where its coordinate is zero
     integer: bool = False  # it is a whole number, which is never varied in a fit
+    # Of a shape parameter that may be zero: its coordinate is the value over a typical one, since the logarithm's slope
+    # vanishes there.
+    linear: bool = False
     # Searches start from peaks of the residuals' spectrum, over time or over the joint's angle, instead of the grid.
     from_spectrum: Literal["", "time", "joint_angle"] = ""
     # Typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length l, its mass m
@@ -58,11 +61,16 @@ class Parameter:
         return bool(np.isnan(self.null))
 
     def coordinate(self, value: float) -> float:
-        """Return the number that a search varies: zero at the null, one at a typical magnitude; of a shape, a log."""
+        """Return the number that a search varies: zero at the null, one at a typical magnitude.
+
+        Of a shape parameter it is the logarithm over a typical value, or if linear their ratio.
+        """
         with np.errstate(divide="ignore"):
             if self.reciprocal:
                 beyond = np.divide(self.typical_magnitude, max(value, 0.0)) - self.typical_magnitude / self.threshold
                 return max(float(beyond), 0.0)
+            if self.linear:
+                return value / self.typical_magnitude
             if self.shape_parameter:
                 return float(np.log(value / self.typical_magnitude))
         return (value - self.null) / self.typical_magnitude
@@ -72,6 +80,8 @@ class Parameter:
         if self.reciprocal:
             inverse = coordinate + self.typical_magnitude / self.threshold
             return self.typical_magnitude / inverse if coordinate > 0 else np.inf
+        if self.linear:
+            return self.typical_magnitude * coordinate
         if self.shape_parameter:
             return float(self.typical_magnitude * np.exp(coordinate))
         return self.null + self.typical_magnitude * coordinate
@@ -123,11 +133,12 @@ def magnitude(unit: str, typical_magnitude: float, null: float = 0.0, **attribut
 def shape_parameter(unit: str, typical_magnitude: float, lower: float = 0.0, **attributes: Any) -> Any:
     """Declare a field that says how an effect is, and is irrelevant where its magnitudes are null.
 
-    The typical value is the default, and the grid if none is given. Further attributes of `Parameter` that it may have:
-    `upper`, `grid`, `integer`, `from_spectrum`, `in_rig_units`.
+    The typical value is the default, zero if it is linear; the default is the grid if none is given. Further attributes
+    of `Parameter` that it may have: `upper`, `grid`, `integer`, `linear`, `from_spectrum`, `in_rig_units`.
     """
-    default = int(typical_magnitude) if attributes.get("integer") else typical_magnitude
-    grid = attributes.pop("grid", (typical_magnitude,))
+    usual = 0.0 if attributes.get("linear") else typical_magnitude
+    default = int(usual) if attributes.get("integer") else usual
+    grid = attributes.pop("grid", (usual,))
     shape = Parameter(unit, typical_magnitude, np.nan, lower, grid=grid, **attributes)
     return field(default=default, metadata={_METADATA: shape})
 
@@ -147,8 +158,11 @@ class Effect:
     title: ClassVar[str] = ""  # its name in tables and sentences; the words of its id where it is not given
     description: ClassVar[str] = ""  # the effect in a few words, as a noun phrase
     # What the verdict says: "{link}" stands for the link's name and each parameter's name for its value in an everyday
-    # unit. Without a clause, the description is followed by the values.
+    # unit; what is in square brackets is left out unless its parameter is known to differ from zero. Without a clause,
+    # the description is followed by the values.
     clause: ClassVar[str] = ""
+    # What its model takes for granted beyond its parameters: noun phrases separated by semicolons, or `none`.
+    assumptions: ClassVar[str] = ""
     reference: ClassVar[str] = ""  # the publication in which the model is described
     distinguishing_experiment: ClassVar[str] = ""  # the recording that distinguishes it from effects that look alike
     # Abscissa of the picture that shows the residual without and with it: `time`; `amplitude`, the local one of the
@@ -211,7 +225,7 @@ class Effect:
 
     @property
     def coordinates(self) -> Array:
-        """(p,) numbers that a search varies: magnitudes over typical ones, then logarithms of shape parameters."""
+        """(p,) numbers that a search varies: magnitudes over typical ones, then shape parameters' coordinates."""
         return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied])
 
     def at(self, coordinates: Array) -> Self:
@@ -277,7 +291,7 @@ class Effect:
         return present.chain(chain).size != chain.size
 
     def with_softer_joint(self, factor: float) -> Self:
-        """Return it with the compliance of a joint of its own times a factor, and typical shape parameters.
+        """Return it with the compliance of a joint of its own times a factor, and shape parameters at coordinate zero.
 
         The joint's frequency falls by the factor's root; a search that found one such frequency tries others.
         """

@@ -94,6 +94,7 @@ class CoulombFriction(_DryFriction):
 
     description = "dry (Coulomb) friction at the active joint"
     clause = "dry friction of {torque} at the joint of '{link}'"
+    assumptions = "equal torque in both directions, at all angles and under all loads; no more at rest than in motion"
     reference = "P. Dupont et al., Single state elastoplastic friction models, IEEE Trans. Autom. Control 47(5), 2002"
     distinguishing_experiment = "slow sweeps in both directions, and motion that stops"
     common = True
@@ -127,6 +128,7 @@ class Stribeck(_DryFriction):
     title = "Stribeck friction"
     description = "dry friction at the active joint that falls with speed (Stribeck)"
     clause = "dry friction of {torque} at the joint of '{link}' that falls with speed, Stribeck velocity {speed}"
+    assumptions = "a fall as exp(-(rate / speed)^2), without memory; equal torque in both directions and at all angles"
     reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
     distinguishing_experiment = "sweeps at several constant speeds, slow and fast"
 
@@ -148,6 +150,7 @@ class ViscousFriction(JointEffect):
 
     description = "viscous friction at the active joint"
     clause = "viscous friction of {coefficient} at the joint of '{link}'"
+    assumptions = "equal coefficient in both directions, at all angles and temperatures"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "joint motion over a wide range of speeds with little bending"
     abscissa = "joint_rate"
@@ -167,6 +170,7 @@ class JointSpring(JointEffect):
 
     description = "joint spring: a cable or hose that pulls the active joint back to zero"
     clause = "a cable or hose pulls the joint of '{link}' back to zero, {stiffness}"
+    assumptions = "constant stiffness, without loss; rest at the joint's zero"
     reference = "W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
     distinguishing_experiment = "slow sweeps in both directions over a wide joint range"
     abscissa = "joint_angle"
@@ -185,6 +189,7 @@ class TorqueGain(ColumnEffect):
 
     description = "torque gain: the true torque is a multiple of the recorded one"
     clause = "the true torque at the joint of '{link}' is {gain} times the recorded one"
+    assumptions = "one constant gain at all torques and rates; no delay"
     reference = "M. Gautier and S. Briot, Global identification of joint drive gains, J. Dynamic Systems 136(5), 2014"
     distinguishing_experiment = "a recording with a weighed mass on the tip"
     common = True
@@ -202,6 +207,7 @@ class TorqueOffset(ColumnEffect):
 
     description = "torque offset: a constant torque added to the recorded one"
     clause = "the true torque at the joint of '{link}' is the recorded one plus {offset}"
+    assumptions = "one constant offset in every recording and at all angles"
     reference = "J. Swevers et al., Dynamic model identification for industrial robots, IEEE Control Syst. 27(5), 2007"
     distinguishing_experiment = "recordings at several hub angles, and slow sweeps in both directions"
     abscissa = "joint_angle"
@@ -220,12 +226,21 @@ _FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP, _GRADUAL_CONTACT = 1000.0, 2.2,
 
 @dataclass(frozen=True)
 class ClampCompliance(LinkEffect):
-    """A clamp in which the link's root turns, by the compliance times the bending moment there."""
+    """A clamp in which the link's root turns, on a spring with a damper beside it.
+
+    The spring turns by the compliance times its part of the bending moment there.
+    """
 
     compliance: float = magnitude("rad/(N m)", 0.01, lower=0.0, in_rig_units=True)
+    # Typical: 0.035 of a typical spring's moment in the slowest mode, 3.5 rad / T: the loss factor of built-up
+    # structures, 0.01 to 0.1. At most as large as that moment: beyond, the damper holds the root in every mode.
+    # Searches start from typical: a little of it does to all modes of a clamped link what the link's own damping does,
+    # and what tells the two apart goes with its square, which has no slope at zero.
+    damping: float = shape_parameter("N m s/rad", 1.0, upper=30.0, linear=True, grid=(1.0,), in_rig_units=True)
 
     description = "compliant clamp: the link's root rotates under load"
-    clause = "the clamp of '{link}' is compliant, {compliance}"
+    clause = "the clamp of '{link}' is compliant, {compliance}[, damping {damping}]"
+    assumptions = "a linear spring and damper; a root that turns about its own end and does not shift"
     reference = "K. R. Chun, Free vibration of a beam with one end spring-hinged, J. Applied Mechanics 39(4), 1972"
     distinguishing_experiment = "a recording with a known mass on the tip, or a marker next to the clamp"
     common = True
@@ -233,19 +248,29 @@ class ClampCompliance(LinkEffect):
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a joint at the root."""
-        return chain if self.is_null else self.with_link(chain, **_in_series(self.link_of(chain), 1 / self.compliance))
+        if self.is_null:
+            return chain
+        return self.with_link(chain, **_in_series(self.link_of(chain), 1 / self.compliance, self.damping))
 
 
 @dataclass(frozen=True)
 class GearElasticity(JointEffect):
-    """A spring between the motor, where the encoder is, and the hub; the motor has a share of the hub's inertia."""
+    """A spring, with a damper beside it, between the motor, where the encoder is, and the hub.
+
+    The motor has a share of the hub's inertia.
+    """
 
     stiffness: float = magnitude("N m/rad", 30.0, null=np.inf, lower=0.5, reciprocal=True, in_rig_units=True)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
+    # Typical: 7 % of critical where the halves of a hub of 0.045 m l^2 swing against each other on a typical spring, by
+    # 51 rad / T. At most as large as that spring's torque in the slowest mode, 3.5 rad / T behind a heavy hub: beyond,
+    # the damper holds the hub to the motor in every mode.
+    damping: float = shape_parameter("N m s/rad", 0.1, upper=9.0, linear=True, in_rig_units=True)
 
     on_drive = False
     description = "gear elasticity between the motor's encoder and the hub"
-    clause = "the gear or shaft between motor and hub of '{link}' is elastic, {stiffness}"
+    clause = "the gear or shaft between motor and hub of '{link}' is elastic, {stiffness}[, damping {damping}]"
+    assumptions = "a linear spring and damper; an encoder on the motor; motor and hub that share the rig's hub inertia"
     reference = "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems 109(4), 1987"
     distinguishing_experiment = "a marker on the hub, or a recording with a known mass on the tip"
     in_simulators = True
@@ -255,7 +280,8 @@ class GearElasticity(JointEffect):
         if self.is_null:
             return chain
         link = self.link_of(chain)
-        return self.with_link(chain, **_in_series(link, self.stiffness), **_behind_gear(link, self.motor_share))
+        spring = _in_series(link, self.stiffness, self.damping)
+        return self.with_link(chain, **spring, **_behind_gear(link, self.motor_share))
 
 
 # Logarithms of a table's frequency over the typical one, 2.3 / T, to which searches may go: an eighth of it is slower
@@ -291,6 +317,9 @@ class BaseCompliance(Effect):
     clause = (
         "the table moves under the base: {mass} on a spring of {stiffness}, direction {direction}, damping ratio "
         "{damping_ratio}"
+    )
+    assumptions = (
+        "a rigid table that slides along one line and does not turn; a linear spring and damper; a camera on the ground"
     )
     reference = "E. I. Rivin, Stiffness and Damping in Mechanical Design, Marcel Dekker, 1999, chapter 5"
     distinguishing_experiment = "a fiducial on the base in the camera's view, or an accelerometer on the table"
@@ -374,6 +403,9 @@ class Backlash(JointEffect):
     nonsmooth = True
     description = "backlash between the motor and the hub"
     clause = "backlash of {gap} between motor and hub of '{link}'"
+    assumptions = (
+        "flanks much stiffer than the link, with a loss of their own; no friction in the gap; an encoder on the motor"
+    )
     reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
     distinguishing_experiment = "a marker on the hub, and slow motion with reversals"
 
@@ -431,7 +463,7 @@ class Backlash(JointEffect):
         return self.units(chain)[2] * _CONTACT_STEP
 
 
-def _in_series(link: LinkChain, stiffness: float, damping: float = 0.0) -> dict[str, float]:
+def _in_series(link: LinkChain, stiffness: float, damping: float) -> dict[str, float]:
     """The link's root joint with a spring [N m/rad] and damper [N m s/rad] in series with those that are there.
 
     Of two springs, each with a light damper beside it, a share k / k_1 of the turn is in the first.

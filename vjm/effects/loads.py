@@ -35,6 +35,7 @@ class TipPayload(_TipEffect):
 
     description = "unknown mass on the tip"
     clause = "unknown mass of {mass} on the tip of '{link}'"
+    assumptions = "a point at the end of the last link's centre line, without rotary inertia; rigidly fastened"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
     distinguishing_experiment = "a recording with a known tip mass, static sag, or driven recordings"
     common = True
@@ -56,6 +57,7 @@ class InPlaneGravity(Effect):
     title = "In-plane gravity"
     description = "tilted base: gravity in the plane of motion"
     clause = "the base is tilted: in-plane gravity {gx} along x, {gy} along y"
+    assumptions = "the same uniform gravity in every recording and throughout it"
     reference = "B. Siciliano et al., Robotics: Modelling, Planning and Control, Springer, 2009, chapter 7"
     distinguishing_experiment = "recordings at several hub angles"
     in_simulators = True
@@ -80,6 +82,9 @@ class ExternalTone(WaveEffect, _TipEffect):
     title = "Sinusoidal disturbance"
     description = "sinusoidal disturbance force on the tip"
     clause = "sinusoidal disturbance force of {amplitude} at {frequency} on the tip of '{link}'"
+    assumptions = (
+        "one constant amplitude, frequency and phase in every recording; a force normal to the link at its end"
+    )
     reference = "J. P. Den Hartog, Mechanical Vibrations, 4th edition, McGraw-Hill, 1956"
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
     abscissa = "frequency"
@@ -200,6 +205,7 @@ class LinearDrag(_Drag):
 
     description = "air drag proportional to velocity"
     clause = "linear air drag on '{link}', {coefficient}"
+    assumptions = "still air; force across the link only; one coefficient along its length; no added mass of air"
     distinguishing_experiment = "two or more modes in free decay: drag damps slow modes most"
 
     def density(self, normal: Array, slow: float) -> Array:
@@ -215,6 +221,7 @@ class QuadraticDrag(_Drag):
 
     description = "air drag proportional to velocity squared"
     clause = "quadratic air drag on '{link}', {coefficient}"
+    assumptions = "still air; force across the link only; one coefficient along its length; no added mass of air"
     distinguishing_experiment = "recordings at two amplitudes: its damping grows with amplitude"
 
     def density(self, normal: Array, slow: float) -> Array:

@@ -43,6 +43,7 @@ class CameraScale(Effect):
 
     description = "scale error of the camera"
     clause = "the camera scale is {scale} times the true one"
+    assumptions = "one scale in both directions and all over the picture"
     reference = "Z. Zhang, A flexible new technique for camera calibration, IEEE Trans. Pattern Analysis 22(11), 2000"
     distinguishing_experiment = "two fiducials at a known distance in the camera's view"
     abscissa = "position"
@@ -61,6 +62,7 @@ class CameraRotation(_CameraEffect):
 
     description = "camera rotated relative to the base"
     clause = "the camera is rotated by {angle} relative to the base"
+    assumptions = "a turn within the plane of motion, about the base's origin; the same in every recording"
     reference = "R. Hartley and A. Zisserman, Multiple View Geometry in Computer Vision, 2nd edition, Cambridge, 2004"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view"
     abscissa = "tangential"
@@ -88,6 +90,7 @@ class CameraTranslation(_CameraEffect):
 
     description = "camera shifted relative to the base"
     clause = "the camera is shifted relative to the base: all markers appear {dx} along x and {dy} along y off"
+    assumptions = "the same shift in every recording, within the plane of motion"
     reference = (
         "R. Y. Tsai and R. K. Lenz, A new technique for fully autonomous and efficient 3D robotics hand/eye "
         "calibration, IEEE Trans. Robotics and Automation 5(3), 1989"
@@ -117,6 +120,7 @@ class CameraVibration(WaveEffect, _CameraEffect):
 
     description = "camera vibration: all markers shake together"
     clause = "the camera vibrates by {amplitude} at {frequency}, {direction} from x"
+    assumptions = "one constant ellipse, frequency and phase in every recording; no turn of the camera"
     reference = (
         "S. Yoneyama and H. Ueda, Bridge deflection measurement using digital image correlation with camera movement "
         "correction, Materials Transactions 53(2), 2012"
@@ -176,6 +180,7 @@ class LensDistortion(_CameraEffect):
 
     description = "radial lens distortion"
     clause = "the lens distorts radially, k1 = {k1}"
+    assumptions = "distortion about the base's origin, which the lens's axis meets; one coefficient"
     reference = "D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32(3), 1966"
     distinguishing_experiment = "three or more fiducials at known distances in the camera's view"
     abscissa = "radial"
@@ -202,6 +207,7 @@ class MarkerOffset(LinkEffect):
 
     description = "marker offset: a marker that is not where the experiment file says"
     clause = "marker {marker} of '{link}' is off by {along} along and {across} across the link"
+    assumptions = "a marker that moves rigidly with the link, the same offset in every recording"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
     distinguishing_experiment = "measure the marker's position on the link with a ruler"
     abscissa = "marker"
@@ -245,6 +251,7 @@ class EncoderOffset(ColumnEffect):
     on_drive = False
     description = "zero offset of the encoder"
     clause = "the encoder zero of '{link}' is off by {offset}"
+    assumptions = "the same offset in every recording and at all angles"
     reference = "J. M. Hollerbach and C. W. Wampler, The calibration index, Int. J. Robotics Research 15(6), 1996"
     distinguishing_experiment = "a fixed fiducial beside the base in the camera's view; sag at several hub angles"
     column_of = "theta"
@@ -271,6 +278,7 @@ class TimeOffset(_ClockEffect):
 
     description = "camera delay: frames later than their time stamps"
     clause = "camera frames are {delay} late"
+    assumptions = "one constant delay of all frames and recordings"
     reference = "P. Furgale et al., Unified temporal and spatial calibration for multi-sensor systems, IROS, 2013"
     distinguishing_experiment = "driven recordings with fast motion, and two different initial states"
     abscissa = "velocity"
@@ -293,6 +301,7 @@ class ClockScale(_ClockEffect):
 
     description = "camera clock scale: it runs at another rate than the encoder's"
     clause = "the camera clock runs {scale} times as fast as the encoder's"
+    assumptions = "one constant rate; clocks that agree at each recording's start"
     reference = "E. Olson, A passive solution to the sensor synchronization problem, IROS, 2010"
     distinguishing_experiment = "long driven recordings"
 
@@ -313,6 +322,9 @@ class TimestampJitter(Effect):
 
     description = "random jitter of the camera's frame times"
     clause = "camera frame times jitter by {jitter} (1 sigma)"
+    assumptions = (
+        "independent errors of the frames, normal, with one standard deviation; all markers of a frame taken at once"
+    )
     reference = "A. V. Balakrishnan, On the problem of time jitter in sampling, IRE Trans. Inf. Theory 8(3), 1962"
     distinguishing_experiment = "a camera with a hardware trigger; repeats of one fast drive"
     abscissa = "velocity"
@@ -346,6 +358,7 @@ class RollingShutter(_CameraEffect):
 
     description = "rolling shutter: the camera reads its rows one after another"
     clause = "the camera has a rolling shutter, readout {readout}"
+    assumptions = "rows along x, read at a constant rate; a row through the base's origin taken at the time stamp"
     reference = "C.-K. Liang et al., Analysis and compensation of rolling shutter effect, IEEE Trans. Image Proc., 2008"
     distinguishing_experiment = "fast motion far to both sides of the base"
     abscissa = "velocity"

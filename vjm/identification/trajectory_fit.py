@@ -89,7 +89,8 @@ class TrajectoryProblem(Record):
         """(p,) largest change of each coordinate in one step; only shape parameters, far from linear, are limited."""
         steps = np.full(self.bounds[0].size, np.inf)
         for effect, part in zip(self.effects, self.parts, strict=True):
-            steps[part.start + effect.magnitude_count : part.stop] = 1.0  # of a logarithm: a factor e
+            # A factor e of a shape parameter whose coordinate is a logarithm, a typical value of a linear one.
+            steps[part.start + effect.magnitude_count : part.stop] = 1.0
         return steps
 
     @property

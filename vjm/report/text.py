@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,6 +14,9 @@ from vjm.simulation.model import Model
 from vjm.text import UNKNOWN, everyday_unit, in_sentence, number, quantity, short
 
 ROLES = {"train": "train", "holdout": "held out"}  # of recordings, in words
+
+_OPTIONAL, _NAME = re.compile(r"\[(.*?)\]"), re.compile(r"\{(\w+)\}")  # part of a clause; a parameter in it
+_KNOWN = 3.0  # standard errors from zero: noise alone exceeds them with a probability of 0.001 (NOT_NOISE)
 
 
 def recording_label(recording: Recording, most: int = 36) -> str:
@@ -32,7 +36,7 @@ def title_and_place(effect: Effect, model: Model) -> str:
 
 def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = None) -> str:
     """Return an effect with its numbers, as in "the data need: ...": `sizes` with errors, or else its own values."""
-    texts = {}
+    texts, known = {}, set[str]()
     for parameter in effect.parameters:
         value, size = effect.values[parameter.name], (sizes or {}).get(parameter.name)
         if parameter.integer:
@@ -41,8 +45,11 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = 
             texts[parameter.name] = quantity(value, None, parameter.unit, 3)
         else:
             texts[parameter.name] = quantity(size.value, size.std, size.unit, 4)
+            if size.std is not None and abs(size.value) > _KNOWN * size.std:
+                known.add(parameter.name)
     if effect.clause:
-        return effect.clause.format(link=place(effect, model) or model.chain.links[0].name, **texts)
+        kept = _OPTIONAL.sub(lambda part: part[1] if known.issuperset(_NAME.findall(part[1])) else "", effect.clause)
+        return kept.format(link=place(effect, model) or model.chain.links[0].name, **texts)
     values = ", ".join(f"{name} {text}" for name, text in texts.items())
     where = f" ({place(effect, model)})" if effect.link is not None else ""
     return f"{effect.description or effect.id}{where}{': ' if values else ''}{values}"
