@@ -223,6 +223,23 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
     assert len(found.problem.observed) == 1
 
 
+def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
+    truth = CoulombFriction(link=0, torque=0.008)
+    point = point_of(chain_of(), [truth], recorded(Arm.of(chain_of(), (truth,)), 1))
+    problem = replace(point.problem, effects=(truth,))
+    right, wrong = (
+        TrajectoryFit(problem.point(np.concatenate([point.x, effect.coordinates])))
+        for effect in (truth, replace(truth, torque=0.02))
+    )
+    search = selection.Search(RIG, right, [], selection.SearchOptions(), lambda text: None)
+    search._decreases = {truth.key: 1e6}
+    assert right.misfit < 1.05
+    assert search.least_decrease(right) < 5 * np.sqrt(2 * right.point.count)
+    # What a poor fit leaves may be friction still, up to a hundredth of what that explains.
+    assert wrong.chi2 > 1e5
+    assert search.least_decrease(wrong) == pytest.approx(1e4)
+
+
 def test_a_search_does_not_report_a_fit_that_was_stopped() -> None:
     truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
     recordings = recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0)
