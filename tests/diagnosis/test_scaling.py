@@ -38,7 +38,7 @@ def test_an_arm_of_another_size_is_diagnosed_alike(factors: tuple[float, float, 
     (one,), (other,) = here.causes, there.causes
     assert other.effect.id == one.effect.id == "clamp_compliance"
     assert other.role == one.role
-    (size,), (same) = one.parameters.values(), next(iter(other.parameters.values()))
+    size, same = one.parameters["compliance"], other.parameters["compliance"]
     assert size.std is not None
     assert same.std is not None
     assert same.value / same.std == pytest.approx(size.value / size.std, rel=1e-3)
