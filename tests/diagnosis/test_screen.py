@@ -13,6 +13,7 @@ from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
+from vjm.diagnosis.search_starts import _fourier_transform
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -283,3 +284,13 @@ def test_a_fit_is_judged_as_a_screen_is(seed: int) -> None:
         Screen.of(point_of(chain, (), recorded(Arm(chain), seed)), (), [bound(InPlaneGravity())]), np.ones(1), 0.01, 0
     )
     assert freer.p_of_fit(bound(InPlaneGravity()), 20.0) > stats.chi2.sf(20.0, 1) * freer.tests
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 16, 101])
+def test_fourier_sums_of_coarse_and_fine_frequencies_are_the_direct_ones(count: int) -> None:
+    """At uneven instants, as those of a camera that loses frames."""
+    random = np.random.default_rng(count)
+    time, values = np.sort(random.uniform(0.0, 5.0, 200)), random.standard_normal((200, 3))
+    frequencies = 0.2 + 0.05 * np.arange(count)
+    direct = np.exp(-2j * np.pi * np.outer(frequencies, time)) @ values
+    np.testing.assert_allclose(_fourier_transform(time, values, frequencies), direct, rtol=0, atol=1e-10)

@@ -13,6 +13,7 @@ from tests.model.arms import arms, one_joint_arm
 from tests.model.lagrange import TwoBodies, lagrange_bias, lagrange_mass_matrix
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError
+from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise, modes, modes_of
 
 STILL = (0.0, 0.0)
@@ -109,6 +110,18 @@ def test_at_rest_every_virtual_joint_is_balanced(chain: Chain) -> None:
     np.testing.assert_array_equal(q[chain.active], theta)
     balance = lagrange_bias(chain, q, np.zeros(chain.size)) + chain.stiffness * q
     np.testing.assert_allclose(balance[chain.passive], 0.0, atol=1e-8)
+
+
+@settings(max_examples=30, deadline=None)
+@given(arms())
+def test_linear_equations_are_those_of_the_angles_asked_for(chain: Chain) -> None:
+    """Also where another angle was asked for just before, and what came out of that was changed."""
+    gravity = (0.0, 0.0)
+    for theta in np.linspace(-1.0, 1.0, 3):
+        M, _, _, q = linearise(chain, 0.0, gravity, theta)
+        np.testing.assert_array_equal(q[chain.active], theta)
+        np.testing.assert_allclose(M, mechanism_of(chain, 0.0, gravity).mass_matrix(q[None])[0], rtol=1e-9, atol=1e-15)
+        q += 1.0
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,7 @@ from vjm.effects import (
 )
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations, PrecedingMotion
-from vjm.simulation.run import Run, linearize, simulate_runs
+from vjm.simulation.run import Run, linearize, linearize_by_states, simulate_runs
 from vjm.simulation.sensitivity import PerturbedArm
 
 TIMED = (
@@ -99,6 +99,17 @@ def test_segments_are_linearised_together_as_each_alone(beside: tuple[Effect, ..
         found, alone = part.linearized(linearization).R, part.linearized(part.linearization(moved)).R
         scale = np.linalg.norm(alone, axis=0)
         np.testing.assert_allclose((found / scale).T @ (found / scale), (alone / scale).T @ (alone / scale), atol=1e-7)
+
+
+def test_initial_states_of_segments_are_linearised_together_as_each_alone() -> None:
+    _, parts = parts_of(())
+    alone = [part.linearized(part.linearization()).R for part in parts]
+    linearize_by_states(parts)
+    for part, expected in zip(parts, alone, strict=True):
+        found, scale = part.linearized_by_state.R, np.linalg.norm(expected, axis=0)
+        np.testing.assert_allclose(
+            (found / scale).T @ (found / scale), (expected / scale).T @ (expected / scale), atol=1e-7
+        )
 
 
 @settings(max_examples=40, deadline=None)

@@ -42,7 +42,7 @@ from vjm.text import in_sentence, number, ratio
 Report = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
 
-_NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that is left by a fit of this accuracy
+_NONSMOOTH_REST = 0.01  # share of the decrease of chi^2 by stick-slip or play that their fit may leave at most
 
 
 @dataclass(frozen=True)
@@ -262,10 +262,8 @@ class Search:
 
         try:
             runs = likely(range(len(arms)))
-        except (
-            SimulationDivergedError
-        ):  # some models fit segments but diverge over whole recordings, as with negative damping
-            runs = []
+        except SimulationDivergedError:
+            runs = []  # some models fit segments but diverge over whole recordings, as with negative damping
             for k in range(len(arms)):
                 with contextlib.suppress(SimulationDivergedError):
                     runs += likely([k])

@@ -47,7 +47,7 @@ class TrajectoryProblem(Record):
         fixed: index of a physical parameter that is held, its value, and the standard deviation allowed; None: all are
             free.
         effects: effects in the model, of any size. Their coordinates follow those of the chain: magnitudes in units of
-            typical ones, then logarithms of shape parameters.
+            typical ones, then shape parameters: logarithms, or linear where they may be zero.
         reference_effects: number of effects, the first ones, that act in the reference recordings too.
     """
 
