@@ -24,6 +24,7 @@ from tests.simulation.setups import (
 )
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
+from vjm.effects import BaseCompliance
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import phi_functions, simulate_trajectories
@@ -137,6 +138,29 @@ def test_initial_state(arm: str) -> None:
     assert strong.sum() >= 2
     assert errors[strong].max() < (0.05 if arm != "two links" else 0.1)
     assert errors[0] < 1e-3
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("mass", [38.0, 7.2, 1.26])
+def test_a_base_that_stands_still(mass: float, arm: str) -> None:
+    """Its compliance, at zero, by whole simulations of the arm on a base that moves a little."""
+    chain, recording, state = ARMS[arm]()
+    table = BaseCompliance(mass=mass, direction=2.0)
+    run, q, v = run_of(chain, recording, state), *np.split(state, 2)
+
+    def on_table(size: float) -> Arm:
+        return Arm.of(chain, (table.at(np.r_[size, table.coordinates[1:]]),))
+
+    found = of_one_stretch(run, [PerturbedArm(on_table(1e-3), 1e-3)])[:, -1]
+    residuals, size = [run.residual], 0.01
+    for own in (on_table(size), on_table(2 * size)):
+        start = np.r_[0.0, q, 0.0, v]
+        residuals += [
+            simulate_runs([own], [run.observed], [InitialStatePrior.of(own, recording)], [start], 1.0)[0].residual
+        ]
+    null, one, two = residuals
+    expected = (3 * null - 4 * one + two) / (2 * size)
+    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
 
 
 def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:

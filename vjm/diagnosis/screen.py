@@ -198,7 +198,7 @@ class Directions:
             variants: absent effects, one for each place and choice of shape parameters.
             workers: share the work.
         """
-        joints = [k for k, variant in enumerate(variants) if variant.adds_joint(point.chain)]
+        joints = [k for k, variant in enumerate(variants) if _is_simulated(variant, point)]
         joints.sort(key=lambda k: not variants[k].nonsmooth)  # the slowest first: none is waited for at the end
         secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
         found = [{k: own[n] for k, own in zip(joints, secants, strict=True)} for n in range(len(point.runs))]
@@ -299,9 +299,17 @@ def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
     return variant.at(coordinates)
 
 
+def _is_simulated(variant: Effect, point: Point) -> bool:
+    """Return True for an effect whose slope is found by simulation: a joint of its own that has no mass of its own.
+
+    It follows the reactions at once, whose kinks the variational equations would have to differentiate twice.
+    """
+    return variant.adds_joint(point.chain) and not variant.proportional
+
+
 def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[Arm | None]:
     """Return the arm with each size of an effect off its null; None if the slope is found by simulation."""
-    if variant.adds_joint(point.chain):
+    if _is_simulated(variant, point):
         return [None] * variant.magnitude_count
     effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
     return [Arm.of(point.chain, (*present, effect)) for effect in effects]
@@ -315,11 +323,11 @@ def _moved(run: Run, extended: Sequence[Arm | None]) -> list[PerturbedArm]:
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
-    """Return, for each recording, slopes (N,) of the predictions by the size of an effect that is a joint of its own.
+    """Return, for each recording, slopes (N,) of the predictions by the size of a joint without mass of its own.
 
-    A chain without the joint has no derivative by it; a compliant joint also shifts frequencies, soon out of
-    proportion. Hence a one-sided difference quotient of second order; infinite where no simulation is possible. Play
-    has no effect while it is small: its secant is taken at the least size from which a fit may start.
+    Its compliance shifts frequencies, soon out of proportion. Hence a one-sided difference quotient of second order;
+    infinite where no simulation is possible. Play has no effect while it is small: its secant is taken at the least
+    size from which a fit may start.
     """
     null = [run.residual for run in point.runs]
     try:

@@ -64,11 +64,12 @@ class MarkerArcs:
 
     def slopes(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
         """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
-        base, step = self.measured_positions(arm, q, time), 1e-6
-        steps = step * directions.T
-        moved = np.stack([self.measured_positions(arm, q + change, time) for change in steps], axis=-1)
-        slopes: Array = (moved - base[..., None]) / step
-        return slopes.reshape(len(base), 2 * base.shape[1], directions.shape[1])
+        step, count = 1e-6, directions.shape[1]
+        moved = np.concatenate([q, *(q + step * direction for direction in directions.T)], axis=-2)
+        instants = np.tile(time, count + 1)  # all directions in one batch
+        base, *others = np.split(self.measured_positions(arm, moved, instants), count + 1)
+        slopes: Array = (np.stack(others, axis=-1) - base[..., None]) / step
+        return slopes.reshape(len(base), -1, count)
 
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""

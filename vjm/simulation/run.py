@@ -171,7 +171,7 @@ class Run:
         if kept.size < trajectory.z.shape[1]:
             trajectory = replace(trajectory, z=trajectory.z[:, kept])
         smooth = [PerturbedArm(other.smooth[0], step) for other, step in perturbed]
-        return Linearization(self.observed, arm, self.basis, smooth, trajectory, self.stride)
+        return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride)
 
     def slopes(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, signal
 
 from vjm.chain.virtual_links import Chain
 from vjm.model.dynamics import mechanism_of
@@ -155,9 +155,20 @@ class _EquationsOfMotion:
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _coefficients(
-    arm: Arm, bases: Sequence[ModalBasis], perturbed: Sequence[PerturbedArm], motion: _Motions
+    arm: Arm,
+    bases: Sequence[ModalBasis],
+    perturbed: Sequence[PerturbedArm],
+    motion: _Motions,
+    others: Sequence[_Motions],
 ) -> list[tuple[Array, Array]]:
     """Return the coefficients of the variational equations along several motions, of I instants each.
+
+    Args:
+        arm: the arm.
+        bases: modes for each motion.
+        perturbed: p arms, each with one parameter changed.
+        motion: the motions.
+        others: the same motions as each of the perturbed arms makes them, with joints that only it has.
 
     Returns:
         For each motion, derivatives of modal accelerations and internal states' rates: by the m modal coordinates, the
@@ -189,8 +200,8 @@ def _coefficients(
         other = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / _STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / _STEP
-    for k, other_arm in enumerate(perturbed):
-        change = _parameter_derivatives(equations, other_arm, motion, (inertial, further, state_rates))
+    for k, (other_arm, other) in enumerate(zip(perturbed, others, strict=True)):
+        change = _parameter_derivatives(equations, other_arm, other, (inertial, further, state_rates))
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
     transposed = np.swapaxes(shapes, 1, 2)
     solved = -np.linalg.solve(transposed @ inertia @ shapes, transposed @ forces)
@@ -201,29 +212,70 @@ def _coefficients(
 def _parameter_derivatives(
     equations: _EquationsOfMotion, perturbed: PerturbedArm, motion: _Motions, nominal: tuple[Array, Array, Array]
 ) -> tuple[Array, Array]:
-    """Return forward differences of torques (I, nv) and internal states' rates (I, nz) by a parameter."""
+    """Return forward differences of torques (I, nv) and internal states' rates (I, nz) by a parameter.
+
+    The motions are the perturbed arm's, with joints that only it has.
+    """
     inertial, further, state_rates = nominal
     chain, (other_arm, step) = equations.arm.chain, perturbed
-    other = other_arm.chain
-    forces = motion.q * (other.stiffness - chain.stiffness) + motion.v * (other.damping - chain.damping)
-    rates = np.zeros(motion.z.shape)
+    other, nz = other_arm.chain, state_rates.shape[1]
+    kept = np.delete(np.arange(other.size), _added_joints(chain, other))
+    forces = motion.q[:, kept] * (other.stiffness[kept] - chain.stiffness)
+    forces += motion.v[:, kept] * (other.damping[kept] - chain.damping)
+    rates = np.zeros(state_rates.shape)
     if other_arm.effects == equations.arm.effects and _equal_links(chain, other, _OF_BODIES):
         if equations.force is not None and not np.array_equal(other.stiffness, chain.stiffness):
             forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further
         return forces / step, rates
-    changed, nz = _EquationsOfMotion(other_arm, motion), motion.z.shape[1]
-    if changed.gravity != equations.gravity or not _equal_links(chain, other, _OF_BODIES):
-        forces = forces + changed.inertial_torque(motion) - inertial
+    changed = _EquationsOfMotion(other_arm, motion)
+    alike = chain.size == other.size and _equal_links(chain, other, _OF_BODIES)
+    if changed.gravity != equations.gravity or not alike:
+        forces = forces + changed.inertial_torque(motion)[:, kept] - inertial
     if sum(other_arm.states) > nz:  # internal states that only the perturbed arm has follow the motion as it is
         motion = motion.followed(other_arm)
     if equations.force is not None or changed.force is not None:
-        forces = forces + changed.further_torque(motion) - further
+        forces = forces + changed.further_torque(motion)[:, kept] - further
     if nz:
         rates = changed.state_rates(motion)[:, :nz] - state_rates
     for part, path, given, really in zip(motion.parts, motion.paths, equations.driven, changed.driven, strict=True):
         if not np.array_equal(really.tau, given.tau, equal_nan=True):
             forces[part, chain.active] -= torque_at(really, path.time) - torque_at(given, path.time)
     return forces / step, rates / step
+
+
+def _added_joints(chain: Chain, other: Chain) -> Indices:
+    """Coordinates of joints that another chain has in addition."""
+    known = set(chain.joint_names)
+    return np.array([k for k, name in enumerate(other.joint_names) if name not in known], dtype=np.intp)
+
+
+def _with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: Observations) -> Trajectory:
+    """Return a motion with the joints that another arm has in addition, which start at rest and swing on their springs.
+
+    To first order in their compliance: the reactions to the motion as it is drive them, each by itself.
+    """
+    other = arm.chain
+    added = _added_joints(chain, other)
+    if not added.size:
+        return trajectory
+    kept = np.delete(np.arange(other.size), added)
+    q, v, a = (np.zeros((len(trajectory.time), other.size)) for _ in range(3))
+    q[:, kept], v[:, kept], a[:, kept] = trajectory.q, trajectory.v, trajectory.a
+    still = _Motions.of([replace(trajectory, q=q, v=v, a=a)], [observed])
+    if sum(arm.states) > trajectory.z.shape[1]:
+        still = still.followed(arm)
+    equations = _EquationsOfMotion(arm, still)
+    reactions = equations.inertial_torque(still) + equations.further_torque(still)
+    masses = np.diagonal(equations.mechanism.mass_matrix(q[:1])[0])
+    elapsed = trajectory.step * np.arange(len(trajectory.time))
+    for joint in added.tolist():
+        mass, stiffness, damping = masses[joint], other.stiffness[joint], other.damping[joint]
+        oscillator = [[0.0, 1.0], [-stiffness / mass, -damping / mass]]
+        reaction, inputs = reactions[:, joint], [[0.0], [-1 / mass]]
+        _, _, swing = signal.lsim((oscillator, inputs, np.eye(2), np.zeros((2, 1))), reaction, elapsed)
+        q[:, joint], v[:, joint] = swing.T
+        a[:, joint] = -(reaction + stiffness * q[:, joint] + damping * v[:, joint]) / mass
+    return replace(trajectory, q=q, v=v, a=a)
 
 
 def _equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
@@ -262,6 +314,7 @@ class Linearization:
         perturbed: p arms, each with one parameter changed.
         trajectory: the motion linearised about; its number of steps is a multiple of two strides.
         stride: integrator steps in half an interval.
+        trajectories: the motion for each of the perturbed arms, with joints that only it has.
         coefficients: those of the variational equations along the whole trajectory; None: not computed yet.
     """
 
@@ -271,7 +324,22 @@ class Linearization:
     perturbed: Sequence[PerturbedArm]
     trajectory: Trajectory
     stride: int
+    trajectories: tuple[Trajectory, ...]
     coefficients: tuple[Array, Array] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        observed: Observations,
+        arm: Arm,
+        basis: ModalBasis,
+        perturbed: Sequence[PerturbedArm],
+        trajectory: Trajectory,
+        stride: int,
+    ) -> Self:
+        """Linearize a motion; arguments as the attributes."""
+        moved = tuple(_with_added_joints(trajectory, arm.chain, other, observed) for other, _ in perturbed)
+        return cls(observed, arm, basis, perturbed, trajectory, stride, moved)
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
         """Yield weighted derivatives of the measured values, one chunk of the recording after another.
@@ -342,14 +410,8 @@ class Linearization:
         size = int(2 * self.basis.shapes.shape[1] + self.trajectory.z.shape[1])
         return 2 * max(20, _MOST_COEFFICIENTS // size**2)
 
-    def motion(self, rows: Indices) -> Trajectory:
-        """Return the motion at some of the trajectory's instants."""
-        trajectory = self.trajectory
-        return Trajectory(*(values[rows] for values in (trajectory.time, *trajectory.motion)), start=trajectory.began)
-
     def _coefficients_along(self, rows: Indices) -> tuple[Array, Array]:
-        motion = _Motions.of([self.motion(rows)], [self.observed])
-        return _coefficients(self.arm, [self.basis], self.perturbed, motion)[0]
+        return _coefficients_of([self], [rows])[0]
 
     def _initial_internal_states(self) -> Array:
         """Return derivatives (nz, 2 slow + p) of the internal states at the start."""
@@ -373,11 +435,14 @@ class Linearization:
             by_marker = by_modes.reshape(len(by_modes), len(exposures), 2, by_modes.shape[2])
             slopes = (by_marker @ np.swapaxes(modes, 0, 1)).reshape(*by_modes.shape[:2], modes.shape[-1])
         base: Array | None = None
-        for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[2] - len(self.perturbed)):
-            # Markers are measured at the same places unless sensors or curves differ.
-            if self.arm.sensors != other.sensors or not _equal_links(self.arm.chain, other.chain, _OF_CURVES):
+        first = slopes.shape[2] - len(self.perturbed)
+        for k, (other, step) in enumerate(self.perturbed, start=first):
+            # Markers are measured at the same places unless sensors, joints or curves differ.
+            chain, path = self.arm.chain, self.trajectories[k - first]
+            alike = chain.size == other.chain.size and _equal_links(chain, other.chain, _OF_CURVES)
+            if self.arm.sensors != other.sensors or not alike:
                 base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
-                changed = arcs.frames(other, self.trajectory, stamps)
+                changed = arcs.frames(other, path, stamps)
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
@@ -426,11 +491,24 @@ def _with_shared_coefficients(group: Sequence[Linearization]) -> Iterator[Linear
     if len(group) < 2:
         yield from group
         return
-    first = group[0]
-    motions = _Motions.of([each.motion(each.rows) for each in group], [each.observed for each in group])
-    found = _coefficients(first.arm, [each.basis for each in group], first.perturbed, motions)
-    for each, coefficients in zip(group, found, strict=True):
+    for each, coefficients in zip(group, _coefficients_of(group, [each.rows for each in group]), strict=True):
         yield replace(each, coefficients=coefficients)
+
+
+def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) -> list[tuple[Array, Array]]:
+    """Return the coefficients of linearizations of the same arm, each at some rows of its trajectory."""
+    observed = [each.observed for each in group]
+
+    def motions(paths: Sequence[Trajectory]) -> _Motions:
+        return _Motions.of([path.at(own) for path, own in zip(paths, rows, strict=True)], observed)
+
+    motion, changed = (
+        motions([each.trajectory for each in group]),
+        zip(*(each.trajectories for each in group), strict=True),
+    )
+    # Most perturbed arms have no joint of their own, and move as the arm does.
+    others = [motion if paths[0] is group[0].trajectory else motions(paths) for paths in changed]
+    return _coefficients(group[0].arm, [each.basis for each in group], group[0].perturbed, motion, others)
 
 
 def _join_trajectories(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory:

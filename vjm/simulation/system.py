@@ -268,6 +268,10 @@ class Trajectory:
         constant = np.broadcast_to(q, (2, q.size))
         return cls(np.array([time[0], time[-1]]), constant, 0 * constant, 0 * constant, np.zeros((2, 0)))
 
+    def at(self, rows: Indices) -> Trajectory:
+        """Return the motion at some of its instants."""
+        return Trajectory(*(values[rows] for values in (self.time, *self.motion)), start=self.began)
+
     def sample(self, time: Array) -> tuple[Array, Array]:
         """Return angles and rates (..., nv) [rad, rad/s] at instants (...) [s], by quintic Hermite interpolation.
 
