@@ -78,6 +78,17 @@ def information_of(fit: TrajectoryFit) -> Information:
     return trajectory_information(fit, True)[0]
 
 
+def predicted_increase(fit: TrajectoryFit, effect: Effect) -> float:
+    """Return the increase of chi^2 without one of a model's effects, by its linear model with all else refitted."""
+    parts = zip(fit.effects, fit.point.problem.parts, strict=True)
+    start = next(part.start for one, part in parts if one is effect)
+    sizes = [start + k for k in effect.size_coordinates]
+    R = fit.point.reduced()[0].R[:, :-1]
+    others = np.delete(np.arange(fit.point.x.size), sizes)
+    own = np.asarray(np.linalg.qr(R[:, [*others, *sizes]], mode="r"))[others.size :, others.size :]
+    return float(np.sum((own @ fit.point.x[sizes]) ** 2))
+
+
 def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
     """Return a fit's model with the estimates of its chain's parameters, for a rig and its noise [m, rad]."""
     parametrisation, information = fit.point.problem.parametrisation, information_of(fit)

@@ -23,6 +23,7 @@ from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
     fit_segments,
+    predicted_increase,
     refit,
     refit_other_frequencies,
     starting_effect,
@@ -450,6 +451,9 @@ class Search:
     ) -> TrajectoryFit | None:
         """Fit a model again without one of its effects; None where that cannot be simulated.
 
+        A fit that is known, or the model that the search started from, will do where its chi^2 is no larger than the
+        linear model makes it within a factor of three, as of `stays_above`: then it is in no minimum of its own.
+
         Args:
             fit: the model.
             effect: one of its effects.
@@ -457,7 +461,11 @@ class Search:
             max_chi2: a fit that stays above it is given up.
         """
         kept = tuple(one for one in fit.effects if one is not effect)
-        fewer, known = refit(fit, kept, self.options.stop(max_chi2)), fits.get(fit.effect_keys - {effect.key})
+        names, whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
+        known = fits.get(names, self.start if whole and names == self.start.effect_keys else None)
+        if known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect):
+            return known
+        fewer = refit(fit, kept, self.options.stop(max_chi2))
         best = min((one for one in (fewer, known) if one is not None), key=lambda one: one.chi2, default=None)
         if best is not None:
             fits[best.effect_keys] = best

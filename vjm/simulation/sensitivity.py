@@ -457,10 +457,11 @@ class Linearization:
         theta = Trajectory(part.time, part.q @ by_active, part.v @ by_active, part.a @ by_active, part.z)
         all_slopes = theta.angles(observed.recording.time[instants])
         slopes: Array = np.take_along_axis(all_slopes, joints[:, None, None], axis=2)[:, :, 0]
+        seen = self.trajectory.angles(observed.recording.time)[:, active]
         for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[1] - len(self.perturbed)):
             if other.sensors != self.arm.sensors:
-                before, after = (observed.predicted_angles(arm, self.trajectory) for arm in (self.arm, other))
-                slopes[:, k] += ((after - before) / step)[rows]
+                change = other.encoder_angles(seen) - self.arm.encoder_angles(seen)
+                slopes[:, k] += change.ravel()[observed.angles[rows]] / step
         return slopes
 
 

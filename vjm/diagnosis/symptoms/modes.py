@@ -230,7 +230,32 @@ class _Fit:
             camera = self.sensors[0]
             shifted = camera.time - lag - clock * (camera.time - self._middle)
             changes[0] = changes[0] + camera.path(shifted) - camera.simulated
-        return np.concatenate([(s.centred(c) / s.noise).ravel() for s, c in zip(self.sensors, changes, strict=True)])
+        return self._in_noise_units(changes)
+
+    def slopes(self, x: Array) -> Array:
+        """Return the (N, p) derivatives of `change` by the parameters."""
+        columns: list[Sequence[Array]] = []  # of each parameter, (F, C) in each sensor [m or rad]
+        for mode, own in zip(self.modes, self.own(x), strict=True):
+            step = 1e-6 * abs(mode.pole)
+            now, faster = self.waves(mode, own), self.waves(mode, own + step * np.array([0.0, 0.0, 0.0, 1.0]))
+            # A wave is an analytic function of its pole.
+            by_pole = [(other - wave) / (1j * step) for wave, other in zip(now, faster, strict=True)]
+            columns += [[wave.real for wave in now], [-wave.imag for wave in now]]
+            columns += [[-wave.real for wave in by_pole], [-wave.imag for wave in by_pole]]
+        columns += zip(*self._slow, strict=True)
+        if x.size > len(columns):
+            camera = self.sensors[0]
+            shifted = camera.time - x[-2] - x[-1] * (camera.time - self._middle)
+            step = 1e-4 * camera.step
+            rate = (camera.path(shifted + step) - camera.path(shifted - step)) / (2 * step)
+            still = [np.zeros(sensor.known.shape) for sensor in self.sensors[1:]]
+            columns += [[-rate, *still], [-rate * (camera.time - self._middle)[:, None], *still]]
+        return np.stack([self._in_noise_units(column) for column in columns], axis=1)
+
+    def _in_noise_units(self, change: Sequence[Array]) -> Array:
+        """Return changes (F, C) of each sensor as (N,), each coordinate minus its mean, in units of the noise."""
+        each = zip(self.sensors, change, strict=True)
+        return np.concatenate([(sensor.centred(own) / sensor.noise).ravel() for sensor, own in each])
 
     def own(self, x: Array) -> Array:
         """Return the parameters (m, 4) of the modes."""
@@ -242,8 +267,11 @@ class _Fit:
         def misfit(x: Array) -> Array:
             return residual - self.change(x)
 
+        def slopes(x: Array) -> Array:
+            return -self.slopes(x)
+
         def search(start: Array) -> Any:
-            return least_squares(misfit, start, x_scale="jac", max_nfev=30)
+            return least_squares(misfit, start, slopes, x_scale="jac", max_nfev=30)
 
         start = np.zeros(_TERMS * len(self.modes) + (4 if len(self.sensors) > 1 else 2))
         best = search(start)
