@@ -173,7 +173,7 @@ def _findings(
         reference_misfit=reference_misfit,
         changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
         decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
-        least_decrease=search.least_decrease(best),
+        least_decrease=search.negligible(best),
         proposals=propose_recordings(open_loop, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,

@@ -35,7 +35,7 @@ from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
-from vjm.records import REFERENCE, Rig
+from vjm.records import REFERENCE, Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.run import Run, is_followed, state_at
 from vjm.text import in_sentence, number, ratio
@@ -298,15 +298,27 @@ class Search:
         screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in kept], self.workers)
         return FamilyTest.of(screened, candidates.multiplicity[kept], self.options.alpha, self.options.seed)
 
-    def least_decrease(self, fit: TrajectoryFit) -> float:
-        """Return the decrease of chi^2 from which a further effect matters beside a model: a share of what remains.
+    def negligible(self, fit: TrajectoryFit) -> float:
+        """Return the chi^2 that a model may leave beyond noise: a share of what remains, large causes before small ones.
 
-        Large causes come before small ones. Fits of stick-slip and play may leave a share of what they explain, which
-        must not be taken for another effect, as far as they leave anything.
+        Fits of stick-slip and play may leave a share of what they explain.
         """
-        left = sum(self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth)
-        unexplained = max(fit.chi2 - fit.point.expected_chi2, 0.0)
-        return max(self.options.least_decrease(fit.chi2), min(_NONSMOOTH_REST * left, unexplained))
+        explained = sum(self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth)
+        return max(self.options.least_decrease(fit.chi2), _NONSMOOTH_REST * explained)
+
+    def least_decrease(self, fit: TrajectoryFit, gained: Array | float = 0.0) -> Array:
+        """Return the decrease of chi^2 from which a further effect matters beside a model.
+
+        What is negligible, or less beside stick-slip and play, if it is more than would be left beyond noise: what their
+        fits leave must not be taken for another effect, but an effect that explains most of it is one.
+
+        Args:
+            fit: the model.
+            gained: (...) decreases of chi^2 by the effect that are not in the model yet.
+        """
+        left = np.maximum(fit.chi2 - fit.point.expected_chi2 - gained, 0.0)
+        least = self.options.least_decrease(fit.chi2)
+        return np.clip(left, least, max(least, self.negligible(fit)))
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
@@ -315,7 +327,7 @@ class Search:
         """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
         significant = family.p_values_for(unit) < self.options.alpha
-        matters = (screened.statistics > self.least_decrease(fit)) | (not self.is_followed(fit))
+        matters = (screened.statistics > self.least_decrease(fit, screened.statistics)) | (not self.is_followed(fit))
         return screened.best_variants(np.flatnonzero(significant & matters).tolist())
 
     def is_followed(self, fit: TrajectoryFit) -> bool:
@@ -436,12 +448,12 @@ class Search:
         return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + rest)
 
     def _matters(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
-        return fewer.chi2 - more.chi2 > self.least_decrease(more)
+        return bool(fewer.chi2 - more.chi2 > self.least_decrease(more))
 
     def _backward_elimination(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects that the others make needless."""
         for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
-            fewer = self.refit_without(fit, effect, fits, fit.chi2 + self.least_decrease(fit))
+            fewer = self.refit_without(fit, effect, fits, fit.chi2 + float(self.least_decrease(fit)))
             if fewer is not None and not self._matters(fewer, fit):
                 return self._backward_elimination(fewer, fits)
         return fit
