@@ -36,7 +36,7 @@ from vjm.simulation.sensitivity import Linearization, PerturbedArm
 
 _ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
-_JOINT_STEP = 0.05  # the same for the second-order quotient over a joint's compliance
+_JOINT_STEP = 1e-4  # the same for the compliance of a joint of its own, in which an arm is far from linear
 _DRAWS = 4000  # the 1 % quantile of the smallest p-value is then known within 16 % (1/sqrt(0.01 * 4000))
 
 
@@ -199,7 +199,6 @@ class Directions:
             workers: share the work.
         """
         joints = [k for k, variant in enumerate(variants) if _is_simulated(variant, point)]
-        joints.sort(key=lambda k: not variants[k].nonsmooth)  # the slowest first: none is waited for at the end
         secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
         found = [{k: own[n] for k, own in zip(joints, secants, strict=True)} for n in range(len(point.runs))]
         edges = np.linspace(0, len(point.runs), 2 if workers.count == 1 else 2 * workers.count + 1, dtype=int)
@@ -300,60 +299,52 @@ def _with_size(variant: Effect, size: int, magnitude: float) -> Effect:
 
 
 def _is_simulated(variant: Effect, point: Point) -> bool:
-    """Return True for an effect whose slope is found by simulation: a joint of its own that has no mass of its own.
-
-    It follows the reactions at once, whose kinks the variational equations would have to differentiate twice.
-    """
-    return variant.adds_joint(point.chain) and not variant.proportional
+    """Return True for play: it has no effect while it is small, and so no derivative."""
+    return variant.nonsmooth and variant.adds_joint(point.chain)
 
 
-def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[Arm | None]:
-    """Return the arm with each size of an effect off its null; None if the slope is found by simulation."""
+def _extended(point: Point, present: Sequence[Effect], variant: Effect) -> list[tuple[Arm | None, float]]:
+    """Return the arm with each size of an effect off its null, and by how much; None if its slope is simulated."""
     if _is_simulated(variant, point):
-        return [None] * variant.magnitude_count
-    effects = [_with_size(variant, size, _STEP) for size in range(variant.magnitude_count)]
-    return [Arm.of(point.chain, (*present, effect)) for effect in effects]
+        return [(None, _STEP)] * variant.magnitude_count
+    step = _JOINT_STEP if variant.adds_joint(point.chain) else _STEP
+    effects = [_with_size(variant, size, step) for size in range(variant.magnitude_count)]
+    return [(Arm.of(point.chain, (*present, effect)), step) for effect in effects]
 
 
-def _moved(run: Run, extended: Sequence[Arm | None]) -> list[PerturbedArm]:
+def _moved(run: Run, extended: Sequence[tuple[Arm | None, float]]) -> list[PerturbedArm]:
     """Return the arms of an effect off its null, as far as it acts in a recording."""
-    absent = run.observed.recording.condition == REFERENCE
     recording = run.observed.recording
-    return [PerturbedArm(run.arm if absent or arm is None else arm.in_recording(recording), _STEP) for arm in extended]
+    absent = recording.condition == REFERENCE
+    return [
+        PerturbedArm(run.arm if absent or arm is None else arm.in_recording(recording), step) for arm, step in extended
+    ]
 
 
 def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[Array]:
-    """Return, for each recording, slopes (N,) of the predictions by the size of a joint without mass of its own.
+    """Return, for each recording, secants (N,) of the predictions over the least size from which a fit may start.
 
-    Its compliance shifts frequencies, soon out of proportion. Hence a one-sided difference quotient of second order;
-    infinite where no simulation is possible. Play has no effect while it is small: its secant is taken at the least
-    size from which a fit may start.
+    They are infinite where no simulation is possible.
     """
     null = [run.residual for run in point.runs]
     try:
-        if variant.nonsmooth:
-            (one,) = _residuals(point, present, [_with_size(variant, 0, LEAST_START)])
-            return [(r0 - r1) / LEAST_START for r0, r1 in zip(null, one, strict=True)]
-        one, two = _residuals(point, present, [_with_size(variant, 0, n * _JOINT_STEP) for n in (1, 2)])
+        found = _residuals(point, present, _with_size(variant, 0, LEAST_START))
     except SimulationDivergedError:
         return [np.full(residual.size, np.inf) for residual in null]
-    return [(3 * r0 - 4 * r1 + r2) / (2 * _JOINT_STEP) for r0, r1, r2 in zip(null, one, two, strict=True)]
+    return [(r0 - r1) / LEAST_START for r0, r1 in zip(null, found, strict=True)]
 
 
-def _residuals(point: Point, present: Sequence[Effect], added: Sequence[Effect]) -> list[list[Array]]:
-    """Return, for each further effect and each recording, the residuals (N,) with it, all else being as it is."""
+def _residuals(point: Point, present: Sequence[Effect], added: Effect) -> list[Array]:
+    """Return, for each recording, the residuals (N,) with a further effect, all else being as it is."""
     arms, states, priors = [], [], []
-    for effect in added:
-        extended = Arm.of(point.chain, (*present, effect))
-        for run in point.runs:
-            absent = run.observed.recording.condition == REFERENCE
-            arms.append(run.arm if absent else extended.in_recording(run.observed.recording))
-            states.append(run.state if absent else transfer_state(run.chain, extended.chain, run.state))
-            priors.append(InitialStatePrior.of(arms[-1], run.observed.recording))
-    count = len(point.runs)
-    observed = [run.observed for run in point.runs] * len(added)
-    residuals = [run.residual for run in simulate_runs(arms, observed, priors, states, point.problem.step_multiple)]
-    return [residuals[first : first + count] for first in range(0, len(residuals), count)]
+    extended = Arm.of(point.chain, (*present, added))
+    for run in point.runs:
+        absent = run.observed.recording.condition == REFERENCE
+        arms.append(run.arm if absent else extended.in_recording(run.observed.recording))
+        states.append(run.state if absent else transfer_state(run.chain, extended.chain, run.state))
+        priors.append(InitialStatePrior.of(arms[-1], run.observed.recording))
+    observed = [run.observed for run in point.runs]
+    return [run.residual for run in simulate_runs(arms, observed, priors, states, point.problem.step_multiple)]
 
 
 @dataclass(frozen=True)

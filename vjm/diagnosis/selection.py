@@ -299,7 +299,7 @@ class Search:
         return FamilyTest.of(screened, candidates.multiplicity[kept], self.options.alpha, self.options.seed)
 
     def negligible(self, fit: TrajectoryFit) -> float:
-        """Return the chi^2 that a model may leave beyond noise: a share of what remains, large causes before small ones.
+        """Return the chi^2 that a model may leave beyond noise: a share of what remains, as large causes come first.
 
         Fits of stick-slip and play may leave a share of what they explain.
         """
@@ -309,8 +309,8 @@ class Search:
     def least_decrease(self, fit: TrajectoryFit, gained: Array | float = 0.0) -> Array:
         """Return the decrease of chi^2 from which a further effect matters beside a model.
 
-        What is negligible, or less beside stick-slip and play, if it is more than would be left beyond noise: what their
-        fits leave must not be taken for another effect, but an effect that explains most of it is one.
+        It is what is negligible; less beside stick-slip and play, if that is more than would be left beyond noise. What
+        their fits leave must not be taken for another effect, but an effect that explains most of it is one.
 
         Args:
             fit: the model.

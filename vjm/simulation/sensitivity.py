@@ -9,6 +9,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 from scipy import linalg, signal
+from scipy.interpolate import CubicSpline
 
 from vjm.chain.virtual_links import Chain
 from vjm.model.dynamics import mechanism_of
@@ -141,6 +142,11 @@ class _EquationsOfMotion:
         """Return M a + h (I, nv)."""
         return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
 
+    def inertia_of(self, joint: int, motion: _Motions) -> Array:
+        """Return the torques (I, nv) on all joints by a unit of acceleration of one."""
+        unit = motion.a + (np.arange(motion.a.shape[1]) == joint)
+        return self.inertial_torque(motion._replace(a=unit)) - self.inertial_torque(motion)
+
     def further_torque(self, motion: _Motions) -> Array:
         """Return the effects' forces, with reversed sign (I, nv)."""
         if self.force is None:
@@ -152,6 +158,45 @@ class _EquationsOfMotion:
         return self.arm.state_rates(motion.elapsed, motion.q, motion.v, motion.z)
 
 
+class _AddedJoint(NamedTuple):
+    """Motion of a joint that a perturbed arm has in addition, per unit of its parameter."""
+
+    column: int  # the parameter's
+    inertia: Array  # (I, m) modal accelerations by its acceleration, with reversed sign
+    q: Array  # (I,)
+    v: Array
+    a: Array
+
+    def during(self, part: slice) -> Self:
+        """Return the motion at some of its instants."""
+        return self._replace(inertia=self.inertia[part], q=self.q[part], v=self.v[part], a=self.a[part])
+
+    def carried(self, part: slice, by: Array) -> Array:
+        """Return modal coordinates and rates (K, 2 m) by which the joint carries the arm, at an inertia (K, m)."""
+        return np.concatenate([self.q[part, None] * by, self.v[part, None] * by], axis=1)
+
+
+class _Coefficients(NamedTuple):
+    """Coefficients of the variational equations along a motion of I instants.
+
+    They are derivatives of m modal accelerations and nz internal states' rates. Those by the parameters do not include
+    what the accelerations of added joints do.
+    """
+
+    by_state: Array  # (I, m + nz, 2 m + nz), by modal coordinates, rates and internal states
+    by_parameters: Array  # (I, m + nz, p)
+    joints: tuple[_AddedJoint, ...]
+
+    @property
+    def accelerations(self) -> Array:
+        """(I, m, p) accelerations by the parameters, those of added joints included."""
+        m = self.by_state.shape[2] - self.by_state.shape[1]
+        total = self.by_parameters[:, :m].copy()
+        for joint in self.joints:
+            total[:, :, joint.column] -= joint.a[:, None] * joint.inertia
+        return total
+
+
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _coefficients(
@@ -160,7 +205,7 @@ def _coefficients(
     perturbed: Sequence[PerturbedArm],
     motion: _Motions,
     others: Sequence[_Motions],
-) -> list[tuple[Array, Array]]:
+) -> list[_Coefficients]:
     """Return the coefficients of the variational equations along several motions, of I instants each.
 
     Args:
@@ -170,10 +215,7 @@ def _coefficients(
         motion: the motions.
         others: the same motions as each of the perturbed arms makes them, with joints that only it has.
 
-    Returns:
-        For each motion, derivatives of modal accelerations and internal states' rates: by the m modal coordinates, the
-        m modal rates and nz internal states (I, m + nz, 2 m + nz), and by the parameters (I, m + nz, p). Those by
-        parameters, and those of effects' forces, are forward differences.
+    Those by parameters, and those of effects' forces, are forward differences.
     """
     equations, chain = _EquationsOfMotion(arm, motion), arm.chain
     inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
@@ -200,13 +242,33 @@ def _coefficients(
         other = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / _STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / _STEP
-    for k, (other_arm, other) in enumerate(zip(perturbed, others, strict=True)):
-        change = _parameter_derivatives(equations, other_arm, other, (inertial, further, state_rates))
+    joints: list[tuple[int, int, Array]] = []  # parameter, coordinate, and torques (I, nv) by its acceleration
+    for k, (moved, other) in enumerate(zip(perturbed, others, strict=True)):
+        added = _added_joints(chain, moved.arm.chain)
+        held = other._replace(a=np.where(np.isin(np.arange(other.a.shape[1]), added), 0.0, other.a))
+        change = _parameter_derivatives(equations, moved, held, (inertial, further, state_rates))
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
+        for joint in added.tolist():
+            by_unit = _EquationsOfMotion(moved.arm, held).inertia_of(joint, held)
+            joints.append((k, joint, np.delete(by_unit, added, axis=1)))
     transposed = np.swapaxes(shapes, 1, 2)
-    solved = -np.linalg.solve(transposed @ inertia @ shapes, transposed @ forces)
-    lower = np.concatenate([solved, rates], axis=1)
-    return [(lower[part, :, : 2 * m + nz], lower[part, :, 2 * m + nz :]) for part in motion.parts]
+    modal = transposed @ inertia @ shapes
+    lower = np.concatenate([-np.linalg.solve(modal, transposed @ forces), rates], axis=1)
+    moving = []
+    for k, joint, by_unit in joints:
+        accelerations = np.asarray(np.linalg.solve(modal, transposed @ by_unit[:, :, None])[:, :, 0], dtype=float)
+        q, v, a = (
+            np.asarray(values[:, joint] / perturbed[k].step) for values in (others[k].q, others[k].v, others[k].a)
+        )
+        moving.append(_AddedJoint(k, accelerations, q, v, a))
+    return [
+        _Coefficients(
+            lower[part, :, : 2 * m + nz],
+            lower[part, :, 2 * m + nz :],
+            tuple(one.during(part) for one in moving),
+        )
+        for part in motion.parts
+    ]
 
 
 def _parameter_derivatives(
@@ -250,9 +312,11 @@ def _added_joints(chain: Chain, other: Chain) -> Indices:
 
 
 def _with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: Observations) -> Trajectory:
-    """Return a motion with the joints that another arm has in addition, which start at rest and swing on their springs.
+    """Return a motion with the joints that another arm has in addition, moved by the reactions to the motion as it is.
 
-    To first order in their compliance: the reactions to the motion as it is drive them, each by itself.
+    To first order in their compliance. A root joint, whose spring is far stiffer than the inertia that it carries is
+    heavy, turns by its reaction over the stiffness. A base, which has a mass of its own, starts at rest and swings.
+    With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN.
     """
     other = arm.chain
     added = _added_joints(chain, other)
@@ -266,10 +330,16 @@ def _with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed:
         still = still.followed(arm)
     equations = _EquationsOfMotion(arm, still)
     reactions = equations.inertial_torque(still) + equations.further_torque(still)
-    masses = np.diagonal(equations.mechanism.mass_matrix(q[:1])[0])
+    inertia = equations.mechanism.mass_matrix(q[:1])[0]
+    if np.linalg.matrix_rank(inertia, hermitian=True) < other.size:
+        return replace(trajectory, q=np.full_like(q, np.nan), v=v, a=a)
     elapsed = trajectory.step * np.arange(len(trajectory.time))
     for joint in added.tolist():
-        mass, stiffness, damping = masses[joint], other.stiffness[joint], other.damping[joint]
+        mass, stiffness, damping = inertia[joint, joint], other.stiffness[joint], other.damping[joint]
+        if joint >= other.base_size:
+            turn = CubicSpline(elapsed, -reactions[:, joint] / stiffness)
+            q[:, joint], v[:, joint], a[:, joint] = (turn(elapsed, order) for order in range(3))
+            continue
         oscillator = [[0.0, 1.0], [-stiffness / mass, -damping / mass]]
         reaction, inputs = reactions[:, joint], [[0.0], [-1 / mass]]
         _, _, swing = signal.lsim((oscillator, inputs, np.eye(2), np.zeros((2, 1))), reaction, elapsed)
@@ -287,20 +357,38 @@ def _equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _propagators(state: Array, forcing: Array, interval: float) -> tuple[Array, Array]:
+def _propagators(coefficients: _Coefficients, interval: float) -> tuple[Array, Array]:
     """Return transition matrices (K, d, d) of K intervals of three instants each, and the forcing's part (K, d, p).
 
-    An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants.
+    An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants. Added
+    joints follow reactions that may have kinks, so that their accelerations cannot be integrated. The unknowns of an
+    interval are therefore the arm's motion and that by which the joint carries it at the inertia in the middle: in the
+    sum, only changes of that inertia remain beside the accelerations.
     """
+    state, forcing, joints = coefficients
     lower, size = state.shape[1:]
     upper = size - lower  # modal coordinates, whose rates of change are unknowns themselves
-    L, F = np.zeros((len(state), size, size)), np.zeros((len(state), size, forcing.shape[2]))
+    L = np.zeros((len(state), size, size))
     L[:, :upper, upper : 2 * upper] = np.eye(upper)
-    L[:, upper:], F[:, upper:] = state, forcing
-    L1, L2, L3 = (L[k : len(L) - 2 + k : 2] for k in (0, 1, 2))
-    F1, F2, F3 = (F[k : len(F) - 2 + k : 2] for k in (0, 1, 2))
+    L[:, upper:] = state
+    parts = [slice(k, len(L) - 2 + k, 2) for k in (0, 1, 2)]
+    F = np.zeros((3, len(L) // 2, size, forcing.shape[2]))
+    for own, part in zip(F, parts, strict=True):
+        own[:, upper:] = forcing[part]
+        for joint in joints:
+            by = joint.inertia[parts[1]]
+            own[:, upper:, joint.column] -= np.einsum(
+                "kij,kj->ki", state[part, :, : 2 * upper], joint.carried(part, by)
+            )
+            own[:, upper : 2 * upper, joint.column] -= (joint.inertia[part] - by) * joint.a[part, None]
+    (L1, L2, L3), (F1, F2, F3) = (L[part] for part in parts), F
     flow, phi1, phi2, phi3 = phi_functions((L1 + 4 * L2 + L3) / 6, interval, upper)
-    return flow, interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
+    forced = interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
+    for joint in joints:
+        before, after = (joint.carried(part, joint.inertia[parts[1]]) for part in (parts[0], parts[2]))
+        forced[:, :, joint.column] += np.einsum("kij,kj->ki", flow[:, :, : 2 * upper], before)
+        forced[:, : 2 * upper, joint.column] -= after
+    return flow, forced
 
 
 @dataclass(frozen=True)
@@ -325,7 +413,7 @@ class Linearization:
     trajectory: Trajectory
     stride: int
     trajectories: tuple[Trajectory, ...]
-    coefficients: tuple[Array, Array] | None = None
+    coefficients: _Coefficients | None = None
 
     @classmethod
     def of(
@@ -385,16 +473,16 @@ class Linearization:
             chunk_size = rows.size  # internal states that only perturbed arms have are followed from the start
         for first in range(0, rows.size - 1, chunk_size):
             part = rows[first : first + chunk_size + 1]
-            by_state, by_parameters = self.coefficients or self._coefficients_along(part)
-            flow, forced = _propagators(by_state, by_parameters, 2 * self.stride * trajectory.step)
+            coefficients = self.coefficients or self._coefficients_along(part)
+            flow, forced = _propagators(coefficients, 2 * self.stride * trajectory.step)
             states = np.empty((len(flow) + 1, 2 * size + nz, count))
             states[0] = state
             for k in range(len(flow)):
                 state = flow[k] @ state
                 state[:, 2 * slow_count :] += forced[k]
                 states[k + 1] = state
-            a = by_state[::2, :size] @ states
-            a[:, :, 2 * slow_count :] += by_parameters[::2, :size]
+            a = coefficients.by_state[::2, :size] @ states
+            a[:, :, 2 * slow_count :] += coefficients.accelerations[::2]
             columns = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
             copies = (np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in columns)
             yield Trajectory(trajectory.time[part[::2]], *copies)
@@ -410,7 +498,7 @@ class Linearization:
         size = int(2 * self.basis.shapes.shape[1] + self.trajectory.z.shape[1])
         return 2 * max(20, _MOST_COEFFICIENTS // size**2)
 
-    def _coefficients_along(self, rows: Indices) -> tuple[Array, Array]:
+    def _coefficients_along(self, rows: Indices) -> _Coefficients:
         return _coefficients_of([self], [rows])[0]
 
     def _initial_internal_states(self) -> Array:
@@ -496,7 +584,7 @@ def _with_shared_coefficients(group: Sequence[Linearization]) -> Iterator[Linear
         yield replace(each, coefficients=coefficients)
 
 
-def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) -> list[tuple[Array, Array]]:
+def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) -> list[_Coefficients]:
     """Return the coefficients of linearizations of the same arm, each at some rows of its trajectory."""
     observed = [each.observed for each in group]
 
