@@ -146,6 +146,9 @@ class Search:
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
             if is_nonsmooth(best.effects) and not self._explains_all(best, best):
                 break
+            if family is None and is_nonsmooth(best.effects):
+                # What is small in these segments may be what keeps the model from following longer ones.
+                best, fits, family = self._select_small(stages)
             longer = self._lengthened(best, duration)
             if longer is None and family is None:
                 fit = best

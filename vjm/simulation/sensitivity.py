@@ -509,7 +509,10 @@ class Linearization:
         shapes = self.basis.shapes[:, :slow_count].T
         by_angles = [(observed.internal_states(self.arm, q + _STEP * shape) - z) / _STEP for shape in shapes]
         by_rates = [np.zeros(z.size)] * slow_count
-        by_parameters = [(observed.internal_states(arm, q)[: z.size] - z) / step for arm, step in self.perturbed]
+        by_parameters = [
+            (observed.internal_states(arm, path.q[0])[: z.size] - z) / step
+            for (arm, step), path in zip(self.perturbed, self.trajectories, strict=True)
+        ]
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
     def _marker_slopes(self, part: Trajectory, exposures: Array, stamps: Array) -> Array:

@@ -23,6 +23,7 @@ from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
 _TERMS = 4  # of a mode: gain, phase, decay, speed
+_LARGEST_GAIN = 3.0  # logarithm of an amplitude ratio beyond which nothing of the simulated motion is seen again
 _LEAST_SIGNAL = 30.0  # root of the sum of squares over the noise: an amplitude known to 5 %
 
 
@@ -193,9 +194,14 @@ class _Fit:
     def waves(self, mode: _SimulatedMode, change: Sequence[float] | Array = (0.0,) * _TERMS) -> list[Complex]:
         """Return the (F, C) complex motion of a mode in each sensor, changed by its four parameters [m or rad]."""
         gain, phase, decay, speed = change
-        factor = np.exp(np.clip(gain, -3, 3) + 1j * phase)
-        pole = complex(min(mode.pole.real - decay, 3 / self.sensors[0].duration), mode.pole.imag + speed)
+        factor = np.exp(np.clip(gain, -_LARGEST_GAIN, _LARGEST_GAIN) + 1j * phase)
+        pole = complex(min(mode.pole.real - decay, self._fastest_growth), mode.pole.imag + speed)
         return [factor * (o.responses(pole) @ a) for o, a in zip(self.oscillators, mode.amplitudes, strict=True)]
+
+    @property
+    def _fastest_growth(self) -> float:
+        """Largest rate at which a mode may grow [1/s]: by e^3 over the recording."""
+        return 3 / self.sensors[0].duration
 
     @cached_property
     def _unchanged(self) -> list[list[Complex]]:
@@ -240,8 +246,10 @@ class _Fit:
             now, faster = self.waves(mode, own), self.waves(mode, own + step * np.array([0.0, 0.0, 0.0, 1.0]))
             # A wave is an analytic function of its pole.
             by_pole = [(other - wave) / (1j * step) for wave, other in zip(now, faster, strict=True)]
-            columns += [[wave.real for wave in now], [-wave.imag for wave in now]]
-            columns += [[-wave.real for wave in by_pole], [-wave.imag for wave in by_pole]]
+            by_gain = float(abs(own[0]) < _LARGEST_GAIN)  # beyond its bounds a parameter changes nothing
+            by_decay = -float(mode.pole.real - own[2] < self._fastest_growth)
+            columns += [[by_gain * wave.real for wave in now], [-wave.imag for wave in now]]
+            columns += [[by_decay * wave.real for wave in by_pole], [-wave.imag for wave in by_pole]]
         columns += zip(*self._slow, strict=True)
         if x.size > len(columns):
             camera = self.sensors[0]
