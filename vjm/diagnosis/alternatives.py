@@ -9,7 +9,7 @@ import numpy as np
 from vjm.diagnosis.candidate_fit import starting_effect
 from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
-from vjm.diagnosis.selection import Fits, Search, SearchResult
+from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.identification.trajectory_fit import TrajectoryFit
@@ -50,17 +50,19 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
             (*others, starting_effect(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()
         ]
         search.fit_models(best, models, best.chi2 + tolerance, result.fits)
-        alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance)
+        alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance, search.options)
     return alternatives
 
 
-def _equivalent_fits(best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float) -> tuple[Alternative, ...]:
+def _equivalent_fits(
+    best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float, options: SearchOptions
+) -> tuple[Alternative, ...]:
     """Return the effects whose fit in a cause's place has a chi^2 within the tolerance of the best, the best first."""
     rest, alternatives = best.effect_keys - {cause.key}, []
     for names, tried in fits.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
         if len(names) == len(best.effect_keys) and rest <= names and len(new) == 1 and new[0].key != cause.key:
-            worse = tried.chi2 - best.chi2
+            worse = best.chi2 * (options.criterion(tried) / options.criterion(best) - 1)
             if worse < tolerance:
                 alternatives.append(Alternative(new[0], float(worse)))
     return tuple(sorted(alternatives, key=lambda each: each.worse))

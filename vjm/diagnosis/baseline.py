@@ -119,31 +119,3 @@ def _prepared(observed: Observations, sensor_noise: tuple[float, float], noise: 
         if inside.sum() > recording.time.size / 2:
             recording = replace(recording, markers=np.where(inside[:, None, None], recording.markers, np.nan))
     return noise.whitened(observed.of_recording(recording, sensor_noise))
-
-
-def add_changed_recordings(baseline: Baseline, reference: TrajectoryFit) -> tuple[TrajectoryFit, float]:
-    """Add the recordings in which something may have changed to the model of the reference recordings.
-
-    Args:
-        baseline: the fit, and the recordings that it has not.
-        reference: the same fit, with effects that were there before any change.
-
-    Returns:
-        The model as it was before any change, simulated in all training recordings; and the misfit of the reference
-        recordings that counts as noise from here on: one where it is noise.
-    """
-    if not baseline.changed:
-        return reference, 1.0
-    point, problem = reference.point, reference.point.problem
-    misfit = point.misfit if point.misfit > INCOMPLETE_MISFIT else 1.0
-    known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
-    others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
-    arms = problem.arms(point.x, [observed.recording for observed in others])
-    new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
-    runs = [*(known if misfit > 1 else point.runs), *new]
-    problem = replace(problem, observed=tuple(run.observed for run in runs))
-    return TrajectoryFit(Point(problem, point.x, tuple(runs))), misfit
-
-
-def _with_larger_noise(observed: Observations, factor: float) -> Observations:
-    return replace(observed, noise=(factor * observed.noise[0], factor * observed.noise[1]))

@@ -14,12 +14,13 @@ from time import monotonic
 import numpy as np
 
 from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
-from vjm.diagnosis.baseline import Baseline, add_changed_recordings, fit_baseline
+from vjm.diagnosis.baseline import Baseline, fit_baseline
 from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
+from vjm.diagnosis.reference import add_changed_recordings, find_preexisting_effects
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
-from vjm.diagnosis.selection import Search, SearchOptions, SearchResult, find_preexisting_effects
+from vjm.diagnosis.selection import Search, SearchOptions, SearchResult
 from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.verdict import conclude, held_out, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
@@ -88,9 +89,10 @@ def diagnose(
         fit, warning = find_preexisting_effects(baseline, chosen, experiment.rig, report, workers, deadline)
         reference, reference_misfit = add_changed_recordings(baseline, fit)
         # Where something is missing in the reference recordings already, an effect of the change must explain as much
-        # of the others as it leaves: what was missing before may be that much larger in another motion.
-        least_share = 1.0 if reference_misfit > 1 else SearchOptions.least_share
-        options = SearchOptions(least_share=least_share, max_effects=max_effects, seed=seed, deadline=deadline)
+        # of the others as it leaves: what was missing before may be that much larger in another motion. The same holds
+        # for each further parameter, by which an effect may stand in for what was missing.
+        shares = (1.0, 1.0) if reference_misfit > 1 else (SearchOptions.least_share, SearchOptions.parameter_share)
+        options = SearchOptions(SearchOptions.alpha, *shares, max_effects, seed, deadline)
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
         exhausted = options.exhausted and not insufficient

@@ -5,7 +5,6 @@ beside the best model, fits those that may explain most, adds the best if it is 
 and drops effects that are no longer needed. The segments are then lengthened up to whole recordings. Small effects show
 best there and are searched for there, and on the way where longer segments no longer fit. Where the discretization
 error cannot be measured, the search ends with the longest segments in which it does not show.
-The same search in the reference recordings alone finds effects that were present before a change.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from time import monotonic
 
 import numpy as np
 
-from vjm.diagnosis.baseline import Baseline, corrected_for_discretization
+from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
@@ -35,10 +34,10 @@ from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
-from vjm.records import REFERENCE, Array, Rig
+from vjm.records import Array, Rig
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.run import Run, is_followed, state_at
-from vjm.text import in_sentence, number, ratio
+from vjm.text import ratio
 
 Report = Callable[[str], None]
 Fits = dict[frozenset[Key], TrajectoryFit]
@@ -53,6 +52,7 @@ class SearchOptions:
     Attributes:
         alpha: significance level of the search as a whole.
         least_share: decrease of chi^2 from which an effect matters, as a share of the chi^2 that remains.
+        parameter_share: the same by which one of two effects must be better for each parameter that it has more.
         max_effects: number of effects at most.
         seed: of random numbers.
         deadline: reading of `time.monotonic` after which nothing more is fitted [s].
@@ -60,6 +60,7 @@ class SearchOptions:
 
     alpha: float = 0.01
     least_share: float = 0.0025
+    parameter_share: float = 0.0
     max_effects: int = 3
     seed: int = 0
     deadline: float = np.inf
@@ -72,6 +73,11 @@ class SearchOptions:
     def stop(self, max_chi2: float = np.inf) -> StoppingRule:
         """Return the stopping rule of a fit whose chi^2 must come below a bound."""
         return StoppingRule(max_chi2, deadline=self.deadline)
+
+    def criterion(self, fit: TrajectoryFit) -> float:
+        """Return chi^2 of a model, larger for each parameter of its effects: rivals are ranked by it."""
+        parameters = fit.point.x.size - len(fit.point.problem.parametrisation.coordinates)
+        return fit.chi2 * (1 + self.parameter_share) ** parameters
 
     def least_decrease(self, chi2: float) -> float:
         """Return the decrease to a chi^2 from which an effect matters."""
@@ -406,7 +412,7 @@ class Search:
     ) -> TrajectoryFit | None:
         """Fit models from a start, and return the best of them and of the one found so far."""
         trials = self.fit_models(start, steps, np.inf if found is None else found.chi2, fits)
-        return min([*trials, *([] if found is None else [found])], key=lambda one: one.chi2, default=None)
+        return min([*trials, *([] if found is None else [found])], key=self.options.criterion, default=None)
 
     def fit_models(
         self, start: TrajectoryFit, models: Sequence[Sequence[Effect]], max_chi2: float, fits: Fits
@@ -534,7 +540,7 @@ class Search:
         """Fit the close second, if there is one, to longer segments as well; return the better model, and both."""
         other = None if second is None or self.options.exhausted else self._lengthened(second, duration)
         fits = {fit.effect_keys: fit for fit in (longer, other) if fit is not None}
-        best = min(fits.values(), key=lambda fit: fit.chi2)
+        best = min(fits.values(), key=self.options.criterion)
         replaced = max((self._decreases.get(key, 0.0) for key in longer.effect_keys - best.effect_keys), default=0.0)
         for key in best.effect_keys - longer.effect_keys:
             self.p_values.setdefault(key, 1.0 if self._first_tests is None else self._first_tests.p_value(key))
@@ -562,56 +568,6 @@ def _refit_within_bounds(
     """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bound."""
     fit = refit(start, effects, options.stop(max_chi2))
     return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
-
-
-def find_preexisting_effects(
-    baseline: Baseline, effects: Sequence[Effect], rig: Rig, report: Report, workers: Workers, deadline: float = np.inf
-) -> tuple[TrajectoryFit, str]:
-    """Extend the model of the reference recordings by the effect that explains much of them, if one does.
-
-    Args:
-        baseline: the model without effects.
-        effects: what to look for.
-        rig: the arm.
-        report: called with what is being done, in words.
-        workers: share the work.
-        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
-
-    Returns:
-        The model, and a warning where the baseline misses the reference recordings; empty where it does not.
-    """
-    misfit, noise = baseline.fit.misfit, 1e3 * baseline.fit.point.runs[0].observed.noise[0]
-    if not baseline.changed or misfit < INCOMPLETE_MISFIT:
-        return baseline.fit, ""
-    warning = (
-        f"reference recordings: residual {number(misfit * noise, 2)} mm, {ratio(misfit)} × noise: present before the "
-        "change, not counted as one"
-    )
-    start = replace(baseline.fit, point=_in_condition(baseline.fit.point, None))
-    smooth = [effect for effect in effects if not effect.nonsmooth]
-    # A cause that explains less than 30 % of chi^2 is no better than not to know.
-    options = SearchOptions(least_share=0.3, max_effects=1, deadline=deadline)
-    best = Search(rig, start, smooth, options, report, workers).run().best
-    if not best.effects:
-        return baseline.fit, f"{warning}; no single candidate explains it"
-    problem = best.point.problem
-    problem = replace(problem, effects=best.effects, reference_effects=len(best.effects))
-    point = _in_condition(replace(best.point, problem=problem), REFERENCE)
-    known = replace(best, point=point)
-    values = ", ".join(f"{name} {number(value)}" for name, value in known.effects[0].values.items())
-    remaining = noise * (known.misfit if known.misfit > INCOMPLETE_MISFIT else 1.0)
-    title = in_sentence(known.effects[0].title)
-    explanation = f"{title} ({values}) reduces it to {number(remaining, 2)} mm and is in both models"
-    return known, f"{warning}; {explanation}"
-
-
-def _in_condition(point: Point, condition: str | None) -> Point:
-    """Return a point with its recordings in another condition."""
-    runs = tuple(
-        replace(run, observed=replace(run.observed, recording=replace(run.observed.recording, condition=condition)))
-        for run in point.runs
-    )
-    return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
 
 
 def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:

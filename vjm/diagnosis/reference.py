@@ -1,0 +1,100 @@
+"""Model of an arm before a change: effects that the recordings in the reference condition show already.
+
+The same search that looks for the effects of the change finds them; all recordings are then simulated with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from vjm.diagnosis.baseline import Baseline
+from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
+from vjm.diagnosis.selection import Report, Search, SearchOptions
+from vjm.diagnosis.workers import Workers
+from vjm.effects import Effect
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.records import REFERENCE, Rig
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.measurement import Observations
+from vjm.text import in_sentence, number, ratio
+
+
+def find_preexisting_effects(
+    baseline: Baseline, effects: Sequence[Effect], rig: Rig, report: Report, workers: Workers, deadline: float = np.inf
+) -> tuple[TrajectoryFit, str]:
+    """Extend the model of the reference recordings by the effect that explains much of them, if one does.
+
+    Args:
+        baseline: the model without effects.
+        effects: what to look for.
+        rig: the arm.
+        report: called with what is being done, in words.
+        workers: share the work.
+        deadline: reading of `time.monotonic` after which nothing more is fitted [s].
+
+    Returns:
+        The model, and a warning where the baseline misses the reference recordings; empty where it does not.
+    """
+    misfit, noise = baseline.fit.misfit, 1e3 * baseline.fit.point.runs[0].observed.noise[0]
+    if not baseline.changed or misfit < INCOMPLETE_MISFIT:
+        return baseline.fit, ""
+    warning = (
+        f"reference recordings: residual {number(misfit * noise, 2)} mm, {ratio(misfit)} × noise: present before the "
+        "change, not counted as one"
+    )
+    start = replace(baseline.fit, point=_in_condition(baseline.fit.point, None))
+    smooth = [effect for effect in effects if not effect.nonsmooth]
+    # A cause that explains less than 30 % of chi^2 is no better than not to know.
+    options = SearchOptions(least_share=0.3, max_effects=1, deadline=deadline)
+    best = Search(rig, start, smooth, options, report, workers).run().best
+    if not best.effects:
+        return baseline.fit, f"{warning}; no single candidate explains it"
+    problem = best.point.problem
+    problem = replace(problem, effects=best.effects, reference_effects=len(best.effects))
+    point = _in_condition(replace(best.point, problem=problem), REFERENCE)
+    known = replace(best, point=point)
+    values = ", ".join(f"{name} {number(value)}" for name, value in known.effects[0].values.items())
+    remaining = noise * (known.misfit if known.misfit > INCOMPLETE_MISFIT else 1.0)
+    title = in_sentence(known.effects[0].title)
+    explanation = f"{title} ({values}) reduces it to {number(remaining, 2)} mm and is in both models"
+    return known, f"{warning}; {explanation}"
+
+
+def _in_condition(point: Point, condition: str | None) -> Point:
+    """Return a point with its recordings in another condition."""
+    runs = tuple(
+        replace(run, observed=replace(run.observed, recording=replace(run.observed.recording, condition=condition)))
+        for run in point.runs
+    )
+    return replace(point, runs=runs, problem=replace(point.problem, observed=tuple(run.observed for run in runs)))
+
+
+def add_changed_recordings(baseline: Baseline, reference: TrajectoryFit) -> tuple[TrajectoryFit, float]:
+    """Add the recordings in which something may have changed to the model of the reference recordings.
+
+    Args:
+        baseline: the fit, and the recordings that it has not.
+        reference: the same fit, with effects that were there before any change.
+
+    Returns:
+        The model as it was before any change, simulated in all training recordings; and the misfit of the reference
+        recordings that counts as noise from here on: one where it is noise.
+    """
+    if not baseline.changed:
+        return reference, 1.0
+    point, problem = reference.point, reference.point.problem
+    misfit = point.misfit if point.misfit > INCOMPLETE_MISFIT else 1.0
+    known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
+    others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
+    arms = problem.arms(point.x, [observed.recording for observed in others])
+    new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
+    runs = [*(known if misfit > 1 else point.runs), *new]
+    problem = replace(problem, observed=tuple(run.observed for run in runs))
+    return TrajectoryFit(Point(problem, point.x, tuple(runs))), misfit
+
+
+def _with_larger_noise(observed: Observations, factor: float) -> Observations:
+    return replace(observed, noise=(factor * observed.noise[0], factor * observed.noise[1]))
