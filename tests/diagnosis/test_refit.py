@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis import selection
 from vjm.diagnosis.alternatives import _with_errors
-from vjm.diagnosis.candidate_fit import StoppingRule, _multistart, fit_segments, information_of, refit
+from vjm.diagnosis.candidate_fit import (
+    StoppingRule,
+    _multistart,
+    fit_segments,
+    information_of,
+    predicted_increase,
+    refit,
+)
 from vjm.diagnosis.cross_validation import is_determined
 from vjm.diagnosis.diagnose import _with_residual
 from vjm.diagnosis.records import Candidate
@@ -235,9 +242,55 @@ def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
     search._decreases = {truth.key: 1e6}
     assert right.misfit < 1.05
     assert search.least_decrease(right) < 5 * np.sqrt(2 * right.point.count)
-    # What a poor fit leaves may be friction still, up to a hundredth of what that explains.
+    # What a poor fit leaves may be friction still, up to a hundredth of what that explains; not if one more effect
+    # explains nearly all of it.
     assert wrong.chi2 > 1e5
-    assert search.least_decrease(wrong) == pytest.approx(1e4)
+    excess = wrong.chi2 - wrong.point.expected_chi2
+    assert search.least_decrease(wrong) == search.negligible(wrong) == pytest.approx(1e4)
+    assert search.least_decrease(wrong, np.array([0.0, excess - 6e3])) == pytest.approx([1e4, 6e3])
+
+
+def test_without_an_effect_the_linear_model_predicts_what_a_fit_leaves() -> None:
+    truth = (CubicStiffness(link=0, coefficient=0.2), ViscousFriction(link=0, coefficient=0.01))
+    fit = refit(in_segments(recorded(Arm.of(chain_of(), truth), 1)), truth)
+    assert fit is not None
+    for effect in fit.effects:
+        fewer = refit(fit, [one for one in fit.effects if one is not effect])
+        assert fewer is not None
+        assert predicted_increase(fit, effect) == pytest.approx(fewer.chi2 - fit.chi2, rel=0.2)
+        assert fewer.chi2 - fit.chi2 > 100
+
+
+def test_a_known_model_is_fitted_again_only_if_it_may_be_in_another_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = CubicStiffness(link=0, coefficient=0.2)
+    start = in_segments(recorded(Arm.of(chain_of(), (truth,)), 1))
+    fit = refit(start, [truth])
+    assert fit is not None
+    search = selection.Search(RIG, start, [], selection.SearchOptions(), lambda text: None)
+    refits: list[object] = []
+    monkeypatch.setattr(selection, "refit", lambda *arguments: refits.append(arguments) or refit(*arguments))
+    known = {start.effect_keys: start}
+    assert search.refit_without(fit, fit.effects[0], known) is start
+    assert not refits
+    lost = TrajectoryFit(start.point.problem.point(1.3 * start.point.x, start.point.states))
+    assert lost.chi2 > 10 * start.chi2
+    again = search.refit_without(fit, fit.effects[0], {start.effect_keys: lost})
+    assert len(refits) == 1
+    assert again is not None
+    assert again.chi2 == pytest.approx(start.chi2, rel=0.01)
+
+
+def test_a_further_parameter_must_bring_its_share() -> None:
+    recordings = recorded(Arm(chain_of()), 1)
+    point = point_of(chain_of(), (), recordings)
+    one, two = (
+        TrajectoryFit(replace(point.problem, effects=(effect,)).point(np.r_[point.x, effect.coordinates]))
+        for effect in (ViscousFriction(link=0, coefficient=1e-6), ViscoelasticCreep(link=0, ratio=1e-6))
+    )
+    assert two.chi2 == pytest.approx(one.chi2, rel=1e-3)
+    plain, strict = selection.SearchOptions(), selection.SearchOptions(parameter_share=1.0)
+    assert plain.criterion(two) == two.chi2
+    assert strict.criterion(two) == pytest.approx(2 * strict.criterion(one), rel=1e-3)
 
 
 def test_a_search_does_not_report_a_fit_that_was_stopped() -> None:

@@ -10,7 +10,7 @@ import pytest
 from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, found, simulated
 from vjm.diagnosis.symptoms import Symptoms
 from vjm.diagnosis.symptoms.channels import Channels
-from vjm.diagnosis.symptoms.modes import _free_interval
+from vjm.diagnosis.symptoms.modes import _Fit, _free_interval
 from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
 
 
@@ -44,6 +44,25 @@ def test_sensors_that_are_missing_are_done_without() -> None:
     )
     assert found(replace(whole, recording=blind)).found == ()
     assert Symptoms.of(RIG, [], {0.0: FREQUENCIES}).found == ()
+
+
+def test_slopes_of_the_oscillators_are_those_of_what_they_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    fits: list[_Fit] = []
+    solve = _Fit.solve
+    monkeypatch.setattr(_Fit, "solve", lambda fit, residual: (fits.append(fit), solve(fit, residual))[1])
+    found(simulated(0, replace(MOTION, slew=(0.4, 0.35))))
+    (fit,) = fits
+    assert len(fit.modes) == 2
+    still = np.zeros(12)
+    moved = np.array([0.1, 0.2, 0.05, 0.1, -0.1, 0.1, -0.02, 0.2, 0.02, 1e-3, 2e-3, 1e-4])
+    # Four times the amplitude in logarithms, and growth, are out of bounds, where nothing changes.
+    outside = np.where(np.arange(12) == 0, 4.0, np.where(np.arange(12) == 2, -9.0, moved))
+    for x in (still, moved, outside):
+        steps = 1e-6 * np.eye(12)
+        expected = np.stack([(fit.change(x + step) - fit.change(x - step)) / 2e-6 for step in steps], axis=1)
+        scale = np.abs(expected).max(axis=0) + 1e-3
+        np.testing.assert_allclose(fit.slopes(x) / scale, expected / scale, atol=1e-3)
+    assert not fit.slopes(outside)[:, [0, 2]].any()
 
 
 @pytest.mark.parametrize("factor", [1e-4, 30.0])

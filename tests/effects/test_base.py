@@ -26,7 +26,7 @@ from vjm.records import Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import simulate_trajectories
 from vjm.simulation.measurement import MarkerArcs
-from vjm.simulation.sensitivity import PerturbedArm
+from vjm.simulation.variational_equations import PerturbedArm
 
 TABLE = BaseCompliance(stiffness=2000.0, mass=3.0, direction=0.7, damping_ratio=0.02)
 STEP = 1e-6

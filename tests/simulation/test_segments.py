@@ -25,7 +25,7 @@ from vjm.effects import (
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.run import Run, linearize, linearize_by_states, simulate_runs
-from vjm.simulation.sensitivity import PerturbedArm
+from vjm.simulation.variational_equations import PerturbedArm
 
 TIMED = (
     (),

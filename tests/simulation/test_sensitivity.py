@@ -31,7 +31,7 @@ from vjm.simulation.integrate import phi_functions, simulate_trajectories
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
-from vjm.simulation.sensitivity import PerturbedArm
+from vjm.simulation.variational_equations import PerturbedArm
 
 Array = NDArray[np.float64]
 STEP = 1e-5

@@ -32,7 +32,8 @@ from vjm.records import REFERENCE, Array, Mask, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
-from vjm.simulation.sensitivity import Linearization, PerturbedArm
+from vjm.simulation.sensitivity import Linearization
+from vjm.simulation.variational_equations import PerturbedArm
 
 _ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it

@@ -28,7 +28,7 @@ from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, is_followed, linearize
-from vjm.simulation.sensitivity import PerturbedArm
+from vjm.simulation.variational_equations import PerturbedArm
 from vjm.text import ratio
 
 DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly not found the minimum it looks for

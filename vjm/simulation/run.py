@@ -18,9 +18,10 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations, sensor_readings
-from vjm.simulation.sensitivity import Linearization, ModalBasis, PerturbedArm, with_coefficients
+from vjm.simulation.sensitivity import Linearization, with_coefficients
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
+from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
 
 _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a finite number
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior

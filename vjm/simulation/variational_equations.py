@@ -1,0 +1,391 @@
+"""Variational equations: how a motion changes with its initial state and with parameters, to first order.
+
+Their coefficients along given motions, in the arm's natural modes, and the propagators over short intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
+
+import numpy as np
+from scipy import linalg, signal
+from scipy.interpolate import CubicSpline
+
+from vjm.chain.virtual_links import Chain
+from vjm.model.dynamics import mechanism_of
+from vjm.model.modes import linearise
+from vjm.records import Array, Indices, Recording
+from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import locked_joint_frequencies, phi_functions
+from vjm.simulation.measurement import Observations
+from vjm.simulation.system import Trajectory, torque_at
+
+# Modes whose phase changes by less in an interval are slow [rad]; derivatives, which are interpolated inside it, are
+# right to 3 % up to there.
+_SLOW_PHASE = 3.2
+_MAX_MODES = 16  # bounds the cost, which grows with the cube of the number of modes
+_OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below those 3 %
+# Forward difference, largest at a joint [rad, rad/s or units of internal states]: its relative error is of the order of
+# the step, and rounding adds 1e-16 / 1e-6.
+DIFFERENCE_STEP = 1e-6
+# Fields of links on which rigid-body dynamics depends.
+_OF_BODIES = (
+    "lengths",
+    "masses",
+    "mass_centers",
+    "inertias",
+    "hub_inertia",
+    "root_inertia",
+    "payload",
+    "rest_curvature",
+)
+
+
+@dataclass(frozen=True)
+class ModalBasis:
+    """Natural modes of the arm at rest, in which derivatives are expressed.
+
+    Initial states are expressed in the slow ones only: measurements do not show the initial state of faster modes.
+
+    Attributes:
+        shapes: (nv, m) joint angles of each mode, normalised to modal mass one; slowest first.
+        slow_count: number of slow modes.
+    """
+
+    shapes: Array
+    slow_count: int
+
+    @classmethod
+    def of(cls, chain: Chain, recording: Recording, interval: float) -> ModalBasis:
+        """Return the modes of an arm with free active joints; slow ones turn by less than 3.2 rad in an interval [s].
+
+        Fast modes respond quasi-statically, and are omitted where they add nothing to a static deflection.
+        """
+        M, _, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
+        squares, shapes = linalg.eigh(K, M)
+        slow_count = int(np.count_nonzero(np.sqrt(np.maximum(squares, 0.0)) * interval < _SLOW_PHASE))
+        # Compliances of the modes that bend the arm; limited, as that of an arm about to buckle would be infinite.
+        slowest, _ = locked_joint_frequencies(chain, recording.payload)
+        compliance = 1 / np.maximum(squares[chain.active.size :], (2 * np.pi * slowest) ** 2)
+        needed = np.count_nonzero(np.cumsum(compliance[::-1]) > _OMITTED_COMPLIANCE * np.sum(compliance))
+        slow_count = min(max(slow_count, chain.active.size + 1), chain.size, _MAX_MODES)
+        return cls(shapes[:, : min(max(slow_count, chain.active.size + int(needed)), _MAX_MODES)], slow_count)
+
+    @property
+    def states(self) -> Array:
+        """(2 nv, 2 slow) initial angles and rates by each slow mode's coordinate and rate."""
+        shapes = self.shapes[:, : self.slow_count]
+        return np.asarray(linalg.block_diag(shapes, shapes))
+
+
+class PerturbedArm(NamedTuple):
+    """The arm with one parameter changed by a small step, in the parameter's unit."""
+
+    arm: Arm
+    step: float
+
+
+class Motions(NamedTuple):
+    """Motions of one arm in several recordings or segments, concatenated: I instants in all.
+
+    Coefficients of the variational equations depend on the instant alone: those of all motions are one batch.
+    """
+
+    elapsed: Array  # (I,) since each recording began [s]
+    q: Array
+    v: Array
+    a: Array
+    z: Array
+    paths: tuple[Trajectory, ...]
+    observed: tuple[Observations, ...]
+
+    @classmethod
+    def of(cls, paths: Sequence[Trajectory], observed: Sequence[Observations]) -> Self:
+        """Concatenate motions."""
+        elapsed = np.concatenate([path.elapsed(path.time) for path in paths])
+        q, v, a, z = (np.concatenate(parts) for parts in zip(*(path.motion for path in paths), strict=True))
+        return cls(elapsed, q, v, a, z, tuple(paths), tuple(observed))
+
+    @property
+    def parts(self) -> list[slice]:
+        """Instants of each motion."""
+        stops = np.cumsum([len(path.time) for path in self.paths]).tolist()
+        return [slice(stop - len(path.time), stop) for stop, path in zip(stops, self.paths, strict=True)]
+
+    def followed(self, arm: Arm) -> Self:
+        """Return the motions with the internal states that another arm's effects would have along them."""
+        longest = max(len(path.time) for path in self.paths)
+        # Shorter motions are padded with their last instant.
+        shown = np.stack(
+            [np.minimum(np.arange(longest), part.stop - part.start - 1) + part.start for part in self.parts]
+        )
+        time, q, v = (values[shown.T] for values in (self.elapsed, self.q, self.v))
+        start = [each.internal_states(arm, path.q[0]) for each, path in zip(self.observed, self.paths, strict=True)]
+        z = arm.follow(time, q, v, np.stack(start))
+        own = [z[: len(path.time), k] for k, path in enumerate(self.paths)]
+        return self._replace(z=np.concatenate(own))
+
+
+class _EquationsOfMotion:
+    """An arm's equations of motion along given motions of I instants."""
+
+    def __init__(self, arm: Arm, motions: Motions) -> None:
+        self.arm = arm
+        self.driven = [arm.inputs(each.recording) for each in motions.observed]
+        self.gravity, payload = self.driven[0].gravity, self.driven[0].payload
+        self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
+        self.force = arm.forces(payload)
+
+    def inertial_torque(self, motion: Motions) -> Array:
+        """Return M a + h (I, nv)."""
+        return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
+
+    def inertia_of(self, joint: int, motion: Motions) -> Array:
+        """Return the torques (I, nv) on all joints by a unit of acceleration of one."""
+        unit = motion.a + (np.arange(motion.a.shape[1]) == joint)
+        return self.inertial_torque(motion._replace(a=unit)) - self.inertial_torque(motion)
+
+    def further_torque(self, motion: Motions) -> Array:
+        """Return the effects' forces, with reversed sign (I, nv)."""
+        if self.force is None:
+            return np.zeros(motion.q.shape)
+        return -self.force(motion.elapsed, motion.q, motion.v, motion.z)
+
+    def state_rates(self, motion: Motions) -> Array:
+        """Return rates of change of the internal states (I, nz)."""
+        return self.arm.state_rates(motion.elapsed, motion.q, motion.v, motion.z)
+
+
+class _AddedJoint(NamedTuple):
+    """Motion of a joint that a perturbed arm has in addition, per unit of its parameter."""
+
+    column: int  # the parameter's
+    inertia: Array  # (I, m) modal accelerations by its acceleration, with reversed sign
+    q: Array  # (I,)
+    v: Array
+    a: Array
+
+    def during(self, part: slice) -> Self:
+        """Return the motion at some of its instants."""
+        return self._replace(inertia=self.inertia[part], q=self.q[part], v=self.v[part], a=self.a[part])
+
+    def carried(self, part: slice, by: Array) -> Array:
+        """Return modal coordinates and rates (K, 2 m) by which the joint carries the arm, at an inertia (K, m)."""
+        return np.concatenate([self.q[part, None] * by, self.v[part, None] * by], axis=1)
+
+
+class Coefficients(NamedTuple):
+    """Coefficients of the variational equations along a motion of I instants.
+
+    They are derivatives of m modal accelerations and nz internal states' rates. Those by the parameters do not include
+    what the accelerations of added joints do.
+    """
+
+    by_state: Array  # (I, m + nz, 2 m + nz), by modal coordinates, rates and internal states
+    by_parameters: Array  # (I, m + nz, p)
+    joints: tuple[_AddedJoint, ...]
+
+    @property
+    def accelerations(self) -> Array:
+        """(I, m, p) accelerations by the parameters, those of added joints included."""
+        m = self.by_state.shape[2] - self.by_state.shape[1]
+        total = self.by_parameters[:, :m].copy()
+        for joint in self.joints:
+            total[:, :, joint.column] -= joint.a[:, None] * joint.inertia
+        return total
+
+
+# Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def coefficients_along(
+    arm: Arm,
+    bases: Sequence[ModalBasis],
+    perturbed: Sequence[PerturbedArm],
+    motion: Motions,
+    others: Sequence[Motions],
+) -> list[Coefficients]:
+    """Return the coefficients of the variational equations along several motions, of I instants each.
+
+    Args:
+        arm: the arm.
+        bases: modes for each motion.
+        perturbed: p arms, each with one parameter changed.
+        motion: the motions.
+        others: the same motions as each of the perturbed arms makes them, with joints that only it has.
+
+    Those by parameters, and those of effects' forces, are forward differences.
+    """
+    equations, chain = _EquationsOfMotion(arm, motion), arm.chain
+    inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
+    state_rates = equations.state_rates(motion)
+    lengths = [len(path.time) for path in motion.paths]
+    shapes = np.repeat(np.stack([basis.shapes for basis in bases]), lengths, axis=0)  # (I, nv, m)
+    # Steps small at every joint: those of fast modes, whose shapes are large, must not take a force across its kink.
+    steps = DIFFERENCE_STEP / np.abs(shapes).max(axis=1)
+    m, nz = shapes.shape[2], motion.z.shape[1]
+    forces = np.zeros((len(motion.q), chain.size, 2 * m + nz + len(perturbed)))
+    rates = np.zeros((len(motion.q), nz, 2 * m + nz + len(perturbed)))
+    by_angle, by_rate, inertia = equations.mechanism.derivatives(motion.q, motion.v, motion.a)
+    forces[:, :, :m] = by_angle @ shapes + chain.stiffness[:, None] * shapes
+    forces[:, :, m : 2 * m] = by_rate @ shapes + chain.damping[:, None] * shapes
+    for j in range(m) if nz or equations.force is not None else ():
+        shape, step = shapes[:, :, j], steps[:, j, None]
+        turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
+        for column, other in ((j, turned), (m + j, sped)):
+            if equations.force is not None:
+                forces[:, :, column] += (equations.further_torque(other) - further) / step
+            if nz:
+                rates[:, :, column] = (equations.state_rates(other) - state_rates) / step
+    for k, step_z in enumerate(DIFFERENCE_STEP * np.eye(nz)):
+        other = motion._replace(z=motion.z + step_z)
+        forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / DIFFERENCE_STEP
+        rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / DIFFERENCE_STEP
+    joints: list[tuple[int, int, Array]] = []  # parameter, coordinate, and torques (I, nv) by its acceleration
+    for k, (moved, other) in enumerate(zip(perturbed, others, strict=True)):
+        added = _added_joints(chain, moved.arm.chain)
+        held = other._replace(a=np.where(np.isin(np.arange(other.a.shape[1]), added), 0.0, other.a))
+        change = _parameter_derivatives(equations, moved, held, (inertial, further, state_rates))
+        forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
+        for joint in added.tolist():
+            by_unit = _EquationsOfMotion(moved.arm, held).inertia_of(joint, held)
+            joints.append((k, joint, np.delete(by_unit, added, axis=1)))
+    transposed = np.swapaxes(shapes, 1, 2)
+    modal = transposed @ inertia @ shapes
+    lower = np.concatenate([-np.linalg.solve(modal, transposed @ forces), rates], axis=1)
+    moving = []
+    for k, joint, by_unit in joints:
+        accelerations = np.asarray(np.linalg.solve(modal, transposed @ by_unit[:, :, None])[:, :, 0], dtype=float)
+        q, v, a = (
+            np.asarray(values[:, joint] / perturbed[k].step) for values in (others[k].q, others[k].v, others[k].a)
+        )
+        moving.append(_AddedJoint(k, accelerations, q, v, a))
+    return [
+        Coefficients(
+            lower[part, :, : 2 * m + nz],
+            lower[part, :, 2 * m + nz :],
+            tuple(one.during(part) for one in moving),
+        )
+        for part in motion.parts
+    ]
+
+
+def _parameter_derivatives(
+    equations: _EquationsOfMotion, perturbed: PerturbedArm, motion: Motions, nominal: tuple[Array, Array, Array]
+) -> tuple[Array, Array]:
+    """Return forward differences of torques (I, nv) and internal states' rates (I, nz) by a parameter.
+
+    The motions are the perturbed arm's, with joints that only it has.
+    """
+    inertial, further, state_rates = nominal
+    chain, (other_arm, step) = equations.arm.chain, perturbed
+    other, nz = other_arm.chain, state_rates.shape[1]
+    kept = np.delete(np.arange(other.size), _added_joints(chain, other))
+    forces = motion.q[:, kept] * (other.stiffness[kept] - chain.stiffness)
+    forces += motion.v[:, kept] * (other.damping[kept] - chain.damping)
+    rates = np.zeros(state_rates.shape)
+    if other_arm.effects == equations.arm.effects and have_equal_links(chain, other, _OF_BODIES):
+        if equations.force is not None and not np.array_equal(other.stiffness, chain.stiffness):
+            forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further
+        return forces / step, rates
+    changed = _EquationsOfMotion(other_arm, motion)
+    alike = chain.size == other.size and have_equal_links(chain, other, _OF_BODIES)
+    if changed.gravity != equations.gravity or not alike:
+        forces = forces + changed.inertial_torque(motion)[:, kept] - inertial
+    if sum(other_arm.states) > nz:  # internal states that only the perturbed arm has follow the motion as it is
+        motion = motion.followed(other_arm)
+    if equations.force is not None or changed.force is not None:
+        forces = forces + changed.further_torque(motion)[:, kept] - further
+    if nz:
+        rates = changed.state_rates(motion)[:, :nz] - state_rates
+    for part, path, given, really in zip(motion.parts, motion.paths, equations.driven, changed.driven, strict=True):
+        if not np.array_equal(really.tau, given.tau, equal_nan=True):
+            forces[part, chain.active] -= torque_at(really, path.time) - torque_at(given, path.time)
+    return forces / step, rates / step
+
+
+def _added_joints(chain: Chain, other: Chain) -> Indices:
+    """Coordinates of joints that another chain has in addition."""
+    known = set(chain.joint_names)
+    return np.array([k for k, name in enumerate(other.joint_names) if name not in known], dtype=np.intp)
+
+
+def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: Observations) -> Trajectory:
+    """Return a motion with the joints that another arm has in addition, moved by the reactions to the motion as it is.
+
+    To first order in their compliance. A root joint, whose spring is far stiffer than the inertia that it carries is
+    heavy, turns by its reaction over the stiffness. A base, which has a mass of its own, starts at rest and swings.
+    With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN.
+    """
+    other = arm.chain
+    added = _added_joints(chain, other)
+    if not added.size:
+        return trajectory
+    kept = np.delete(np.arange(other.size), added)
+    q, v, a = (np.zeros((len(trajectory.time), other.size)) for _ in range(3))
+    q[:, kept], v[:, kept], a[:, kept] = trajectory.q, trajectory.v, trajectory.a
+    still = Motions.of([replace(trajectory, q=q, v=v, a=a)], [observed])
+    if sum(arm.states) > trajectory.z.shape[1]:
+        still = still.followed(arm)
+    equations = _EquationsOfMotion(arm, still)
+    reactions = equations.inertial_torque(still) + equations.further_torque(still)
+    inertia = equations.mechanism.mass_matrix(q[:1])[0]
+    if np.linalg.matrix_rank(inertia, hermitian=True) < other.size:
+        return replace(trajectory, q=np.full_like(q, np.nan), v=v, a=a)
+    elapsed = trajectory.step * np.arange(len(trajectory.time))
+    for joint in added.tolist():
+        mass, stiffness, damping = inertia[joint, joint], other.stiffness[joint], other.damping[joint]
+        if joint >= other.base_size:
+            turn = CubicSpline(elapsed, -reactions[:, joint] / stiffness)
+            q[:, joint], v[:, joint], a[:, joint] = (turn(elapsed, order) for order in range(3))
+            continue
+        oscillator = [[0.0, 1.0], [-stiffness / mass, -damping / mass]]
+        reaction, inputs = reactions[:, joint], [[0.0], [-1 / mass]]
+        _, _, swing = signal.lsim((oscillator, inputs, np.eye(2), np.zeros((2, 1))), reaction, elapsed)
+        q[:, joint], v[:, joint] = swing.T
+        a[:, joint] = -(reaction + stiffness * q[:, joint] + damping * v[:, joint]) / mass
+    return replace(trajectory, q=q, v=v, a=a)
+
+
+def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
+    """Return True if two chains have the same base, and links that are equal in some fields."""
+    if chain.base != other.base:
+        return False
+    links = list(zip(chain.links, other.links, strict=True))
+    return all(np.array_equal(getattr(one, field), getattr(two, field)) for one, two in links for field in fields)
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def propagators(coefficients: Coefficients, interval: float) -> tuple[Array, Array]:
+    """Return transition matrices (K, d, d) of K intervals of three instants each, and the forcing's part (K, d, p).
+
+    An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants. Added
+    joints follow reactions that may have kinks, so that their accelerations cannot be integrated. The unknowns of an
+    interval are therefore the arm's motion and that by which the joint carries it at the inertia in the middle: in the
+    sum, only changes of that inertia remain beside the accelerations.
+    """
+    state, forcing, joints = coefficients
+    lower, size = state.shape[1:]
+    upper = size - lower  # modal coordinates, whose rates of change are unknowns themselves
+    L = np.zeros((len(state), size, size))
+    L[:, :upper, upper : 2 * upper] = np.eye(upper)
+    L[:, upper:] = state
+    parts = [slice(k, len(L) - 2 + k, 2) for k in (0, 1, 2)]
+    F = np.zeros((3, len(L) // 2, size, forcing.shape[2]))
+    for own, part in zip(F, parts, strict=True):
+        own[:, upper:] = forcing[part]
+        for joint in joints:
+            by = joint.inertia[parts[1]]
+            own[:, upper:, joint.column] -= np.einsum(
+                "kij,kj->ki", state[part, :, : 2 * upper], joint.carried(part, by)
+            )
+            own[:, upper : 2 * upper, joint.column] -= (joint.inertia[part] - by) * joint.a[part, None]
+    (L1, L2, L3), (F1, F2, F3) = (L[part] for part in parts), F
+    flow, phi1, phi2, phi3 = phi_functions((L1 + 4 * L2 + L3) / 6, interval, upper)
+    forced = interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
+    for joint in joints:
+        before, after = (joint.carried(part, joint.inertia[parts[1]]) for part in (parts[0], parts[2]))
+        forced[:, :, joint.column] += np.einsum("kij,kj->ki", flow[:, :, : 2 * upper], before)
+        forced[:, : 2 * upper, joint.column] -= after
+    return flow, forced
