@@ -61,8 +61,8 @@ def test_slopes_of_the_oscillators_are_those_of_what_they_change(monkeypatch: py
         steps = 1e-6 * np.eye(12)
         expected = np.stack([(fit.change(x + step) - fit.change(x - step)) / 2e-6 for step in steps], axis=1)
         scale = np.abs(expected).max(axis=0) + 1e-3
-        np.testing.assert_allclose(fit.slopes(x) / scale, expected / scale, atol=1e-3)
-    assert not fit.slopes(outside)[:, [0, 2]].any()
+        np.testing.assert_allclose(fit.jacobian(x) / scale, expected / scale, atol=1e-3)
+    assert not fit.jacobian(outside)[:, [0, 2]].any()
 
 
 @pytest.mark.parametrize("factor", [1e-4, 30.0])

@@ -248,7 +248,7 @@ def test_derivatives_by_what_a_table_is_are_those_of_whole_simulations(changed: 
     ((name, value),) = changed.items()
     step = value - TABLE.values[name]
     for run, again in zip(point.runs, moved.runs, strict=True):
-        parts = list(run.slopes(run.linearization([PerturbedArm(other, step)])))
+        parts = list(run.jacobian(run.linearization([PerturbedArm(other, step)])))
         measured, slopes = np.concatenate([rows for rows, _ in parts]), np.vstack([part for _, part in parts])
         expected = (run.residual - again.residual)[measured] / step
         assert np.linalg.norm(slopes[:, -1] - expected) < 0.02 * np.linalg.norm(expected)

@@ -72,7 +72,7 @@ def test_derivatives_in_segments_are_those_of_differences(effects: tuple[Effect,
     other = Arm.of(chain_of(), (effect.at(coordinates),))
     moved = run_of(other, last.observed, last.state)
     slopes = np.empty(last.observed.count)
-    for measured, part in last.slopes(last.linearization([PerturbedArm(other, step)])):
+    for measured, part in last.jacobian(last.linearization([PerturbedArm(other, step)])):
         slopes[measured] = part[:, -1]
     expected = (last.residual - moved.residual) / step
     assert np.linalg.norm(slopes - expected) < 0.02 * np.linalg.norm(expected)

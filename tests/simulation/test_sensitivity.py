@@ -104,7 +104,7 @@ def by_differences(run: Run, moved: list[tuple[Array, Chain, Array, Chain]], see
 
 def of_one_stretch(run: Run, moved: list[PerturbedArm]) -> Array:
     """The run's derivatives, all of them in a single stretch of time."""
-    (rows,) = list(run.weighted_slopes(run.linearization(moved)))
+    (rows,) = list(run.weighted_jacobian(run.linearization(moved)))
     return rows[0]
 
 
@@ -162,7 +162,7 @@ def test_a_joint_that_is_not_there(joint: str, arm: str) -> None:
         return Arm.of(chain, (effect.at(np.r_[size, effect.coordinates[1:]]),))
 
     linearization = run.linearization([PerturbedArm(extended(step), step)])
-    (rows,) = list(run.weighted_slopes(linearization))
+    (rows,) = list(run.weighted_jacobian(linearization))
     # A joint starts as in the derivative. Kinks of the torque make it vibrate, the less the stiffer it is: hence 5 %.
     moved = linearization.trajectories[0]
     null, one, two = (
@@ -195,7 +195,7 @@ def test_a_motor_that_moves_nothing_has_no_derivative() -> None:
     light = replace(chain, links=(replace(chain.links[0], hub_inertia=0.0),))
     run, gear = run_of(light, recording, state), GearElasticity(link=0)
     moved = Arm.of(light, (gear.at(np.r_[1e-4, gear.coordinates[1:]]),))
-    slopes = np.concatenate([part for _, part in run.slopes(run.linearization([PerturbedArm(moved, 1e-4)]))])
+    slopes = np.concatenate([part for _, part in run.jacobian(run.linearization([PerturbedArm(moved, 1e-4)]))])
     assert np.isnan(slopes[:, -1]).any()
     assert np.isfinite(slopes[:, :-1]).all()
 
@@ -207,7 +207,7 @@ def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -
     whole = run.linearized(run.linearization(moved))
     monkeypatch.setattr("vjm.simulation.sensitivity._MOST_COEFFICIENTS", 2000)
     again = run_of(chain, recording, state)
-    assert len(list(again.weighted_slopes(again.linearization(moved)))) > 3
+    assert len(list(again.weighted_jacobian(again.linearization(moved)))) > 3
     R = again.linearized(again.linearization(moved)).R
     np.testing.assert_allclose(R.T @ R, whole.R.T @ whole.R, rtol=1e-8)
 
@@ -244,7 +244,7 @@ def test_triangle_is_the_least_squares_problem(seed: int) -> None:
     inner = np.linalg.lstsq(J[:, :3], r - J[:, 3:] @ others, rcond=None)[0]
     np.testing.assert_allclose(linearized.solve(3, others), inner, atol=1e-9)
     np.testing.assert_allclose(linearized.eliminated(3).best(), best[3:], atol=1e-9)
-    follow = linearized.elimination_slopes(3)
+    follow = linearized.elimination_jacobian(3)
     np.testing.assert_allclose(J[:, :3].T @ (J[:, 3:] - J[:, :3] @ follow), 0.0, atol=1e-9)
 
 

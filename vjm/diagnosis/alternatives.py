@@ -62,10 +62,10 @@ def _equivalent_fits(
     for names, tried in fits.items():
         new = [effect for effect in tried.effects if effect.key not in rest]
         if len(names) == len(best.effect_keys) and rest <= names and len(new) == 1 and new[0].key != cause.key:
-            worse = best.chi2 * (options.criterion(tried) / options.criterion(best) - 1)
-            if worse < tolerance:
-                alternatives.append(Alternative(new[0], float(worse)))
-    return tuple(sorted(alternatives, key=lambda each: each.worse))
+            increase = best.chi2 * (options.criterion(tried) / options.criterion(best) - 1)
+            if increase < tolerance:
+                alternatives.append(Alternative(new[0], float(increase)))
+    return tuple(sorted(alternatives, key=lambda each: each.chi2_increase))
 
 
 def _is_similar(first: Screen, cause: Effect, other: Effect) -> bool:

@@ -80,7 +80,7 @@ def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Ch
         moved = replace(other.point.problem, observed=(predicted.observed,)).perturbed_arms(other.point.x)[0]
         states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
         slopes = np.zeros((predicted.residual.size, states + len(moved)))
-        for measured, part in predicted.slopes(predicted.linearization(moved)):
+        for measured, part in predicted.jacobian(predicted.linearization(moved)):
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0

@@ -129,7 +129,7 @@ def _fit_frames(
     residual, elapsed = np.zeros(0), run.trajectory.elapsed(time)
     for _ in range(12):  # steps are limited at first, and converge quadratically near the solution
         predicted = run.observed.arcs.measured_positions(run.arm, q, elapsed).reshape(len(q), -1)[:, coordinates]
-        slopes = run.observed.arcs.slopes(run.arm, q, elapsed, directions)[:, coordinates]
+        slopes = run.observed.arcs.jacobian(run.arm, q, elapsed, directions)[:, coordinates]
         slopes = np.concatenate([slopes, shifts], axis=2)
         difference = markers[:, coordinates] - predicted
         change = (np.linalg.pinv(slopes) @ difference[:, :, None])[:, :, 0]

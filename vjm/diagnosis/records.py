@@ -24,7 +24,7 @@ class Alternative:
     """Another effect that explains the recordings as well as the one named, or nearly."""
 
     effect: Effect  # with its estimated parameters
-    worse: float  # chi^2 beyond that of the effect named
+    chi2_increase: float  # chi^2 beyond that of the effect named
 
 
 @dataclass(frozen=True)

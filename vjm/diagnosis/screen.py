@@ -24,7 +24,7 @@ from vjm.chain.curve import transfer_state
 from vjm.diagnosis.candidate_fit import LEAST_START
 from vjm.diagnosis.records import Candidate
 from vjm.diagnosis.search_starts import spectral_starts, temporal_peaks
-from vjm.diagnosis.workers import ALONE, Workers
+from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import Point
@@ -61,7 +61,7 @@ class Screen:
 
     @classmethod
     def of(
-        cls, point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = ALONE
+        cls, point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = SERIAL
     ) -> Screen:
         """Test absent effects beside a fit; arguments as for `Directions.of`."""
         return Directions.of(point, present, variants, workers).screen()
@@ -189,7 +189,7 @@ class Directions:
 
     @classmethod
     def of(
-        cls, point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = ALONE
+        cls, point: Point, present: Sequence[Effect], variants: Sequence[Effect], workers: Workers = SERIAL
     ) -> Directions:
         """Linearise absent effects about their nulls beside a fit.
 
@@ -271,7 +271,7 @@ def _projected(
     squares, weights = np.zeros(count), np.sqrt(run.observed.loss.slope(run.residual**2))
 
     def rows() -> Iterator[tuple[Array, Array]]:
-        for measured, slopes in run.slopes(linearization):
+        for measured, slopes in run.jacobian(linearization):
             directions = slopes[:, slopes.shape[1] - count :]
             for k, secant in secants.items():
                 directions[:, parts[k].start] = secant[measured]

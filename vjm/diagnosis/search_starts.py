@@ -129,7 +129,7 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
         return np.asarray(moved[k] + share.astype(np.float32) * (moved[k + 1] - moved[k]))
 
     frames = observed.recording.time[observed.frames]
-    slopes = observed.arcs.slopes(run.arm, path.angles(frames), path.elapsed(frames), shapes)
+    slopes = observed.arcs.jacobian(run.arm, path.angles(frames), path.elapsed(frames), shapes)
     markers = (slopes @ at(frames)).reshape(-1, c + 2 * m)[observed.markers]
     instants, joints = np.divmod(observed.angles, max(chain.active.size, 1))
     by_mode = shapes[chain.active[joints]] if joints.size else np.zeros((0, m))

@@ -29,7 +29,7 @@ from vjm.diagnosis.candidate_fit import (
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
-from vjm.diagnosis.workers import ALONE, Workers
+from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -127,7 +127,7 @@ class Search:
         effects: Sequence[Effect],
         options: SearchOptions,
         report: Report,
-        workers: Workers = ALONE,
+        workers: Workers = SERIAL,
     ) -> None:
         self.rig, self.start, self.effects, self.options = rig, start, effects, options
         self.report, self.workers = report, workers
@@ -142,7 +142,7 @@ class Search:
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
-        best = self._in_segments()
+        best = self._fit_segments_without_effects()
         fits = segment_fits = {best.effect_keys: best}
         best, family = self._forward_selection(best, fits)
         stages = [(best, fits)]
@@ -233,11 +233,11 @@ class Search:
 
     def without_effects(self) -> SearchResult:
         """Return the result before anything was looked for: the model without effects, in segments."""
-        base = self._in_segments()
+        base = self._fit_segments_without_effects()
         family = self.screen(base)
         return SearchResult(base, family, family)
 
-    def _in_segments(self) -> TrajectoryFit:
+    def _fit_segments_without_effects(self) -> TrajectoryFit:
         """Fit the model without effects to the shortest segments; start from nominal values too if it fits poorly."""
         self.report("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
@@ -290,7 +290,7 @@ class Search:
             others = [one for one in others if not is_nonsmooth(one.effects) or is_nonsmooth(best.effects)]
             if others and not self.options.exhausted:
                 self.report("fitting the next best")
-                second = min(others, key=lambda one: one.chi2)
+                second = min(others, key=self.options.criterion)
                 try:
                     if is_nonsmooth(second.effects) or fits is result.fits:
                         return self.open_loop(second)
@@ -529,7 +529,7 @@ class Search:
         others = [
             fit for names, fit in fits.items() if len(names) == len(best.effect_keys) and names != best.effect_keys
         ]
-        second = min(others, key=lambda fit: fit.chi2, default=None)
+        second = min(others, key=self.options.criterion, default=None)
         if second is None or self._explains_all(best, best) or second.chi2 - best.chi2 > unexplained:
             return None
         return second

@@ -90,4 +90,4 @@ def _end_with_parent() -> None:
         Thread(target=watch, args=(parent,), daemon=True).start()
 
 
-ALONE = Workers()
+SERIAL = Workers()

@@ -239,14 +239,14 @@ def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: 
     inside = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
 
     def slopes(x: Array) -> Array:
-        return -_projected_slopes(oscillators, y, x.reshape(-1, 2)) / noise
+        return -_projected_jacobian(oscillators, y, x.reshape(-1, 2)) / noise
 
     result = least_squares(residual, inside, slopes, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
     refined: Array = np.asarray(result.x).reshape(-1, 2)
     return refined
 
 
-def _projected_slopes(oscillators: Oscillators, y: Array, values: Array) -> Array:
+def _projected_jacobian(oscillators: Oscillators, y: Array, values: Array) -> Array:
     """Return the slopes (T c, 2 m) of the fitted motion over frequencies and damping ratios, amplitudes projected out.
 
     The slopes of the projected residual but for a part that the residual is normal to, which leaves the gradient exact
@@ -286,7 +286,7 @@ def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array
         return np.empty((0, 2))
     columns = oscillators.columns(values)
     residual, _ = _project(columns, y)
-    matrix = _projected_slopes(oscillators, y, values)
+    matrix = _projected_jacobian(oscillators, y, values)
     freedom = max(residual.size - columns.shape[1] * y.shape[1] - values.size, 1)
     covariance = np.linalg.pinv(matrix.T @ matrix) * float(np.sum(residual**2)) / freedom
     return np.sqrt(np.maximum(np.diag(covariance), 0)).reshape(-1, 2)

@@ -231,7 +231,7 @@ class _Problem:
             matrix[:, group.joints, 2 * g + 1] = motion.v[:, group.joints] / group.cells
         return matrix[:, self.shown], right[:, self.shown]
 
-    def error_slopes(self, model: FlexibleModel) -> list[Array]:
+    def error_jacobian(self, model: FlexibleModel) -> list[Array]:
         """Return the derivatives (S, r, nv) of the passive torque errors by angles, rates and accelerations."""
         q = model.configuration(self.mean.q)
         return [-part[:, self.shown] for part in model.inverse_dynamics_derivatives(q, self.mean.v, self.mean.a)]
@@ -285,7 +285,7 @@ class _Problem:
 
     def solve(self, model: FlexibleModel, free: Indices) -> tuple[Array, Array, float]:
         """Return values of the free parameters, their covariance and the condition number, weighted as of a model."""
-        factors = self.factors(self.error_slopes(model))
+        factors = self.factors(self.error_jacobian(model))
         W = self.weight(factors)
         (one, right_one), (two, right_two) = (self.equations(half) for half in self.halves)
         held = np.setdiff1d(np.arange(one.shape[2]), free)

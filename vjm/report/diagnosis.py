@@ -218,7 +218,7 @@ def _alternative_points(diagnosis: Diagnosis) -> list[str]:
     for cause in diagnosis.causes:
         for item in cause.alternatives:
             own, other = clause(cause.effect, diagnosis.model), clause(item.effect, diagnosis.model)
-            worse = f"chi² larger by {number(item.worse, 2)}" if item.worse >= 0 else "chi² no larger"
+            worse = f"chi² larger by {number(item.chi2_increase, 2)}" if item.chi2_increase >= 0 else "chi² no larger"
             points.append(f"{capital(own)}, or {other} ({worse}).")
             apart = item.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
             points += [f"{item.effect.title} would be distinguished by {apart}."] if apart else []

@@ -271,7 +271,7 @@ def _cause(cause: Cause, model: Model) -> Result:
         "chi2_gain": cause.decrease,
         "indistinguishable_from": list(dict.fromkeys(item.effect.id for item in cause.alternatives)),
         "alternatives": [
-            {**_place(item.effect, model), "parameters": item.effect.values, "chi2_increase": item.worse}
+            {**_place(item.effect, model), "parameters": item.effect.values, "chi2_increase": item.chi2_increase}
             for item in cause.alternatives
         ],
         "evidence": cause.evidence,

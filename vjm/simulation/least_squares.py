@@ -67,7 +67,7 @@ class SquareRootInformation:
         top = self.R[:count]
         return _solved(top[:, :count], top[:, -1] - top[:, count:-1] @ others)
 
-    def elimination_slopes(self, count: int) -> Array:
+    def elimination_jacobian(self, count: int) -> Array:
         """Return minus the derivatives (count, C - count) of `solve` by the other unknowns."""
         return _solved(self.R[:count, :count], self.R[:count, count:-1])
 

@@ -62,7 +62,7 @@ class MarkerArcs:
             positions = effect.marker_positions(positions, headings, time)
         return positions
 
-    def slopes(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
+    def jacobian(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
         """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
         step, count = 1e-6, directions.shape[1]
         moved = np.concatenate([q, *(q + step * direction for direction in directions.T)], axis=-2)

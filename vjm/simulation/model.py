@@ -188,7 +188,7 @@ class Model(Record):
         angles, size = np.asarray(q, dtype=float), self.arm.chain.size
         if angles.shape != (size,):
             raise ShapeError("q", f"shape {angles.shape}", f"shape ({size},)")
-        slopes = MarkerArcs.of(self.rig).slopes(self.arm, angles[None], np.zeros(1), np.eye(size))[0]
+        slopes = MarkerArcs.of(self.rig).jacobian(self.arm, angles[None], np.zeros(1), np.eye(size))[0]
         markers = [f"{link.name}.m{k}" for link in self.rig.links for k in range(1, len(link.markers) + 1)]
         return dict(zip((f"{marker}.{axis}" for marker in markers for axis in "xy"), slopes, strict=True))
 

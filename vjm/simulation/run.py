@@ -174,7 +174,7 @@ class Run:
         smooth = [PerturbedArm(other.smooth[0], step) for other, step in perturbed]
         return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride)
 
-    def slopes(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
+    def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         parts = linearization.jacobian()
         if self.observed.whitening is None and not self.arm.timing_variance:
@@ -186,10 +186,10 @@ class Run:
         whole[measured] = np.concatenate(slopes)
         yield np.arange(measured.size), self._whiten_timing(self.observed.whitened(whole))
 
-    def weighted_slopes(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
+    def weighted_jacobian(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
         """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the robust loss."""
         weights = np.sqrt(self.observed.loss.slope(self.residual**2))
-        for measured, part in self.slopes(linearization):
+        for measured, part in self.jacobian(linearization):
             yield weights[measured, None] * part, weights[measured] * self.residual[measured]
 
     def linearized(self, linearization: Linearization) -> SquareRootInformation:
@@ -199,7 +199,7 @@ class Run:
             SimulationDivergedError: derivatives that are not finite.
         """
         columns = 2 * self.basis.slow_count + len(linearization.perturbed)
-        problem = SquareRootInformation.of(self.weighted_slopes(linearization), columns)
+        problem = SquareRootInformation.of(self.weighted_jacobian(linearization), columns)
         problem = problem.with_rows(*self.prior_rows(columns)).with_rows(*self.timing_rows(linearization))
         if not np.abs(problem.R).max(initial=0.0) < _LARGEST_DERIVATIVE:
             remedy = "the motion depends on its start or parameters beyond all bounds: check them"
@@ -241,10 +241,10 @@ class Run:
         """Return the scores (T, p): each instant's part in the gradient of -chi^2 / 2, initial state eliminated."""
         parameters = len(linearization.perturbed)
         states = linearized.columns - parameters
-        by_parameters = linearized.elimination_slopes(states)
+        by_parameters = linearized.elimination_jacobian(states)
         instants = self.observed.instants
         scores = np.zeros((self.observed.recording.time.size, parameters))
-        for measured, part in self.slopes(linearization):
+        for measured, part in self.jacobian(linearization):
             slopes = part[:, states:] - part[:, :states] @ by_parameters
             np.add.at(scores, instants[measured], slopes * self.residual[measured, None])
         return scores

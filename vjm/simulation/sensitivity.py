@@ -88,8 +88,8 @@ class Linearization:
             if last <= first:
                 continue
             camera, markers, angles = observed.rows_between(first, last)
-            by_angles = self._encoder_slopes(part, angles)
-            by_markers = self._marker_slopes(part, exposures[..., camera], time[observed.frames[camera]])
+            by_angles = self._encoder_jacobian(part, angles)
+            by_markers = self._marker_jacobian(part, exposures[..., camera], time[observed.frames[camera]])
             flat = by_markers.reshape(-1, by_markers.shape[2])
             slopes = np.concatenate([flat[observed.markers[markers] - camera.start * by_markers.shape[1]], by_angles])
             measured = np.r_[markers, angles]
@@ -155,10 +155,10 @@ class Linearization:
         ]
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
-    def _marker_slopes(self, part: Trajectory, exposures: Array, stamps: Array) -> Array:
+    def _marker_jacobian(self, part: Trajectory, exposures: Array, stamps: Array) -> Array:
         """Return derivatives (F, 2 k, 2 slow + p) of marker coordinates, seen at instants (F,) or (k, F)."""
         arcs, q, elapsed = self.observed.arcs, self.trajectory.angles(exposures), self.trajectory.elapsed(exposures)
-        by_modes = arcs.slopes(self.arm, q, elapsed, self.basis.shapes)
+        by_modes = arcs.jacobian(self.arm, q, elapsed, self.basis.shapes)
         modes = np.swapaxes(part.angles(exposures), -2, -1)
         if exposures.ndim == 1:
             slopes = by_modes @ modes
@@ -177,7 +177,7 @@ class Linearization:
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
-    def _encoder_slopes(self, part: Trajectory, angles: slice) -> Array:
+    def _encoder_jacobian(self, part: Trajectory, angles: slice) -> Array:
         """Return derivatives (r, 2 slow + p) of the encoder values with indices `angles`."""
         observed, active = self.observed, self.arm.chain.active
         rows = slice(angles.start - observed.markers.size, angles.stop - observed.markers.size)

@@ -238,7 +238,7 @@ class _Fit:
             changes[0] = changes[0] + camera.path(shifted) - camera.simulated
         return self._in_noise_units(changes)
 
-    def slopes(self, x: Array) -> Array:
+    def jacobian(self, x: Array) -> Array:
         """Return the (N, p) derivatives of `change` by the parameters."""
         columns: list[Sequence[Array]] = []  # of each parameter, (F, C) in each sensor [m or rad]
         for mode, own in zip(self.modes, self.own(x), strict=True):
@@ -276,7 +276,7 @@ class _Fit:
             return residual - self.change(x)
 
         def slopes(x: Array) -> Array:
-            return -self.slopes(x)
+            return -self.jacobian(x)
 
         def search(start: Array) -> Any:
             return least_squares(misfit, start, slopes, x_scale="jac", max_nfev=30)
