@@ -53,7 +53,7 @@ def test_the_mass_on_the_tip_is_named_and_weighed(effects: list[str], duration: 
 
 @pytest.mark.slow
 def test_among_all_effects_one_stands_beside_the_mass() -> None:
-    """Where more is missing anyway, a link that is thicker at its tip is as good as a mass; a second mass would tell."""
+    """Where more is missing anyway, a link that is thicker at its tip is as good as a mass; another mass would tell."""
     diagnosis = vjm.diagnose(vjm.load_experiment(DATA / "experiment.toml"), budget=float("inf"))
     assert diagnosis.verdict == "set"
     (cause,) = diagnosis.causes

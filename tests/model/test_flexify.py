@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from scipy.optimize import brentq
 
 import vjm
 from tests.model.robots import LINKS, UR5, Array, box_beam, inertia_of, mass_matrix, robot
-from vjm.chain.body_inertia import BodyInertia, split_inertia, total_inertia
+from vjm.chain.body_inertia import BodyInertia, split_inertia
 from vjm.cli import main
 from vjm.errors import ChoiceError, InputError, ModelFileError, ShapeError
 from vjm.model.modes import modes_of
@@ -23,6 +24,18 @@ from vjm.model.urdf_document import UrdfDocument, springs_of
 
 ANYMAL = "anymal_b_simple_description/robots/anymal.urdf"
 STIFF = {"joints": 3, "bending_stiffness": 400.0, "torsion": 300.0}
+
+
+def total_inertia(bodies: Sequence[BodyInertia]) -> BodyInertia:
+    """Several bodies that move as one, by the parallel axis theorem."""
+    mass = sum(body.mass for body in bodies)
+    center = sum((body.mass * body.center for body in bodies), np.zeros(3)) / mass
+    offsets = [body.center - center for body in bodies]
+    parts = [
+        body.tensor + body.mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        for body, offset in zip(bodies, offsets, strict=True)
+    ]
+    return BodyInertia(mass, center, np.sum(parts, axis=0))
 
 
 @st.composite

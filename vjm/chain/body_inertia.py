@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,17 +39,6 @@ class BodyInertia:
     def scaled(self, share: float) -> BodyInertia:
         """Return a share of the body: of its mass and of its tensor, about the same centre."""
         return BodyInertia(share * self.mass, self.center, share * self.tensor)
-
-
-def total_inertia(bodies: Sequence[BodyInertia]) -> BodyInertia:
-    """Return the inertia of several bodies that move as one."""
-    mass = sum(body.mass for body in bodies)
-    center = sum((body.mass * body.center for body in bodies), np.zeros(3)) / mass
-    offsets = [body.center - center for body in bodies]
-    parts = [
-        body.second_moments + body.mass * np.outer(offset, offset) for body, offset in zip(bodies, offsets, strict=True)
-    ]
-    return BodyInertia.of_moments(mass, center, np.sum(parts, axis=0))
 
 
 def split_inertia(
