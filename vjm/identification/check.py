@@ -295,7 +295,8 @@ def stopped_remedy(fit: TrajectoryFit | None) -> str:
     worst = max(fit.point.runs, key=lambda run: run.chi2 / max(run.expected_chi2, 1))
     return (
         f"residual {ratio(fit.misfit)} × noise, largest in {worst.observed.recording.file}: check each torque's unit, "
-        "sign, joint and sampling times, and the masses, lengths and payloads of the experiment file"
+        "sign, joint and sampling times, and the masses, lengths and payloads of the experiment file; if these are "
+        "right, the model lacks something, such as friction in a joint: `vjm diagnose` names it"
     )
 
 
