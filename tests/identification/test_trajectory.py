@@ -95,7 +95,12 @@ def bound_of(point: Point) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("joint", "n", "kind"), [("clamped", 3, "uniform"), ("revolute", 3, "uniform"), ("revolute", 3, "joints")]
+    ("joint", "n", "kind"),
+    [
+        pytest.param("clamped", 3, "uniform", marks=pytest.mark.slow),
+        ("revolute", 3, "uniform"),
+        pytest.param("revolute", 3, "joints", marks=pytest.mark.slow),
+    ],
 )
 def test_a_hundred_fits_scatter_as_little_as_any_can(joint: str, n: int, kind: str) -> None:
     point = truth_point(joint, n, kind)
