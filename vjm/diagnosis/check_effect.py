@@ -80,7 +80,7 @@ def _require(effect: Effect, clause: str, checks: _Checks) -> None:
 
 
 @dataclass(frozen=True)
-class _Bench:
+class _TrialRig:
     """A rig, its chain without effects, recordings without measurements and their initial states (2 nv,)."""
 
     rig: Rig
@@ -114,18 +114,18 @@ class _Bench:
 
 
 @cache
-def _benches() -> tuple[_Bench, ...]:
+def _trial_rigs() -> tuple[_TrialRig, ...]:
     """Return a driven link, a clamped one, and a driven one on a flexible post: fewer active joints than links."""
     beam = Link("beam", "revolute", 1.0, 0.44, 1.9, (0.2, 0.4, 0.6, 0.8, 1.0), hub_inertia=0.02)
     clamped = replace(beam, joint="clamped", hub_inertia=0.0)
     post = replace(clamped, name="post", length=0.6, markers=(0.3, 0.6))
     # For each recording the torque's factor, gravity along x [m/s^2], and the bend of the tip [m].
-    driven = _bench("driven", (beam,), [(1.0, 9.81, 0.0), (0.2, 0.0, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)])
-    fixed = _bench("clamped", (clamped,), [(0.0, 0.0, 0.12), (0.0, 9.81, 0.04), (0.0, 0.0, 0.0)])
-    return driven, fixed, _bench("arm", (post, beam), [(1.0, 9.81, 0.0)])
+    driven = _trial_rig("driven", (beam,), [(1.0, 9.81, 0.0), (0.2, 0.0, 0.0), (0.0, 0.0, 0.1), (0.0, 0.0, 0.0)])
+    fixed = _trial_rig("clamped", (clamped,), [(0.0, 0.0, 0.12), (0.0, 9.81, 0.04), (0.0, 0.0, 0.0)])
+    return driven, fixed, _trial_rig("arm", (post, beam), [(1.0, 9.81, 0.0)])
 
 
-def _bench(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, float, float]]) -> _Bench:
+def _trial_rig(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, float, float]]) -> _TrialRig:
     rig, recordings, states = Rig(name, links), [], []
     chain = nominal_chain(rig, rig_layouts(rig, [3] * len(links)), kelvin_voigt=5e-4)
     time, last = np.arange(101) / 50, chain.links[-1]
@@ -140,7 +140,7 @@ def _bench(name: str, links: tuple[Link, ...], plans: Sequence[tuple[float, floa
         recordings.append(Recording(*readings, kind=kind, role="train", gravity=(gravity, 0.0)))
         states.append(np.zeros(2 * chain.size))
         states[-1][chain.passive_slices[-1]] = bend * shape
-    return _Bench(rig, chain, tuple(recordings), tuple(states))
+    return _TrialRig(rig, chain, tuple(recordings), tuple(states))
 
 
 def _overridden(effect: Effect) -> str:
@@ -181,9 +181,9 @@ def _form(effect: Effect, seed: int) -> _Checks:
     yield own or not sized, "a size but no hook that uses it", f"one of {', '.join(_HOOKS)}"
 
 
-def _variants(effect: Effect) -> list[tuple[_Bench, Effect]]:
+def _variants(effect: Effect) -> list[tuple[_TrialRig, Effect]]:
     """Return the absent effect wherever it can be, on each rig."""
-    return [(bench, own) for bench in _benches() for own in effect.variants(bench.rig, bench.recordings)]
+    return [(trial, own) for trial in _trial_rigs() for own in effect.variants(trial.rig, trial.recordings)]
 
 
 def _trial_coordinates(effect: Effect) -> list[Array]:
@@ -217,18 +217,18 @@ def _coordinates(effect: Effect, seed: int) -> _Checks:
             yield again == there, f"{again!r} from the values of {there!r}", "the same"
 
 
-def _calls(bench: _Bench, seed: int) -> dict[str, tuple[Any, ...]]:
+def _calls(trial: _TrialRig, seed: int) -> dict[str, tuple[Any, ...]]:
     """Return random arguments, none of them writeable, for hooks that return the first one if the effect is absent."""
-    random, empty = np.random.default_rng(seed), bench.recordings[0]
+    random, empty = np.random.default_rng(seed), trial.recordings[0]
     shapes = (5, *empty.markers.shape[1:]), (5, empty.markers.shape[1]), empty.theta.shape, empty.markers.shape
-    positions, headings, angles, markers = (_fixed(0.3 * random.normal(size=shape)) for shape in shapes)
-    driven = replace(empty, time=_fixed(empty.time.copy()), tau=angles, theta=angles, markers=markers)
-    time = _fixed(np.linspace(0.3, 0.4, 5))
+    positions, headings, angles, markers = (_read_only(0.3 * random.normal(size=shape)) for shape in shapes)
+    driven = replace(empty, time=_read_only(empty.time.copy()), tau=angles, theta=angles, markers=markers)
+    time = _read_only(np.linspace(0.3, 0.4, 5))
     sensed = (time, positions), (positions, headings, time), (angles,)
-    return {"chain": (bench.chain,), "true_inputs": (driven,), **dict(zip(SENSING_HOOKS, sensed, strict=True))}
+    return {"chain": (trial.chain,), "true_inputs": (driven,), **dict(zip(SENSING_HOOKS, sensed, strict=True))}
 
 
-def _fixed(values: Array) -> Array:
+def _read_only(values: Array) -> Array:
     """Make an array read-only and return it."""
     values.setflags(write=False)
     return values
@@ -236,12 +236,12 @@ def _fixed(values: Array) -> Array:
 
 def _null(effect: Effect, seed: int) -> _Checks:
     """Require no change at all where it is absent, to the last bit."""
-    for bench, absent in _variants(effect):
+    for trial, absent in _variants(effect):
         yield absent.is_null, f"{absent!r} among the variants", "absent ones only"
-        for name, arguments in _calls(bench, seed).items():
+        for name, arguments in _calls(trial, seed).items():
             unchanged = _same(getattr(absent, name)(*arguments), arguments[0])
             yield unchanged, f"`{name}` changes what it is given at the null", "the same values"
-        chain, random = bench.chain, np.random.default_rng(seed)
+        chain, random = trial.chain, np.random.default_rng(seed)
         q, v = random.normal(size=(2, 5, chain.size))
         force, z = absent.force(chain, _PAYLOAD), random.normal(size=absent.initial_states(chain, q).shape)
         yield force is None or not np.any(force(np.arange(5.0), q, v, z)), "a force at the null", "none"
@@ -251,20 +251,20 @@ def _null(effect: Effect, seed: int) -> _Checks:
 
 def _hooks(effect: Effect, seed: int) -> _Checks:
     """Require variants at all places of a rig only; finite values of the right shape, for any leading axes."""
-    for bench in _benches():
-        places, links = effect.places(bench.rig), len(bench.rig.links)
-        where = {variant.link for variant in effect.variants(bench.rig, bench.recordings)}
+    for trial in _trial_rigs():
+        places, links = effect.places(trial.rig), len(trial.rig.links)
+        where = {variant.link for variant in effect.variants(trial.rig, trial.recordings)}
         yield where or not places, f"no variant for the places {places}", "one for each, at least"
         yield where <= set(places), f"variants on the links {where}", f"on those of `places`, {places}"
         yield set(places) <= {None, *range(links)}, f"places {places} on {links} links", "indices of links, or None"
-    for bench, absent in _variants(effect):
-        calls, chain = _calls(bench, seed), bench.chain
+    for trial, absent in _variants(effect):
+        calls, chain = _calls(trial, seed), trial.chain
         for present in map(absent.at, _trial_coordinates(absent)):
             own, driven = present.chain(chain), present.true_inputs(*calls["true_inputs"])
             alike = isinstance(own, Chain) and [one.joint for one in own.links] == [one.joint for one in chain.links]
             yield alike, f"`chain` gives {type(own).__name__}", "a Chain with the same links and joints"
             yield isinstance(driven, Recording), f"`true_inputs` gives {type(driven).__name__}", "a Recording"
-            yield from _array("`true_inputs(...).tau`", driven.tau, bench.recordings[0].tau.shape)
+            yield from _array("`true_inputs(...).tau`", driven.tau, trial.recordings[0].tau.shape)
             yield from _array("`true_inputs(...).gravity`", np.asarray(driven.gravity), (2,))
             for name in SENSING_HOOKS:
                 first, *others = (argument.shape for argument in calls[name])
@@ -290,11 +290,14 @@ def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
     yield kept in (0, count if update is None else 0), f"`smooth` makes it an effect with {kept} states", expected
     random = np.random.default_rng(seed)
     for leading in ((), (5,), (2, 5)):
-        q, v, to = (_fixed(0.3 * random.normal(size=(*leading, chain.size))) for _ in range(3))
+        q, v, to = (_read_only(0.3 * random.normal(size=(*leading, chain.size))) for _ in range(3))
         rest = present.initial_states(chain, q)
         yield from _array(f"`initial_states` at angles {q.shape}", rest, (*leading, count))
         yield from _array(f"`rest_angles` at angles {q.shape}", present.rest_angles(chain, q), q.shape)
-        z, time = _fixed(rest + 0.03 * random.normal(size=rest.shape)), _fixed(np.abs(random.normal(size=leading)))
+        z, time = (
+            _read_only(rest + 0.03 * random.normal(size=rest.shape)),
+            _read_only(np.abs(random.normal(size=leading))),
+        )
         yield from _each_alone("force", present.force(chain, _PAYLOAD), (time, q, v, z), q.shape)
         yield from _each_alone("state_rates", rates, (time, q, v, z), z.shape)
         yield from _each_alone("rate_independent_update", update, (q, z, to), z.shape)
@@ -326,8 +329,8 @@ def _array(what: str, values: Any, *shapes: tuple[int, ...]) -> _Checks:
 
 def _inputs(effect: Effect, seed: int) -> _Checks:
     """Require that hooks change nothing that they are given; arrays they cannot, as these are not writeable."""
-    for bench, absent in _variants(effect):
-        present, calls = bench.typical(absent), _calls(bench, seed)
+    for trial, absent in _variants(effect):
+        present, calls = trial.typical(absent), _calls(trial, seed)
         before = deepcopy(calls)
         for name, arguments in calls.items():
             getattr(present, name)(*arguments)
@@ -348,40 +351,40 @@ def _same(one: Any, other: Any) -> bool:
 
 def _action(effect: Effect, seed: int) -> _Checks:
     """Require a typical magnitude that markers or encoders of some rig show."""
-    reasons = {bench.rig.name: bench.refusal(effect) for bench in _benches()[:2]}
+    reasons = {trial.rig.name: trial.refusal(effect) for trial in _trial_rigs()[:2]}
     found = f"it says that nothing can show it ({'; '.join(f'{name} link: {why}' for name, why in reasons.items())})"
     yield not all(reasons.values()), found, "a rig on which it is testable"
     found = "at its typical magnitude no marker and no encoder shows anything of it"
     yield _shown_by(effect), found, "something beyond rounding"
 
 
-def _shown_by(effect: Effect) -> _Bench | None:
+def _shown_by(effect: Effect) -> _TrialRig | None:
     """Return the first rig whose markers or encoders show something else at a typical magnitude than without it."""
-    for bench in (bench for bench in _benches()[:2] if not bench.refusal(effect)):
-        arm, plain = Arm.of(bench.chain, (bench.typical(effect),)), Arm(bench.chain)
+    for trial in (trial for trial in _trial_rigs()[:2] if not trial.refusal(effect)):
+        arm, plain = Arm.of(trial.chain, (trial.typical(effect),)), Arm(trial.chain)
         step = min(default_step(plain.chain), default_step(arm.chain), arm.longest_step)
-        for one, two in zip(bench.simulate(arm, step), bench.simulate(plain, step), strict=True):
+        for one, two in zip(trial.simulate(arm, step), trial.simulate(plain, step), strict=True):
             if max(np.abs(one.markers - two.markers).max(), np.abs(one.theta - two.theta).max(initial=0)) > _ROUNDING:
-                return bench
+                return trial
     return None
 
 
 def _energy(effect: Effect, seed: int) -> _Checks:
     """Require that dissipative effects take power at every state; with internal states, work since rest."""
-    for bench in _benches()[:2]:
-        if bench.refusal(effect) or not effect.dissipative:
+    for trial in _trial_rigs()[:2]:
+        if trial.refusal(effect) or not effect.dissipative:
             continue
-        arm = Arm.of(bench.chain, (bench.typical(effect),))
-        power, size = _power(bench, arm, seed)
+        arm = Arm.of(trial.chain, (trial.typical(effect),))
+        power, size = _power(trial, arm, seed)
         worst, unit = int(np.argmax(power - _ROUNDING * size)), "J by then" if any(arm.states) else "W"
         found = f"at a random state its forces give the arm {power[worst]:.3g} {unit}"
         yield power[worst] <= _ROUNDING * size[worst], found, "none of them positive, since `dissipative` is True"
 
 
-def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
+def _power(trial: _TrialRig, arm: Arm, seed: int) -> tuple[Array, Array]:
     """Return the power [W] of effects in a random motion from rest, or work [J] if they have states; and its size."""
     random, n, stateful = np.random.default_rng(seed), arm.chain.size, any(arm.states)
-    recording = bench.recordings[0]
+    recording = trial.recordings[0]
     time = np.linspace(0.0, 2.0, 20001 if stateful else 401)  # so many that internal states are followed closely
     pulsation, phase = random.uniform(1.0, 8.0, (4, n)), random.uniform(0.0, 2 * np.pi, (4, n))
     angle = time[:, None, None] * pulsation + phase
@@ -393,7 +396,7 @@ def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
     for joint, change in zip(arm.chain.active, (arm.inputs(recording).tau - recording.tau).T, strict=True):
         torque[:, joint] += np.interp(time, recording.time, change)
     damping, joints = arm.chain.damping.copy(), np.arange(n)
-    damping[joints if n == bench.chain.size else np.setdiff1d(joints, arm.chain.roots)] -= bench.chain.damping
+    damping[joints if n == trial.chain.size else np.setdiff1d(joints, arm.chain.roots)] -= trial.chain.damping
     torque = torque - damping * v
     power, size = (torque * v).sum(axis=1), np.abs(torque * v).sum(axis=1)
     if not stateful:
@@ -404,33 +407,35 @@ def _power(bench: _Bench, arm: Arm, seed: int) -> tuple[Array, Array]:
 
 def _recovery(effect: Effect, seed: int) -> _Checks:
     """Require magnitudes that a fit finds which starts without the effect, the chain's parameters being free."""
-    bench = _shown_by(effect) or _benches()[0]
+    trial = _shown_by(effect) or _trial_rigs()[0]
     if effect.nonsmooth:  # takes short steps
-        bench = replace(bench, recordings=bench.recordings[:1], states=bench.states[:1])
-    true = bench.typical(effect)
-    problem = _problem(bench, true, seed)
+        trial = replace(trial, recordings=trial.recordings[:1], states=trial.states[:1])
+    true = trial.typical(effect)
+    problem = _problem(trial, true, seed)
     free = problem.parametrisation.start.size
     start = fit_trajectory(
-        problem, 1.03 * problem.parametrisation.start, None, bench.states, stop=StoppingRule(max_steps=4)
+        problem, 1.03 * problem.parametrisation.start, None, trial.states, stop=StoppingRule(max_steps=4)
     )
     # Standard errors of the magnitudes at their true values, everything else being free.
-    exact = fit_trajectory(problem, problem.parametrisation.start, None, bench.states, stop=StoppingRule(max_steps=0))
-    extended = refit(exact, (true,), StoppingRule(max_steps=0))
+    at_truth = fit_trajectory(
+        problem, problem.parametrisation.start, None, trial.states, stop=StoppingRule(max_steps=0)
+    )
+    extended = refit(at_truth, (true,), StoppingRule(max_steps=0))
     yield extended, f"with {_values(true)} nothing can be simulated", "finite motion"
     assert extended  # for type checkers: this is not reached otherwise
     R = extended.point.reduced()[0].R[:, :-1]
     lengths, own = np.maximum(np.linalg.norm(R, axis=0), 1e-300), range(free, free + true.magnitude_count)
     names = [f"`{name}`" for name in true.values]
-    silent = [names[(k - free) % len(names)] for k in own if lengths[k] <= 1e-12 * lengths.max()]
-    yield not silent, f"nothing that is measured depends on {', '.join(silent)}", "something that does"
+    unseen = [names[(k - free) % len(names)] for k in own if lengths[k] <= 1e-12 * lengths.max()]
+    yield not unseen, f"nothing that is measured depends on {', '.join(unseen)}", "something that does"
     shares = np.array([_unexplained(R / lengths, k) for k in own])
     errors = 1 / np.maximum(shares * lengths[own], 1e-300)
     # Of a share below 3e-4 rounding is left; with an error above a tenth nothing said of a magnitude would mean much.
-    found = f"on the {bench.rig.name} link the chain's own parameters can stand in for all but {shares.min():.1g} of "
+    found = f"on the {trial.rig.name} link the chain's own parameters can stand in for all but {shares.min():.1g} of "
     found += f"what it does, so that its magnitude has a standard error of {errors.max():.2g} typical ones"
     expected = "a standard error below 0.1: a larger typical magnitude, or no other stiffness, damping or initial state"
     yield (errors < 0.1).all() and (shares > 3e-4).all(), found, expected
-    fitted = _fitted(start, bench, true)
+    fitted = _fitted(start, trial, true)
     yield fitted, "no fit that starts with one of its variants can be simulated", "finite motion"
     assert fitted
     off = np.abs(fitted.coordinates - true.coordinates)[: true.magnitude_count]
@@ -453,23 +458,23 @@ def _unexplained(columns: Array, k: int) -> float:
     return float(np.linalg.norm(columns[:, k] - others @ np.linalg.lstsq(others, columns[:, k], rcond=1e-12)[0]))
 
 
-def _problem(bench: _Bench, true: Effect, seed: int) -> TrajectoryProblem:
+def _problem(trial: _TrialRig, true: Effect, seed: int) -> TrajectoryProblem:
     """Return measurements with the effect present; none at the ends, where a late camera shows the arm outside."""
     random, observed = np.random.default_rng(seed), []
-    simulated = bench.simulate(Arm.of(bench.chain, (true,)), seed=seed)
-    for recording, shown in zip(bench.recordings, simulated, strict=True):
+    simulated = trial.simulate(Arm.of(trial.chain, (true,)), seed=seed)
+    for recording, shown in zip(trial.recordings, simulated, strict=True):
         inside = (recording.time >= recording.time[0] + 0.1) & (recording.time <= recording.time[-1] - 0.1)
         markers = shown.markers + _NOISE[0] * random.normal(size=shown.markers.shape)
         theta = shown.theta + _NOISE[1] * random.normal(size=shown.theta.shape)
         measured = replace(recording, markers=np.where(inside[:, None, None], markers, np.nan), theta=theta)
-        observed.append(Observations.of(bench.rig, measured, _NOISE))
-    return TrajectoryProblem(Parametrisation(bench.chain, "uniform", bench.rig.active_links), tuple(observed))
+        observed.append(Observations.of(trial.rig, measured, _NOISE))
+    return TrajectoryProblem(Parametrisation(trial.chain, "uniform", trial.rig.active_links), tuple(observed))
 
 
-def _fitted(start: TrajectoryFit, bench: _Bench, true: Effect) -> Effect | None:
+def _fitted(start: TrajectoryFit, trial: _TrialRig, true: Effect) -> Effect | None:
     """Fit the most promising variant at the true place, from half and twice its typical magnitudes."""
     same = ["link", *(one.name for one in true.parameters if one.integer)]
-    variants = CandidateSet.of([true], bench.rig, bench.recordings, start.point.runs).variants
+    variants = CandidateSet.of([true], trial.rig, trial.recordings, start.point.runs).variants
     variants = tuple(one for one in variants if all(getattr(one, name) == getattr(true, name) for name in same))
     variant = variants[int(np.argmax(Screen.of(start.point, (), variants).statistics))]
     best: TrajectoryFit | None = None

@@ -316,7 +316,8 @@ def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: 
 
     To first order in their compliance. A root joint, whose spring is far stiffer than the inertia that it carries is
     heavy, turns by its reaction over the stiffness. A base, which has a mass of its own, starts at rest and swings.
-    With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN.
+    With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN, as
+    it is where a reaction is not finite.
     """
     other = arm.chain
     added = _added_joints(chain, other)
@@ -331,7 +332,7 @@ def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: 
     equations = _EquationsOfMotion(arm, still)
     reactions = equations.inertial_torque(still) + equations.further_torque(still)
     inertia = equations.mechanism.mass_matrix(q[:1])[0]
-    if np.linalg.matrix_rank(inertia, hermitian=True) < other.size:
+    if np.linalg.matrix_rank(inertia, hermitian=True) < other.size or not np.isfinite(reactions[:, added]).all():
         return replace(trajectory, q=np.full_like(q, np.nan), v=v, a=a)
     elapsed = trajectory.step * np.arange(len(trajectory.time))
     for joint in added.tolist():
