@@ -57,8 +57,8 @@ def diagnose(
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
         seed: of all random numbers.
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
-            infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings, in
-            proportion more for longer ones, and twice as much for one process.
+            infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings or
+            3,500 frames, in proportion more for more of either, and twice as much for one process.
         progress: called with (text, done, total) while it runs.
 
     Returns:
@@ -139,9 +139,11 @@ def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFi
 
 def _default_budget(experiment: Experiment, jobs: int) -> float:
     """Return the time [s] that a diagnosis may take unless another is given."""
-    recorded = sum(float(np.ptp(recording.time)) for recording in experiment.with_role("train"))
-    # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings.
-    return 240.0 / min(jobs, 2) * max(1.0, recorded / 35.0)
+    train = experiment.with_role("train")
+    recorded, frames = sum(float(np.ptp(one.time)) for one in train), sum(one.frames.size for one in train)
+    # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings at 100 frames/s.
+    # What is simulated grows with both: a fast camera sees fast modes, which take short steps.
+    return 240.0 / min(jobs, 2) * max(1.0, recorded / 35.0, frames / 3500.0)
 
 
 def _findings(
