@@ -269,8 +269,8 @@ def test_a_known_model_is_fitted_again_only_if_it_may_be_in_another_minimum(monk
     search = selection.Search(RIG, start, [], selection.SearchOptions(), lambda text: None)
     refits: list[object] = []
     monkeypatch.setattr(selection, "refit", lambda *arguments: refits.append(arguments) or refit(*arguments))
-    known = {start.effect_keys: start}
-    assert search.refit_without(fit, fit.effects[0], known) is start
+    assert search.refit_without(fit, fit.effects[0], {start.effect_keys: start}) is start
+    assert search.refit_without(fit, fit.effects[0], {}) is start  # the search's own start, if nothing else is known
     assert not refits
     lost = TrajectoryFit(start.point.problem.point(1.3 * start.point.x, start.point.states))
     assert lost.chi2 > 10 * start.chi2

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from vjm.diagnosis.diagnose import _default_budget
 from vjm.diagnosis.records import (
     Alternative,
     Budget,
@@ -88,7 +90,7 @@ def findings(**changes: Any) -> Diagnosis:
         residuals=ResidualTest((), 0.4, 0.0),
         baseline_misfit=10.0,
         decrease=99.0,
-        least_decrease=25.0,
+        negligible=25.0,
         noise="white",
     )
     return replace(found, **changes)
@@ -156,6 +158,20 @@ def test_the_model_without_causes_is_recommended_where_they_make_predictions_wor
     assert worse.gain.harmful
     better = conclude(findings(recordings=(compared(recording(), large, small),)))
     assert better.recommended is better.model
+
+
+@pytest.mark.parametrize(
+    ("duration", "rate", "one", "two"),
+    [(5.0, 100, 240.0, 120.0), (10.0, 25, 2400.0 / 7, 1200.0 / 7), (5.0, 280, 480.0, 240.0)],
+    ids=["usual", "long", "fast camera"],
+)
+def test_the_usual_budget_grows_with_time_and_frames(duration: float, rate: int, one: float, two: float) -> None:
+    """From 35 s and 3,500 frames on, whichever is more beyond it."""
+    time = np.linspace(0.0, duration, int(duration * rate))
+    recording = Recording(time, np.zeros((time.size, 1, 2)), kind="decay", role="train")
+    experiment = SimpleNamespace(with_role=lambda role: [recording] * 5)
+    count = {jobs: _default_budget(experiment, jobs) for jobs in (1, 2, 8)}  # type: ignore[arg-type]
+    assert count == pytest.approx({1: one, 2: two, 8: two})
 
 
 def test_a_search_that_was_ended_says_what_it_has_not_tried() -> None:

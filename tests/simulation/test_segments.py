@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 
 from tests.diagnosis.rigs import NOISE, RIG, chain_of, recorded
 from vjm.effects import (
+    BaseCompliance,
+    ClampCompliance,
     ClockScale,
     Effect,
     ExternalTone,
@@ -90,6 +92,8 @@ def test_segments_are_linearised_together_as_each_alone(beside: tuple[Effect, ..
         TipPayload(link=0, mass=0.01),
         TimeOffset(delay=0.001),
         ViscoelasticCreep(link=0, ratio=0.05, time_constant=0.1),
+        ClampCompliance(link=0, compliance=1e-5),
+        BaseCompliance(stiffness=1e6, mass=1e3),
     )
     moved = [PerturbedArm(Arm.of(chain_of(), (*beside, effect)), 0.1) for effect in absent]
     together = list(linearize(parts, [moved] * len(parts)))

@@ -204,6 +204,8 @@ def test_stretches_of_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -
     chain, recording, state = hub()
     run = run_of(chain, recording, state)
     moved = [PerturbedArm(Arm(each), STEP) for each in changed(chain, STEP).values()]
+    for effect in JOINTS.values():
+        moved.append(PerturbedArm(Arm.of(chain, (effect.at(np.r_[1e-4, effect.coordinates[1:]]),)), 1e-4))
     whole = run.linearized(run.linearization(moved))
     monkeypatch.setattr("vjm.simulation.sensitivity._MOST_COEFFICIENTS", 2000)
     again = run_of(chain, recording, state)

@@ -42,8 +42,7 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     }
     alternatives = {}
     for cause in causes:
-        part = next(p for effect, p in zip(best.effects, best.point.problem.parts, strict=True) if effect is cause)
-        screened = directions.screen(present=(cause, part), chosen=candidates[cause.key])
+        screened = directions.screen(present=(cause, best.part_of(cause)), chosen=candidates[cause.key])
         others = [effect for effect in best.effects if effect is not cause]
         guesses = _substitute_sizes(screened, cause, tolerance)
         models = [

@@ -80,10 +80,7 @@ def information_of(fit: TrajectoryFit) -> Information:
 
 def predicted_increase(fit: TrajectoryFit, effect: Effect) -> float:
     """Return the increase of chi^2 without one of a model's effects, by its linear model with all else refitted."""
-    parts = zip(fit.effects, fit.point.problem.parts, strict=True)
-    start = next(part.start for one, part in parts if one is effect)
-    sizes = [start + k for k in effect.size_coordinates]
-    R = fit.point.reduced()[0].R[:, :-1]
+    sizes, R = fit.sizes_of(effect), fit.point.reduced()[0].R[:, :-1]
     others = np.delete(np.arange(fit.point.x.size), sizes)
     own = np.asarray(np.linalg.qr(R[:, [*others, *sizes]], mode="r"))[others.size :, others.size :]
     return float(np.sum((own @ fit.point.x[sizes]) ** 2))

@@ -31,9 +31,7 @@ def is_determined(fit: TrajectoryFit, effect: Effect, alpha: float) -> bool:
         effect: one of its effects.
         alpha: significance level.
     """
-    effects = zip(fit.effects, fit.point.problem.parts, strict=True)
-    start = next(part.start for one, part in effects if one is effect)
-    sizes = [start + k for k in effect.size_coordinates]
+    sizes = fit.sizes_of(effect)
     x, covariance = fit.estimate[sizes], information_of(fit).covariance[np.ix_(sizes, sizes)]
     if not np.isfinite(covariance).all():
         return False

@@ -91,8 +91,9 @@ def diagnose(
         # Where something is missing in the reference recordings already, an effect of the change must explain as much
         # of the others as it leaves: what was missing before may be that much larger in another motion. The same holds
         # for each further parameter, by which an effect may stand in for what was missing.
-        shares = (1.0, 1.0) if reference_misfit > 1 else (SearchOptions.least_share, SearchOptions.parameter_share)
-        options = SearchOptions(SearchOptions.alpha, *shares, max_effects, seed, deadline)
+        options = SearchOptions(max_effects=max_effects, seed=seed, deadline=deadline)
+        if reference_misfit > 1:
+            options = replace(options, least_share=1.0, parameter_share=1.0)
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
         exhausted = options.exhausted and not insufficient
@@ -177,7 +178,7 @@ def _findings(
         reference_misfit=reference_misfit,
         changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
         decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
-        least_decrease=search.negligible(best),
+        negligible=search.negligible(best),
         proposals=propose_recordings(open_loop, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,

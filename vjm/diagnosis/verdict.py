@@ -127,7 +127,7 @@ def is_unexplained(findings: Diagnosis) -> bool:
     if findings.reference_misfit > 1:
         # Misfits add in squares: at twice the old one, the new one is 1.7 times as large by itself.
         return findings.changed_misfit > 2 * findings.baseline_misfit
-    matters = findings.residuals.excess > findings.least_decrease
+    matters = findings.residuals.excess > findings.negligible
     return bool(findings.needed) or (findings.residuals.p_value < NOT_NOISE and matters)
 
 

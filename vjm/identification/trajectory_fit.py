@@ -292,6 +292,15 @@ class TrajectoryFit(Record):
         """Effects that do not act in the reference recordings."""
         return self.effects[self.point.problem.reference_effects :]
 
+    def part_of(self, effect: Effect) -> slice:
+        """Return the coordinates of one of the effects."""
+        each = zip(self.effects, self.point.problem.parts, strict=True)
+        return next(part for one, part in each if one is effect)
+
+    def sizes_of(self, effect: Effect) -> list[int]:
+        """Return the coordinates that are one of the effects' sizes."""
+        return [self.part_of(effect).start + k for k in effect.size_coordinates]
+
     @cached_property
     def effect_keys(self) -> frozenset[Key]:
         """Ids of the effects, each with its place."""

@@ -275,11 +275,11 @@ class _Fit:
         def misfit(x: Array) -> Array:
             return residual - self.change(x)
 
-        def slopes(x: Array) -> Array:
+        def jacobian(x: Array) -> Array:
             return -self.jacobian(x)
 
         def search(start: Array) -> Any:
-            return least_squares(misfit, start, slopes, x_scale="jac", max_nfev=30)
+            return least_squares(misfit, start, jacobian, x_scale="jac", max_nfev=30)
 
         start = np.zeros(_TERMS * len(self.modes) + (4 if len(self.sensors) > 1 else 2))
         best = search(start)
