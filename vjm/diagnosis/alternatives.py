@@ -64,27 +64,27 @@ def _equivalent_fits(
             increase = best.chi2 * (options.criterion(tried) / options.criterion(best) - 1)
             if increase < tolerance:
                 alternatives.append(Alternative(new[0], float(increase)))
-    return tuple(sorted(alternatives, key=lambda each: each.chi2_increase))
+    return tuple(sorted(alternatives, key=lambda alternative: alternative.chi2_increase))
 
 
 def _is_similar(first: Screen, cause: Effect, other: Effect) -> bool:
     """Return True if the directions of two effects in residual space are less than 60 degrees apart."""
-    one = [k for k, each in enumerate(first.effects) if each.key == cause.key]
-    two = [k for k, each in enumerate(first.effects) if each.key == other.key]
-    return any(first.cosines[i, j] > 0.5 for i in one for j in two)
+    causes = [k for k, effect in enumerate(first.effects) if effect.key == cause.key]
+    others = [k for k, effect in enumerate(first.effects) if effect.key == other.key]
+    return any(first.cosines[i, j] > 0.5 for i in causes for j in others)
 
 
 def _substitute_sizes(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
     """Return sizes (s,) of effects, one variant each, that by the linear model nearly replace a cause."""
     size = cause.coordinates[: cause.magnitude_count]
-    own = screened.R[:, screened.parts[0]] @ size  # change of the residuals by the cause
-    power = float(own @ own)
+    change = screened.R[:, screened.parts[0]] @ size  # change of the residuals by the cause
+    power = float(change @ change)
     remaining_chi2, guesses = np.full(len(screened.effects), np.inf), dict[int, Array]()
     for k in range(1, len(screened.effects)):
         columns = screened.R[:, screened.parts[k]]
         if screened.absorbed[k] or not np.isfinite(columns).all():
             continue
-        guess = np.asarray(np.linalg.lstsq(columns, own, rcond=1e-10)[0])
+        guess = np.asarray(np.linalg.lstsq(columns, change, rcond=1e-10)[0])
         guesses[k] = guess
         remaining_chi2[k] = power - float(np.sum((columns @ guess) ** 2))
     # The linear model is off by some times the tolerance, and the more the larger the effect: hence these margins.

@@ -65,8 +65,8 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     # Where the model lacks much, its best parameters are only a start for the search: a rough minimum will do.
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE_MISFIT).fit_from(joints, fit)
-    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [one])), one) for one in changed]
-    others = tuple(_prepared(one, sensor_noise, noise, delay) for one in outlier_free)
+    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [each])), each) for each in changed]
+    others = tuple(_prepared(each, sensor_noise, noise, delay) for each in outlier_free)
     fit = corrected_for_discretization(fit, experiment.rig) or fit
     return Baseline(fit, noise, others, (*search.data.problems, *unused))
 
@@ -101,10 +101,10 @@ def _further_recordings(
 def _simulated(point: Point, observed: Sequence[Observations]) -> list[Run]:
     """Simulate further recordings by the model of a fit; those that diverge are left out."""
     runs: list[Run] = []
-    for one in observed:
-        arm = point.problem.arms(point.x, [one.recording])[0]
+    for each in observed:
+        arm = point.problem.arms(point.x, [each.recording])[0]
         try:
-            runs += [run for run, _ in fit_initial_states([arm], [one], step_multiple=point.problem.step_multiple)]
+            runs += [run for run, _ in fit_initial_states([arm], [each], step_multiple=point.problem.step_multiple)]
         except SimulationDivergedError:
             continue
     return runs

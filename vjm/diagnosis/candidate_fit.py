@@ -82,19 +82,19 @@ def predicted_increase(fit: TrajectoryFit, effect: Effect) -> float:
     """Return the increase of chi^2 without one of a model's effects, by its linear model with all else refitted."""
     sizes, R = fit.sizes_of(effect), fit.point.reduced()[0].R[:, :-1]
     others = np.delete(np.arange(fit.point.x.size), sizes)
-    own = np.asarray(np.linalg.qr(R[:, [*others, *sizes]], mode="r"))[others.size :, others.size :]
-    return float(np.sum((own @ fit.point.x[sizes]) ** 2))
+    reduced = np.asarray(np.linalg.qr(R[:, [*others, *sizes]], mode="r"))[others.size :, others.size :]
+    return float(np.sum((reduced @ fit.point.x[sizes]) ** 2))
 
 
 def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
     """Return a fit's model with the estimates of its chain's parameters, for a rig and its noise [m, rad]."""
     parametrisation, information = fit.point.problem.parametrisation, information_of(fit)
-    own = slice(len(parametrisation.coordinates))
-    estimate, scores = fit.estimate[own], information.score_covariance[own, own]
-    kept = Information(information.normal[own, own], scores)
-    physical = parametrisation.physical_covariance(estimate, information.covariance[own, own])
+    chain_part = slice(len(parametrisation.coordinates))
+    estimate, scores = fit.estimate[chain_part], information.score_covariance[chain_part, chain_part]
+    kept = Information(information.normal[chain_part, chain_part], scores)
+    physical = parametrisation.physical_covariance(estimate, information.covariance[chain_part, chain_part])
     parameters = estimates(parametrisation, estimate, kept, physical)
-    chain = parametrisation.chain(fit.point.x[own])
+    chain = parametrisation.chain(fit.point.x[chain_part])
     return Model(chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)
 
 
@@ -272,19 +272,19 @@ def fit_segments(
     Raises:
         SimulationDivergedError, InsufficientDataError: the model cannot be simulated.
     """
-    observed = [part for one in whole for part in segments(one, duration)]
+    observed = [part for recording in whole for part in segments(recording, duration)]
     if len(fit.point.runs) != len(whole):
         observed = _with_preceding_motion(observed, fit.point.runs)
     problem = replace(fit.point.problem, observed=tuple(observed))
     states = [state_at(fit.point.runs, part) for part in observed]
     if len(fit.point.runs) == len(whole):
         states = _initial_states(problem, fit.point.x, states)
-    found = _fit_accurately(problem, fit.point.x, states, stop)
+    fitted = _fit_accurately(problem, fit.point.x, states, stop)
     # For effects with memory in later fits: their internal states follow the motion fitted here up to each segment.
-    observed = _with_preceding_motion([run.observed for run in found.point.runs], found.point.runs)
-    runs = [replace(run, observed=part) for run, part in zip(found.point.runs, observed, strict=True)]
+    observed = _with_preceding_motion([run.observed for run in fitted.point.runs], fitted.point.runs)
+    runs = [replace(run, observed=part) for run, part in zip(fitted.point.runs, observed, strict=True)]
     problem = replace(problem, observed=tuple(observed))
-    return replace(found, point=Point(problem, found.point.x, tuple(runs)), shift=fit.shift)
+    return replace(fitted, point=Point(problem, fitted.point.x, tuple(runs)), shift=fit.shift)
 
 
 def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:
@@ -327,7 +327,9 @@ def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]
     parts: dict[str, list[Run]] = {}
     for run in sorted(runs, key=lambda run: float(run.trajectory.time[0])):
         parts.setdefault(run.observed.recording.file, []).append(run)
-    motions = {file: _concatenate([run.trajectory for run in own], own[0].chain) for file, own in parts.items()}
+    motions = {
+        file: _concatenate([run.trajectory for run in own_runs], own_runs[0].chain) for file, own_runs in parts.items()
+    }
     return [
         replace(part, preceding=motions[part.recording.file]) if part.start is not None else part for part in observed
     ]
@@ -337,6 +339,6 @@ def _concatenate(paths: Sequence[Trajectory], chain: Chain) -> PrecedingMotion:
     """Concatenate the trajectories of a recording's segments, each up to where the next begins."""
     ends = [*(float(path.time[0]) for path in paths[1:]), np.inf]
     shown = [(path, path.time < end) for path, end in zip(paths, ends, strict=True)]
-    time = np.concatenate([path.elapsed(path.time)[own] for path, own in shown])
-    q, v = (np.concatenate([getattr(path, name)[own] for path, own in shown]) for name in ("q", "v"))
+    time = np.concatenate([path.elapsed(path.time)[shown_part] for path, shown_part in shown])
+    q, v = (np.concatenate([getattr(path, name)[shown_part] for path, shown_part in shown]) for name in ("q", "v"))
     return PrecedingMotion(chain, time, q, v)

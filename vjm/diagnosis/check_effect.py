@@ -183,7 +183,7 @@ def _form(effect: Effect, seed: int) -> _Checks:
 
 def _variants(effect: Effect) -> list[tuple[_TrialRig, Effect]]:
     """Return the absent effect wherever it can be, on each rig."""
-    return [(trial, own) for trial in _trial_rigs() for own in effect.variants(trial.rig, trial.recordings)]
+    return [(trial, variant) for trial in _trial_rigs() for variant in effect.variants(trial.rig, trial.recordings)]
 
 
 def _trial_coordinates(effect: Effect) -> list[Array]:
@@ -261,7 +261,8 @@ def _hooks(effect: Effect, seed: int) -> _Checks:
         calls, chain = _calls(trial, seed), trial.chain
         for present in map(absent.at, _trial_coordinates(absent)):
             own, driven = present.chain(chain), present.true_inputs(*calls["true_inputs"])
-            alike = isinstance(own, Chain) and [one.joint for one in own.links] == [one.joint for one in chain.links]
+            joints = [link.joint for link in chain.links]
+            alike = isinstance(own, Chain) and [link.joint for link in own.links] == joints
             yield alike, f"`chain` gives {type(own).__name__}", "a Chain with the same links and joints"
             yield isinstance(driven, Recording), f"`true_inputs` gives {type(driven).__name__}", "a Recording"
             yield from _array("`true_inputs(...).tau`", driven.tau, trial.recordings[0].tau.shape)
@@ -449,7 +450,10 @@ def _recovery(effect: Effect, seed: int) -> _Checks:
 
 
 def _values(effect: Effect) -> str:
-    return ", ".join(f"{one.name} {effect.values[one.name]:.4g} {one.unit}".rstrip() for one in effect.parameters)
+    return ", ".join(
+        f"{parameter.name} {effect.values[parameter.name]:.4g} {parameter.unit}".rstrip()
+        for parameter in effect.parameters
+    )
 
 
 def _unexplained(columns: Array, k: int) -> float:
@@ -473,18 +477,20 @@ def _problem(trial: _TrialRig, true: Effect, seed: int) -> TrajectoryProblem:
 
 def _fitted(start: TrajectoryFit, trial: _TrialRig, true: Effect) -> Effect | None:
     """Fit the most promising variant at the true place, from half and twice its typical magnitudes."""
-    same = ["link", *(one.name for one in true.parameters if one.integer)]
+    same = ["link", *(parameter.name for parameter in true.parameters if parameter.integer)]
     variants = CandidateSet.of([true], trial.rig, trial.recordings, start.point.runs).variants
-    variants = tuple(one for one in variants if all(getattr(one, name) == getattr(true, name) for name in same))
+    variants = tuple(
+        variant for variant in variants if all(getattr(variant, name) == getattr(true, name) for name in same)
+    )
     variant = variants[int(np.argmax(Screen.of(start.point, (), variants).statistics))]
     best: TrajectoryFit | None = None
     for size in (0.5, 2.0):
         coordinates = np.r_[np.full(true.magnitude_count, size), variant.coordinates[true.magnitude_count :]]
         wanted = variant.at(np.clip(coordinates, *variant.bounds))
-        found = refit(start, (wanted,), StoppingRule())
-        if found is not None and found.misfit > 1.02:
-            found = refit_other_frequencies(found)
-        best = min((one for one in (best, found) if one is not None), key=lambda one: one.chi2, default=None)
+        fit = refit(start, (wanted,), StoppingRule())
+        if fit is not None and fit.misfit > 1.02:
+            fit = refit_other_frequencies(fit)
+        best = min(filter(None, (best, fit)), key=lambda fit: fit.chi2, default=None)
         if best is not None and best.misfit < 1.02:
             break
     return None if best is None else best.effects[0]

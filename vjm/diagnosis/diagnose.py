@@ -141,7 +141,8 @@ def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFi
 def _default_budget(experiment: Experiment, jobs: int) -> float:
     """Return the time [s] that a diagnosis may take unless another is given."""
     train = experiment.with_role("train")
-    recorded, frames = sum(float(np.ptp(one.time)) for one in train), sum(one.frames.size for one in train)
+    recorded = sum(float(np.ptp(recording.time)) for recording in train)
+    frames = sum(recording.frames.size for recording in train)
     # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings at 100 frames/s.
     # What is simulated grows with both: a fast camera sees fast modes, which take short steps.
     return 240.0 / min(jobs, 2) * max(1.0, recorded / 35.0, frames / 3500.0)
@@ -217,7 +218,7 @@ def _compare_recordings(
     observed, by_best = replay_without_outliers(
         partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
     )
-    recordings = known | {one.recording.file: one.recording for one in observed}
+    recordings = known | {observation.recording.file: observation.recording for observation in observed}
 
     def by_file(model: TrajectoryFit | None) -> dict[str, SimulatedRecording]:
         if model is None:
@@ -241,14 +242,14 @@ def _with_holdout_gains(
     tested = held_out(recordings)
     if not tested:
         return tuple(causes)
-    after = _marker_rms([one.simulated for one in tested])
+    after = _marker_rms([comparison.simulated for comparison in tested])
     if len(causes) == 1:
-        return (replace(causes[0], holdout_gain=_marker_rms([one.reference for one in tested]) - after),)
+        return (replace(causes[0], holdout_gain=_marker_rms([comparison.reference for comparison in tested]) - after),)
     rig, gained = search.rig, []
     for cause in causes:
         without = result.fits.get(result.best.effect_keys - {cause.effect.key})
         try:
-            observed = [Observations.of(rig, one.recording, one.noise) for one in tested]
+            observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
             runs = [] if without is None else _simulate(without, observed)
         except SimulationDivergedError:
             runs = []
@@ -259,7 +260,7 @@ def _with_holdout_gains(
 
 def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
     """Return the RMS of the marker residuals of several recordings together [m]."""
-    residual = np.concatenate([one.marker_residual.ravel() for one in simulated if one is not None])
+    residual = np.concatenate([run.marker_residual.ravel() for run in simulated if run is not None])
     return float(np.sqrt(np.nanmean(residual**2)))
 
 
@@ -267,7 +268,7 @@ def _simulate(
     model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
 ) -> list[tuple[Run, bool]]:
     """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
-    arms = model.point.problem.arms(model.point.x, [one.recording for one in observed])
+    arms = model.point.problem.arms(model.point.x, [observation.recording for observation in observed])
     return fit_initial_states(arms, observed, states, model.point.problem.step_multiple)
 
 
@@ -293,7 +294,7 @@ def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) 
     """Describe what the model before any change gets wrong; None where it cannot simulate any recording."""
     count = 4  # more modes are hardly ever seen by a camera
     simulated = [comparison.reference for comparison in recordings if comparison.reference is not None]
-    payloads = {one.recording.payload for one in simulated}
+    payloads = {run.recording.payload for run in simulated}
     frequencies = {payload: reference.modes(payload).frequencies[:count].tolist() for payload in payloads}
     return Symptoms.of(reference.rig, simulated, frequencies) if simulated else None
 

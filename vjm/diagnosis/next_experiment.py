@@ -74,7 +74,7 @@ def _largest_motions(best: TrajectoryFit) -> list[Run]:
 
 def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Change) -> float:
     """Return the chi^2 of another model refitted to what a true one simulates; zero if either diverges."""
-    k = [one is run for one in true.point.runs].index(True)
+    k = [other is run for other in true.point.runs].index(True)
     try:
         shown, predicted = (_changed_run(model, k, change) for model in (true, other))
         moved = replace(other.point.problem, observed=(predicted.observed,)).perturbed_arms(other.point.x)[0]

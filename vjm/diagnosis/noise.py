@@ -65,8 +65,8 @@ class Noise:
         encoders = np.arange(observed.markers.size, observed.count)
         entries = [(encoders, encoders, np.ones(encoders.size))]
         for channel in np.unique(coordinates):
-            own = np.flatnonzero(coordinates == channel)
-            entries += _prediction_errors(own, numbers[frames[own]], self.autoregression.size, correlation)
+            values = np.flatnonzero(coordinates == channel)
+            entries += _prediction_errors(values, numbers[frames[values]], self.autoregression.size, correlation)
         rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
         shape = (observed.count, observed.count)
         return replace(observed, whitening=sparse.csr_array((values, (rows, columns)), shape=shape))
@@ -180,10 +180,10 @@ def _autoregression(correlation: Array, count: int) -> Array:
 
 
 def _prediction_errors(
-    own: Indices, numbers: Indices, order: int, correlation: Array
+    values: Indices, numbers: Indices, order: int, correlation: Array
 ) -> Iterator[tuple[Indices, Indices, Array]]:
     """Yield entries (row, column, value) of the whitening of one coordinate, by pattern of earlier frames."""
-    count = own.size
+    count = values.size
     lags_before = np.full((count, order), -1)
     for k in range(order):
         lag = numbers[k + 1 :] - numbers[: count - k - 1]
@@ -195,6 +195,6 @@ def _prediction_errors(
         among = correlation[np.abs(lags[:, None] - lags[None, :])]
         weights = np.linalg.solve(among, correlation[lags]) if lags.size else np.zeros(0)
         std = np.sqrt(max(1 - float(weights @ correlation[lags]), 1e-6))  # of noise that is next to deterministic
-        yield own[at], own[at], np.full(at.size, 1 / std)
+        yield values[at], values[at], np.full(at.size, 1 / std)
         for k, weight in enumerate(weights.tolist()):
-            yield own[at], own[at - k - 1], np.full(at.size, -weight / std)
+            yield values[at], values[at - k - 1], np.full(at.size, -weight / std)

@@ -249,13 +249,13 @@ class Diagnosis(SimulatedResult):
     @property
     def most_improved(self) -> RecordingComparison | None:
         """Recording in which the causes gain most; held-out ones count twice. None where none can be simulated."""
-        usable = [one for one in self.recordings if one.reference is not None and one.simulated is not None]
+        usable = [pair for pair in self.recordings if pair.reference is not None and pair.simulated is not None]
         # Fewer frames than 40 show little of a motion.
-        moving = [one for one in usable if one.recording.kind != "quiet" and one.recording.frames.size >= 40]
+        moving = [pair for pair in usable if pair.recording.kind != "quiet" and pair.recording.frames.size >= 40]
         return max(moving or usable, key=_improvement, default=None)
 
 
 def _improvement(comparison: RecordingComparison) -> float:
-    before, after = (0.0 if one is None else one.marker_rms for one in (comparison.reference, comparison.simulated))
+    before, after = (0.0 if run is None else run.marker_rms for run in (comparison.reference, comparison.simulated))
     weight = 2.0 if comparison.recording.role == "holdout" else 1.0
     return weight * (before**2 - after**2) / comparison.noise[0] ** 2

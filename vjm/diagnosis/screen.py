@@ -201,10 +201,10 @@ class Directions:
         """
         joints = [k for k, variant in enumerate(variants) if _is_simulated(variant, point)]
         secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
-        found = [{k: own[n] for k, own in zip(joints, secants, strict=True)} for n in range(len(point.runs))]
+        secants_by_run = [{k: own[n] for k, own in zip(joints, secants, strict=True)} for n in range(len(point.runs))]
         edges = np.linspace(0, len(point.runs), 2 if workers.count == 1 else 2 * workers.count + 1, dtype=int)
         groups = [slice(first, last) for first, last in pairwise(edges.tolist()) if first < last]
-        jobs = [(_some_recordings(point, group), found[group]) for group in groups]
+        jobs = [(_some_recordings(point, group), secants_by_run[group]) for group in groups]
         linearized = [each for some in workers.map(partial(_linearized, present, variants), jobs) for each in some]
         parts = _parts([variant.magnitude_count for variant in variants])
         unprojected = sum((squares for _, squares in linearized), start=np.zeros(parts[-1].stop if parts else 0))
@@ -255,8 +255,8 @@ def _linearized(
     extended = [_extended(point, present, variant) for variant in variants]
     coordinates = point.problem.perturbed_arms(point.x)
     moved = [
-        (*own, *(arm for arms in extended for arm in _moved(run, arms)))
-        for run, own in zip(point.runs, coordinates, strict=True)
+        (*arms, *(arm for arms in extended for arm in _moved(run, arms)))
+        for run, arms in zip(point.runs, coordinates, strict=True)
     ]
     parts = _parts([variant.magnitude_count for variant in variants])
     each = zip(point.runs, linearize(point.runs, moved), secants, strict=True)
@@ -329,10 +329,10 @@ def _secants(point: Point, present: Sequence[Effect], variant: Effect) -> list[A
     """
     null = [run.residual for run in point.runs]
     try:
-        found = _residuals(point, present, _with_size(variant, 0, LEAST_START))
+        residuals = _residuals(point, present, _with_size(variant, 0, LEAST_START))
     except SimulationDivergedError:
         return [np.full(residual.size, np.inf) for residual in null]
-    return [(r0 - r1) / LEAST_START for r0, r1 in zip(null, found, strict=True)]
+    return [(r0 - r1) / LEAST_START for r0, r1 in zip(null, residuals, strict=True)]
 
 
 def _residuals(point: Point, present: Sequence[Effect], added: Effect) -> list[Array]:
@@ -381,14 +381,14 @@ class CandidateSet:
             if reason:
                 untestable.append(Candidate.untestable(effect, reason))
                 continue
-            own, tests = effect.variants(rig, recordings), 1.0
+            effect_variants, tests = effect.variants(rig, recordings), 1.0
             for parameter in effect.parameters:
                 if parameter.from_spectrum:
-                    own, tests = spectral_starts(parameter, own, runs, over_time)
-            if not own:
+                    effect_variants, tests = spectral_starts(parameter, effect_variants, runs, over_time)
+            if not effect_variants:
                 untestable.append(Candidate.untestable(effect, "the joints turn too little to show a whole wave"))
-            variants += own
-            multiplicity += [tests] * len(own)
+            variants += effect_variants
+            multiplicity += [tests] * len(effect_variants)
         return cls(tuple(variants), np.array(multiplicity), tuple(untestable))
 
 
@@ -427,18 +427,18 @@ class FamilyTest:
 
     def p_value(self, key: Key) -> float:
         """Return the smallest p-value of an effect's variants; one where it was not among the candidates."""
-        found = zip(self.screen.effects, self.p_values.tolist(), strict=True)
-        return min((p for effect, p in found if effect.key == key), default=1.0)
+        p_values = zip(self.screen.effects, self.p_values.tolist(), strict=True)
+        return min((p for effect, p in p_values if effect.key == key), default=1.0)
 
     def p_of_fit(self, effect: Effect, decrease: float) -> float:
         """Return the p-value of a fitted effect that lowers chi^2 by so much (likelihood ratio)."""
-        own = [
+        tests = [
             count
             for count, variant in zip(self.multiplicity.tolist(), self.screen.effects, strict=True)
             if variant.key == effect.key
         ]
         single = np.array([stats.chi2.sf(decrease, effect.coordinates.size)])
-        return float(_sidak(_sidak(single, max(own, default=1.0)), self.tests)[0])
+        return float(_sidak(_sidak(single, max(tests, default=1.0)), self.tests)[0])
 
     def _threshold(self, alpha: float) -> Array:
         """Return the z (V,) from which a candidate's p-value is below alpha."""

@@ -133,7 +133,7 @@ class Search:
         self.rig, self.start, self.effects, self.options = rig, start, effects, options
         self.report, self.workers = report, workers
         self.whole = tuple(replace(run.observed, discretization_offset=None) for run in start.point.runs)
-        self.recordings = [one.recording for one in self.whole]
+        self.recordings = [observed.recording for observed in self.whole]
         self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
         self.p_values: dict[Key, float] = {}
         self.unfinished: set[str] = set()
@@ -267,9 +267,9 @@ class Search:
 
         def likely(chosen: Sequence[int]) -> list[Run]:
             states = [state_at(fit.point.runs, self.whole[k]) for k in chosen]
-            own = [self.whole[k] for k in chosen]
-            found = fit_initial_states([arms[k] for k in chosen], own, states, problem.step_multiple)
-            return [run for run, _ in found]
+            observed = [self.whole[k] for k in chosen]
+            fitted = fit_initial_states([arms[k] for k in chosen], observed, states, problem.step_multiple)
+            return [run for run, _ in fitted]
 
         try:
             runs = likely(range(len(arms)))
@@ -285,10 +285,10 @@ class Search:
         """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
         best = result.best
         for fits in (result.fits, result.segment_fits):
-            others = [one for one in fits.values() if len(one.new_effects) == len(best.new_effects) > 0]
-            others = [one for one in others if one.effect_keys != best.effect_keys]
+            others = [fit for fit in fits.values() if len(fit.new_effects) == len(best.new_effects) > 0]
+            others = [fit for fit in others if fit.effect_keys != best.effect_keys]
             # Stick-slip and play are slow to fit: only where the best model has such an effect.
-            others = [one for one in others if not is_nonsmooth(one.effects) or is_nonsmooth(best.effects)]
+            others = [fit for fit in others if not is_nonsmooth(fit.effects) or is_nonsmooth(best.effects)]
             if others and not self.options.exhausted:
                 self.report("fitting the next best")
                 second = min(others, key=self.options.criterion)
@@ -342,7 +342,7 @@ class Search:
 
     def is_followed(self, fit: TrajectoryFit) -> bool:
         """Return True if a model follows each recording so closely that its linearization is valid."""
-        files = [one.recording.file for one in self.whole]
+        files = [observed.recording.file for observed in self.whole]
         return all(
             is_followed([run for run in fit.point.runs if run.observed.recording.file == file]) for file in files
         )
@@ -386,10 +386,11 @@ class Search:
         fit exceeds what the rest can gain; stick-slip and play, which are slow to fit, come last. All are fitted where
         the model is too far from the recordings for a linear model; compliant joints always are, being nonlinear early.
         """
-        screened, found, followed, base = family.screen, None, self.is_followed(best), fits.get(self.start.effect_keys)
+        screened, followed, base = family.screen, self.is_followed(best), fits.get(self.start.effect_keys)
+        trial: TrajectoryFit | None = None
 
         def promises(k: int) -> bool:
-            gained = 0.0 if found is None else best.chi2 - found.chi2
+            gained = 0.0 if trial is None else best.chi2 - trial.chi2
             effect = screened.effects[k]
             compliant = effect.adds_joint(best.point.chain) and not (effect.nonsmooth or effect.proportional)
             # Compliant joints are always fitted in the first segments only: longer ones have better linear predictions
@@ -398,22 +399,22 @@ class Search:
 
         for batch in _batches(sorted(needed, key=lambda k: screened.effects[k].nonsmooth), self.workers.count):
             promising = [self._with_candidates(best, family, [k]) for k in batch if promises(k)]
-            found = self._best_fit(best, promising, found, fits) if promising else found
-            if self._explains_all(found, best):
-                return found
-        added = [] if found is None else [effect for effect in found.effects if effect.key not in best.effect_keys]
-        if found is not None and any(effect.adds_joint(best.point.chain) for effect in added):
-            found = fits[found.effect_keys] = refit_other_frequencies(found, self.options.deadline)
-        if base is not None and len(best.new_effects) == 1 and not self._explains_all(found, best):
-            found = self._best_fit(base, self._pairs(base, best), found, fits)
-        return found
+            trial = self._best_fit(best, promising, trial, fits) if promising else trial
+            if self._explains_all(trial, best):
+                return trial
+        added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
+        if trial is not None and any(effect.adds_joint(best.point.chain) for effect in added):
+            trial = fits[trial.effect_keys] = refit_other_frequencies(trial, self.options.deadline)
+        if base is not None and len(best.new_effects) == 1 and not self._explains_all(trial, best):
+            trial = self._best_fit(base, self._pairs(base, best), trial, fits)
+        return trial
 
     def _best_fit(
-        self, start: TrajectoryFit, steps: Sequence[Sequence[Effect]], found: TrajectoryFit | None, fits: Fits
+        self, start: TrajectoryFit, steps: Sequence[Sequence[Effect]], best: TrajectoryFit | None, fits: Fits
     ) -> TrajectoryFit | None:
-        """Fit models from a start, and return the best of them and of the one found so far."""
-        trials = self.fit_models(start, steps, np.inf if found is None else found.chi2, fits)
-        return min([*trials, *([] if found is None else [found])], key=self.options.criterion, default=None)
+        """Fit models from a start, and return the best of them and of the best so far."""
+        trials = self.fit_models(start, steps, np.inf if best is None else best.chi2, fits)
+        return min([*trials, *([] if best is None else [best])], key=self.options.criterion, default=None)
 
     def fit_models(
         self, start: TrajectoryFit, models: Sequence[Sequence[Effect]], max_chi2: float, fits: Fits
@@ -426,10 +427,11 @@ class Search:
             max_chi2: fits that stay above it are given up.
             fits: known ones, which are not fitted again, and the new ones.
         """
-        keys = [frozenset(one.key for one in effects) for effects in models]
+        keys = [frozenset(effect.key for effect in effects) for effects in models]
         new = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
         if new:
-            added = sorted({one.id for effects in new for one in effects} - {one.id for one in start.effects})
+            present = {effect.id for effect in start.effects}
+            added = sorted({effect.id for effects in new for effect in effects} - present)
             if not self.options.exhausted:
                 names = " and ".join(added[:2]) + (f" and {len(added) - 2} more" if len(added) > 2 else "")
                 self.report(
@@ -445,8 +447,8 @@ class Search:
         """Return a model's effects and further ones, with starting values by the linear model."""
         added = [family.screen.effects[k] for k in chosen]
         guess = family.screen.best_sizes(chosen)
-        parts = np.split(guess, np.cumsum([one.magnitude_count for one in added])[:-1])
-        starts = [family.screen.starting_variant(k, own) for k, own in zip(chosen, parts, strict=True)]
+        parts = np.split(guess, np.cumsum([effect.magnitude_count for effect in added])[:-1])
+        starts = [family.screen.starting_variant(k, sizes) for k, sizes in zip(chosen, parts, strict=True)]
         sized = [starting_effect(*start, fit.point.chain) for start in starts]
         return (*fit.effects, *sized)
 
@@ -454,8 +456,8 @@ class Search:
         """Return True if only noise is left, within five standard deviations, or what stick-slip or play may leave."""
         if fit is None:
             return False
-        rest = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
-        return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + rest)
+        allowed = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
+        return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + allowed)
 
     def _matters(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
         return bool(fewer.chi2 - more.chi2 > self.least_decrease(more))
@@ -482,13 +484,13 @@ class Search:
             fits: known ones, and the new one.
             max_chi2: a fit that stays above it is given up.
         """
-        kept = tuple(one for one in fit.effects if one is not effect)
+        kept = tuple(other for other in fit.effects if other is not effect)
         names, whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
         known = fits.get(names, self.start if whole and names == self.start.effect_keys else None)
         if known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect):
             return known
         fewer = refit(fit, kept, self.options.stop(max_chi2))
-        best = min((one for one in (fewer, known) if one is not None), key=lambda one: one.chi2, default=None)
+        best = min(filter(None, (fewer, known)), key=lambda fit: fit.chi2, default=None)
         if best is not None:
             fits[best.effect_keys] = best
         return best

@@ -49,9 +49,9 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
 
 def held_out(recordings: Sequence[RecordingComparison]) -> list[RecordingComparison]:
     """Return the held-out recordings that judge the causes: those in which something may have changed, if there are."""
-    usable = [one for one in recordings if one.recording.role == "holdout" and one.reference and one.simulated]
-    usable = [one for one in usable if one.recording.frames.size]
-    return [one for one in usable if one.recording.condition != REFERENCE] or usable
+    usable = [pair for pair in recordings if pair.recording.role == "holdout" and pair.reference and pair.simulated]
+    usable = [pair for pair in usable if pair.recording.frames.size]
+    return [pair for pair in usable if pair.recording.condition != REFERENCE] or usable
 
 
 def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:
@@ -170,8 +170,8 @@ def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     # Without a cause that explains 1 % of that, the RMS of what was wrong changes by half a percent: less than the two
     # digits that are shown of it.
     roles = [replace(cause, role="minor" if cause.decrease < 0.01 * most else "main") for cause in causes]
-    main = sorted((one for one in roles if one.role == "main"), key=lambda one: -one.decrease)
-    minor = sorted((one for one in roles if one.role == "minor"), key=lambda one: -(one.holdout_gain or 0.0))
+    main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
+    minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)
 
 
@@ -183,7 +183,7 @@ def _without_causes(findings: Diagnosis) -> Diagnosis:
         causes=(),
         model=findings.reference,
         next_best=(),
-        recordings=tuple(replace(one, simulated=one.reference, alternative=None) for one in findings.recordings),
+        recordings=tuple(replace(pair, simulated=pair.reference, alternative=None) for pair in findings.recordings),
         warnings=(*findings.warnings, warning),
     )
 
