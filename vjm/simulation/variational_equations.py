@@ -14,6 +14,7 @@ from scipy import linalg, signal
 from scipy.interpolate import CubicSpline
 
 from vjm.chain.virtual_links import Chain
+from vjm.effects.effect import is_nonsmooth
 from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
@@ -142,10 +143,12 @@ class _EquationsOfMotion:
         """Return M a + h (I, nv)."""
         return self.mechanism.inverse_dynamics(motion.q, motion.v, motion.a)
 
-    def inertia_of(self, joint: int, motion: Motions) -> Array:
-        """Return the torques (I, nv) on all joints by a unit of acceleration of one."""
-        unit = motion.a + (np.arange(motion.a.shape[1]) == joint)
-        return self.inertial_torque(motion._replace(a=unit)) - self.inertial_torque(motion)
+    def inertia(self, motion: Motions, joints: Indices) -> Array:
+        """Return columns (I, nv, r) of the mass matrices: torques on all joints by unit accelerations of r of them."""
+        rest = np.zeros(motion.v.shape)
+        still, every = self.mechanism.inverse_dynamics(motion.q, rest, rest), np.arange(motion.v.shape[1])
+        units = (np.broadcast_to((every == joint).astype(float), rest.shape) for joint in joints.tolist())
+        return np.stack([self.mechanism.inverse_dynamics(motion.q, rest, unit) - still for unit in units], axis=2)
 
     def further_torque(self, motion: Motions) -> Array:
         """Return the effects' forces, with reversed sign (I, nv)."""
@@ -158,42 +161,58 @@ class _EquationsOfMotion:
         return self.arm.state_rates(motion.elapsed, motion.q, motion.v, motion.z)
 
 
-class _AddedJoint(NamedTuple):
-    """Motion of a joint that a perturbed arm has in addition, per unit of its parameter."""
+class _InertialForcing(NamedTuple):
+    """Modal accelerations by a parameter that are proportional to r accelerations of the motion, or of added joints.
+
+    Joints that only the perturbed arm has move by a multiple of the parameter, and carry the others with them.
+    """
 
     column: int  # the parameter's
-    inertia: Array  # (I, m) modal accelerations by its acceleration, with reversed sign
-    q: Array  # (I,)
+    inertia: Array  # (I, m, r) with reversed sign
+    q: Array  # (I, r)
     v: Array
     a: Array
 
     def during(self, part: slice) -> Self:
-        """Return the motion at some of its instants."""
+        """Return the forcing at some of its instants."""
         return self._replace(inertia=self.inertia[part], q=self.q[part], v=self.v[part], a=self.a[part])
 
-    def carried(self, part: slice, by: Array) -> Array:
-        """Return modal coordinates and rates (K, 2 m) by which the joint carries the arm, at an inertia (K, m)."""
-        return np.concatenate([self.q[part, None] * by, self.v[part, None] * by], axis=1)
+    def carried(self, first: slice, part: slice, elapsed: float, by: Array) -> Array:
+        """Return modal coordinates and rates (K, 2 m) that its accelerations make since the first instants [s].
+
+        Args:
+            first: K instants at which intervals begin.
+            part: K later ones.
+            elapsed: time between them [s].
+            by: (K, m, r) inertia.
+        """
+        q = self.q[part] - self.q[first] - elapsed * self.v[first]
+        return np.concatenate([_times(by, q), _times(by, self.v[part] - self.v[first])], axis=1)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """Return products (K, m) of matrices (K, m, r) and vectors (K, r)."""
+    return np.asarray(np.matmul(matrices, vectors[:, :, None])[:, :, 0])
 
 
 class Coefficients(NamedTuple):
     """Coefficients of the variational equations along a motion of I instants.
 
     They are derivatives of m modal accelerations and nz internal states' rates. Those by the parameters do not include
-    what the accelerations of added joints do.
+    inertial forcing.
     """
 
     by_state: Array  # (I, m + nz, 2 m + nz), by modal coordinates, rates and internal states
     by_parameters: Array  # (I, m + nz, p)
-    joints: tuple[_AddedJoint, ...]
+    inertial: tuple[_InertialForcing, ...]
 
     @property
     def accelerations(self) -> Array:
-        """(I, m, p) accelerations by the parameters, those of added joints included."""
+        """(I, m, p) accelerations by the parameters, inertial forcing included."""
         m = self.by_state.shape[2] - self.by_state.shape[1]
         total = self.by_parameters[:, :m].copy()
-        for joint in self.joints:
-            total[:, :, joint.column] -= joint.a[:, None] * joint.inertia
+        for forcing in self.inertial:
+            total[:, :, forcing.column] -= _times(forcing.inertia, forcing.a)
         return total
 
 
@@ -242,30 +261,37 @@ def coefficients_along(
         other = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / DIFFERENCE_STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / DIFFERENCE_STEP
-    joints: list[tuple[int, int, Array]] = []  # parameter, coordinate, and torques (I, nv) by its acceleration
+    forcing: list[tuple[int, Array, Motions, Indices]] = []  # parameter, torques (I, nv, r) by accelerations, of joints
+    impulsive = is_nonsmooth(arm.effects)
+    at_rest = equations.inertial_torque(motion._replace(a=np.zeros(motion.a.shape))) if impulsive else inertial
     for k, (moved, other) in enumerate(zip(perturbed, others, strict=True)):
-        added = _added_joints(chain, moved.arm.chain)
-        held = other._replace(a=np.where(np.isin(np.arange(other.a.shape[1]), added), 0.0, other.a))
-        change = _parameter_derivatives(equations, moved, held, (inertial, further, state_rates))
+        every, added = np.arange(other.a.shape[1]), _added_joints(chain, moved.arm.chain)
+        # Accelerations that may jump, or peak in impacts, are not forces to be interpolated between instants.
+        changed = impulsive and (added.size > 0 or not have_equal_links(chain, moved.arm.chain, _OF_BODIES))
+        apart = every if changed else added
+        held = other._replace(a=np.where(np.isin(every, apart), 0.0, other.a))
+        nominal = (at_rest if changed else inertial, further, state_rates)
+        change = _parameter_derivatives(equations, moved, held, nominal)
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
-        for joint in added.tolist():
-            by_unit = _EquationsOfMotion(moved.arm, held).inertia_of(joint, held)
-            joints.append((k, joint, np.delete(by_unit, added, axis=1)))
+        if apart.size:
+            kept = np.delete(every, added)
+            by_unit = _EquationsOfMotion(moved.arm, held).inertia(held, apart)[:, kept]
+            if changed:
+                by_unit[:, :, kept] -= inertia
+            forcing.append((k, by_unit / moved.step, other, apart))
     transposed = np.swapaxes(shapes, 1, 2)
     modal = transposed @ inertia @ shapes
     lower = np.concatenate([-np.linalg.solve(modal, transposed @ forces), rates], axis=1)
-    moving = []
-    for k, joint, by_unit in joints:
-        accelerations = np.asarray(np.linalg.solve(modal, transposed @ by_unit[:, :, None])[:, :, 0], dtype=float)
-        q, v, a = (
-            np.asarray(values[:, joint] / perturbed[k].step) for values in (others[k].q, others[k].v, others[k].a)
-        )
-        moving.append(_AddedJoint(k, accelerations, q, v, a))
+    inertial_forcing = []
+    for k, by_unit, path, joints in forcing:
+        by_acceleration = np.asarray(np.linalg.solve(modal, transposed @ by_unit), dtype=float)
+        accelerating = (values[:, joints] for values in (path.q, path.v, path.a))
+        inertial_forcing.append(_InertialForcing(k, by_acceleration, *accelerating))
     return [
         Coefficients(
             lower[part, :, : 2 * m + nz],
             lower[part, :, 2 * m + nz :],
-            tuple(one.during(part) for one in moving),
+            tuple(each.during(part) for each in inertial_forcing),
         )
         for part in motion.parts
     ]
@@ -361,32 +387,28 @@ def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
 def propagators(coefficients: Coefficients, interval: float) -> tuple[Array, Array]:
     """Return transition matrices (K, d, d) of K intervals of three instants each, and the forcing's part (K, d, p).
 
-    An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants. Added
-    joints follow reactions that may have kinks, so that their accelerations cannot be integrated. The unknowns of an
-    interval are therefore the arm's motion and that by which the joint carries it at the inertia in the middle: in the
-    sum, only changes of that inertia remain beside the accelerations.
+    An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants. Inertial
+    forcing follows accelerations that may have kinks, jumps or peaks, and cannot be interpolated. The unknowns of an
+    interval are therefore the arm's motion and what these accelerations make of it since its beginning, at the inertia
+    in its middle: in the sum, only changes of that inertia remain beside the accelerations.
     """
-    state, forcing, joints = coefficients
+    state, forcing, inertial = coefficients
     lower, size = state.shape[1:]
     upper = size - lower  # modal coordinates, whose rates of change are unknowns themselves
     L = np.zeros((len(state), size, size))
     L[:, :upper, upper : 2 * upper] = np.eye(upper)
     L[:, upper:] = state
-    parts = [slice(k, len(L) - 2 + k, 2) for k in (0, 1, 2)]
+    first, middle, last = parts = [slice(k, len(L) - 2 + k, 2) for k in (0, 1, 2)]
     F = np.zeros((3, len(L) // 2, size, forcing.shape[2]))
-    for own, part in zip(F, parts, strict=True):
-        own[:, upper:] = forcing[part]
-        for joint in joints:
-            by = joint.inertia[parts[1]]
-            own[:, upper:, joint.column] -= np.einsum(
-                "kij,kj->ki", state[part, :, : 2 * upper], joint.carried(part, by)
-            )
-            own[:, upper : 2 * upper, joint.column] -= (joint.inertia[part] - by) * joint.a[part, None]
+    for values, part, elapsed in zip(F, parts, (0.0, interval / 2, interval), strict=True):
+        values[:, upper:] = forcing[part]
+        for each in inertial:
+            carried = each.carried(first, part, elapsed, each.inertia[middle])
+            values[:, upper:, each.column] -= _times(state[part, :, : 2 * upper], carried)
+            values[:, upper : 2 * upper, each.column] -= _times(each.inertia[part] - each.inertia[middle], each.a[part])
     (L1, L2, L3), (F1, F2, F3) = (L[part] for part in parts), F
     flow, phi1, phi2, phi3 = phi_functions((L1 + 4 * L2 + L3) / 6, interval, upper)
     forced = interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
-    for joint in joints:
-        before, after = (joint.carried(part, joint.inertia[parts[1]]) for part in (parts[0], parts[2]))
-        forced[:, :, joint.column] += np.einsum("kij,kj->ki", flow[:, :, : 2 * upper], before)
-        forced[:, : 2 * upper, joint.column] -= after
+    for each in inertial:
+        forced[:, : 2 * upper, each.column] -= each.carried(first, last, interval, each.inertia[middle])
     return flow, forced
