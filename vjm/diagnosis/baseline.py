@@ -58,7 +58,7 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     # The measured noise, whose own error is below 10 %, replaces a given one only if it is larger by more than that.
     if noise.std is not None and (experiment.rig.marker_noise is None or noise.std > 1.1 * sensor_noise[0]):
         sensor_noise = (noise.std, sensor_noise[1])
-    # With eight joints the third mode's frequency is right to about one per cent (error of order 1/n^2).
+    # With eight joints the third mode's frequency is right to 0.1 % (`tests/chain/test_layout_accuracy.py`).
     joints = tuple(max(8, link.virtual_joints) for link in fit.point.chain.links)
     delay = max(effect.longest_delay(experiment.rig) for effect in BUILTIN)
     observed = tuple(_prepared(trimmed(run), sensor_noise, noise, delay) for run in runs)

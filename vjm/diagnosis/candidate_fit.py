@@ -64,7 +64,7 @@ class StoppingRule:
 
 
 def _least_decrease(point: Point) -> float:
-    """Return the decrease of chi^2 that five accepted steps must bring for a fit to go on.
+    """Return the decrease of chi^2 that four accepted steps must bring for a fit to go on.
 
     The first bound is just below the decrease from which an effect matters (`SearchOptions.least_share`). The second is
     a tenth of the excess over noise: at that rate the fit would need ten times as many steps to come down to noise.

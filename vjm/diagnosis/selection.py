@@ -81,7 +81,7 @@ class SearchOptions:
         return fit.chi2 * (1 + self.parameter_share) ** parameters
 
     def least_decrease(self, chi2: float) -> float:
-        """Return the decrease to a chi^2 from which an effect matters."""
+        """Return the decrease of a chi^2 from which an effect matters: a share of what remains after it."""
         return chi2 * self.least_share / (1 + self.least_share)
 
 
@@ -460,12 +460,14 @@ class Search:
         return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + allowed)
 
     def _matters(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
-        return bool(fewer.chi2 - more.chi2 > self.least_decrease(more))
+        gained = fewer.chi2 - more.chi2
+        return bool(gained > self.least_decrease(fewer, gained))
 
     def _backward_elimination(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects that the others make needless."""
         for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
-            fewer = self.refit_without(fit, effect, fits, fit.chi2 + float(self.least_decrease(fit)))
+            largest = fit.chi2 + max(self.options.least_share * fit.chi2, self.negligible(fit))
+            fewer = self.refit_without(fit, effect, fits, largest)
             if fewer is not None and not self._matters(fewer, fit):
                 return self._backward_elimination(fewer, fits)
         return fit
