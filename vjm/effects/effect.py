@@ -93,7 +93,7 @@ class Parameter:
         return low, high
 
     def on(self, rig_units: tuple[float, float, float] | None) -> Parameter:
-        """Return the parameter in SI, from a rig's units of length [m], mass [kg], time [s]; None: only signs bounded.
+        """Return the parameter in SI, from a rig's units of length [m], mass [kg], time [s]; None: signs are bounded.
 
         Raises:
             ShapeError: a unit that is no product of powers of known ones.
