@@ -34,7 +34,7 @@ Progress = Callable[[str, int, int], None]  # called with (text, done, total) no
 class Stages:
     """Overall progress of a computation whose number of stages is not known before: each takes a share of what remains.
 
-    Where more of the time that it may take has gone, that is its progress.
+    Where a larger share of the time budget has passed, that is the progress instead.
     """
 
     def __init__(self, progress: Progress | None, share: float, budget: float = math.inf) -> None:

@@ -141,17 +141,19 @@ def transfer_state(given: Chain, wanted: Chain, state: Array) -> Array:
     that did not move stands still.
     """
     links = zip(given.links, wanted.links, given.passive_slices, wanted.passive_slices, strict=True)
-    turn = np.zeros((wanted.size, given.size))
-    turn[wanted.active, given.active] = 1.0
-    turn[: wanted.base_size, : given.base_size] = 1.0
-    for one, two, here, there in links:
-        curvature = _curvature_spline(one)
-        turn[there, here] = two.cells[:, None] * curvature(two.joint_arcs)
-        if two.root_stiffness is None:
+    transform = np.zeros((wanted.size, given.size))
+    transform[wanted.active, given.active] = 1.0
+    transform[: wanted.base_size, : given.base_size] = 1.0
+    for source, target, source_slice, target_slice in links:
+        curvature = _curvature_spline(source)
+        transform[target_slice, source_slice] = target.cells[:, None] * curvature(target.joint_arcs)
+        if target.root_stiffness is None:
             continue
-        if one.root_stiffness is not None:
-            turn[there.start - 1, here.start - 1] = 1.0
+        if source.root_stiffness is not None:
+            transform[target_slice.start - 1, source_slice.start - 1] = 1.0
         else:
-            turn[there.start - 1, here] = one.bending_stiffness / max(two.root_stiffness, 1e-300) * curvature(0.0)
+            transform[target_slice.start - 1, source_slice] = (
+                source.bending_stiffness / max(target.root_stiffness, 1e-300) * curvature(0.0)
+            )
     q, v = np.split(state, 2)
-    return np.concatenate([turn @ q, turn @ v])
+    return np.concatenate([transform @ q, transform @ v])

@@ -202,8 +202,8 @@ class Chain(Record):
         return self._of_kind("base", "root", "virtual")
 
     def _of_kind(self, *kinds: str) -> Indices:
-        own = ["base"] * self.base_size + [kind for link in self.links for kind in link.joint_kinds]
-        return np.array([k for k, kind in enumerate(own) if kind in kinds], dtype=np.intp)
+        coordinate_kinds = ["base"] * self.base_size + [kind for link in self.links for kind in link.joint_kinds]
+        return np.array([k for k, kind in enumerate(coordinate_kinds) if kind in kinds], dtype=np.intp)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -225,7 +225,7 @@ class Chain(Record):
         return self._of_joints("damping")
 
     def _of_joints(self, field: str) -> Array:
-        """(nv,) stiffness or damping of active, root and virtual joints in the order of the coordinates."""
+        """Return stiffness or damping (nv,) of all joints in the order of the coordinates."""
         values: list[Array] = [] if self.base is None else [getattr(self.base, field)]
         for link in self.links:
             values += [getattr(link, f"{kind}_{field}") for kind in link.joint_kinds if kind != "virtual"]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from vjm.errors import VjmError
 
-_AGAIN = 1.0  # s, after which Ctrl-C is told again, and the end of Python cut short
+_REPEAT_AFTER = 1.0  # s, after which Ctrl-C is raised again, and the end of Python cut short
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -25,11 +25,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in ("stdout", "stderr"):
         if getattr(sys, stream) is None:  # closed by the shell
             setattr(sys, stream, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
-    interrupted = _Interrupts()
+    interrupts = _Interrupts()
     try:
-        return _run(argv, interrupted)
+        return _run(argv, interrupts)
     except KeyboardInterrupt:
-        interrupted.end()
+        interrupts.end()
         if argv is None:
             # The process ends. Python would end it by the signal where an `exec` was interrupted, as of a dataclass,
             # and with a traceback where Ctrl-C is pressed again.
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return status
 
 
-def _run(argv: Sequence[str] | None, interrupted: _Interrupts) -> int:
+def _run(argv: Sequence[str] | None, interrupts: _Interrupts) -> int:
     try:
         import shlex
         import warnings
@@ -62,7 +62,7 @@ def _run(argv: Sequence[str] | None, interrupted: _Interrupts) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
-        if interrupted.any:  # a library made another error of it
+        if interrupts.any:  # a library made another error of it
             raise KeyboardInterrupt from error
         from vjm.errors import InputError, VjmError, printable
 
@@ -75,7 +75,7 @@ def _run(argv: Sequence[str] | None, interrupted: _Interrupts) -> int:
             return _failed(f"the output cannot be written ({error.strerror})", 1)
         return _failed(f"internal error: {type(error).__name__}{': ' if text else ''}{text}", 1)
     finally:
-        interrupted.end()
+        interrupts.end()
     return 0
 
 
@@ -90,7 +90,7 @@ def _placed(error: VjmError, arguments: argparse.Namespace) -> str:
 
 
 class _Interrupts:
-    """Ctrl-C, told again every second until the command ends.
+    """Ctrl-C, raised again every second until the command ends.
 
     Python drops an exception that is raised in a weak reference's callback or in a C library's, of which drawing and
     Pinocchio have many; a KeyboardInterrupt then is lost.
@@ -98,31 +98,31 @@ class _Interrupts:
 
     def __init__(self) -> None:
         self.any = False
-        self._before: dict[int, Any] = {}
+        self._previous_handlers: dict[int, Any] = {}
         self._unraisable = sys.unraisablehook
         try:
             for number in (signal.SIGINT, signal.SIGALRM):
-                self._before[number] = signal.signal(number, self._tell)
-        except ValueError:  # not the main thread, which alone is told
+                self._previous_handlers[number] = signal.signal(number, self._interrupt)
+        except ValueError:  # not the main thread, which alone receives signals
             return
-        sys.unraisablehook = self._drop
+        sys.unraisablehook = self._ignore_interrupt
 
-    def _tell(self, number: int, frame: object) -> None:
+    def _interrupt(self, number: int, frame: object) -> None:
         self.any = True
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN)
+        signal.setitimer(signal.ITIMER_REAL, _REPEAT_AFTER)
         raise KeyboardInterrupt
 
-    def _drop(self, unraisable: sys.UnraisableHookArgs) -> None:
-        if unraisable.exc_type is not KeyboardInterrupt:  # that one is told again; nobody need read of it
+    def _ignore_interrupt(self, unraisable: sys.UnraisableHookArgs) -> None:
+        if unraisable.exc_type is not KeyboardInterrupt:  # which is raised again
             self._unraisable(unraisable)
 
     def end(self) -> None:
-        """Stop telling, and give both signals and Python's hook back."""
-        if self._before:
+        """Stop raising, and restore the handlers of both signals and Python's hook."""
+        if self._previous_handlers:
             signal.setitimer(signal.ITIMER_REAL, 0)
             sys.unraisablehook = self._unraisable
-        while self._before:
-            signal.signal(*self._before.popitem())
+        while self._previous_handlers:
+            signal.signal(*self._previous_handlers.popitem())
 
 
 def _end_soon(status: int) -> None:
@@ -130,9 +130,9 @@ def _end_soon(status: int) -> None:
     from threading import Timer
 
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
-    last = Timer(_AGAIN, os._exit, (status,))
-    last.daemon = True
-    last.start()
+    timer = Timer(_REPEAT_AFTER, os._exit, (status,))
+    timer.daemon = True
+    timer.start()
 
 
 def _failed(message: str, status: int) -> int:

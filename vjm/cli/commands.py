@@ -49,16 +49,16 @@ def _progress(arguments: argparse.Namespace) -> Iterator[Callable[[str, float], 
     if arguments.quiet or arguments.no_progress or not sys.stderr.isatty():
         yield lambda text, share: None
         return
-    left = TextColumn("{task.fields[left]}", markup=False)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(20), TimeElapsedColumn(), left)
+    time_left = TextColumn("{task.fields[time_left]}", markup=False)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(20), TimeElapsedColumn(), time_left)
     with ProgressBar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("reading", total=None, left="")
+        task = bar.add_task("reading", total=None, time_left="")
 
         def show(text: str, share: float) -> None:
-            elapsed, left = bar.tasks[0].elapsed or 0.0, ""
+            elapsed, time_left = bar.tasks[0].elapsed or 0.0, ""
             if share > 0.1:  # before, next to nothing is known
-                left = f"about {number(elapsed * (1 / share - 1), 1)} s left"
-            bar.update(task, description=printable(text), completed=share, total=1.0, left=left)
+                time_left = f"about {number(elapsed * (1 / share - 1), 1)} s left"
+            bar.update(task, description=printable(text), completed=share, total=1.0, time_left=time_left)
 
         yield show
 

@@ -42,12 +42,12 @@ class ActuatorLag(ColumnEffect):
         known = np.isfinite(recording.tau).all(axis=1)
         if self.is_null or np.count_nonzero(known) < 2:
             return recording
-        tau, own = recording.tau.copy(), self.own_column
-        tau[known, own] += _late(recording.time[known], tau[known, own], self.time_constant)
+        tau, column = recording.tau.copy(), self.own_column
+        tau[known, column] += _lag_change(recording.time[known], tau[known, column], self.time_constant)
         return replace(recording, tau=tau)
 
 
-def _late(time: Array, torque: Array, time_constant: float) -> Array:
+def _lag_change(time: Array, torque: Array, time_constant: float) -> Array:
     """Return the change (T,) of a torque (T,) [N m], linear between instants (T,) [s], by a first-order lag."""
     steps, rises = np.diff(time), np.diff(torque)
     phi1, phi2, phi3 = _phi(steps / time_constant)
@@ -55,7 +55,9 @@ def _late(time: Array, torque: Array, time_constant: float) -> Array:
     # The change d = y - u falls to decay d - phi1 (rise of u) in an interval, from zero at the first instant.
     bands = np.stack([np.ones(time.size), np.append(-decay, 0.0)])
     exact = linalg.solve_banded((1, 0), bands, np.append(0.0, -phi1 * rises))
-    return _nearest(steps, exact[:-1] * phi2 - rises * phi3, exact[:-1] * (phi1 - phi2) - rises * (phi2 - phi3))
+    return _nearest_piecewise_linear(
+        steps, exact[:-1] * phi2 - rises * phi3, exact[:-1] * (phi1 - phi2) - rises * (phi2 - phi3)
+    )
 
 
 def _clipped(time: Array, torque: Array, limit: float) -> Array:
@@ -68,10 +70,10 @@ def _clipped(time: Array, torque: Array, limit: float) -> Array:
         # Above the line between the clipped samples there is a triangle with its corner at the kink.
         height = side * np.abs(rises) * kink * (1 - kink)
         falling, rising = falling + height * (2 - kink) / 6, rising + height * (1 + kink) / 6
-    return np.asarray(result + _nearest(steps, falling, rising))
+    return np.asarray(result + _nearest_piecewise_linear(steps, falling, rising))
 
 
-def _nearest(steps: Array, falling: Array, rising: Array) -> Array:
+def _nearest_piecewise_linear(steps: Array, falling: Array, rising: Array) -> Array:
     """Return the piecewise linear function (T,) nearest in the mean square to one that is known by its moments.
 
     Args:
@@ -133,7 +135,7 @@ class TorqueSaturation(ColumnEffect):
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return one for each joint, with its largest recorded torque."""
         return tuple(
-            replace(variant, peak=variant._largest(recordings) or np.inf)
+            replace(variant, peak=variant._peak_torque(recordings) or np.inf)
             for variant in super().variants(rig, recordings)
         )
 
@@ -142,14 +144,14 @@ class TorqueSaturation(ColumnEffect):
         known = np.isfinite(recording.tau).all(axis=1)
         if self.is_null or np.count_nonzero(known) < 2:
             return recording
-        tau, own = recording.tau.copy(), self.own_column
-        tau[known, own] = _clipped(recording.time[known], tau[known, own], self.limit)
+        tau, column = recording.tau.copy(), self.own_column
+        tau[known, column] = _clipped(recording.time[known], tau[known, column], self.limit)
         return replace(recording, tau=tau)
 
-    def _largest(self, recordings: Sequence[Recording]) -> float:
+    def _peak_torque(self, recordings: Sequence[Recording]) -> float:
         """Return the largest torque recorded at the joint [N m]; zero without any."""
         torques = [np.abs(recording.tau[:, self.own_column]) for recording in recordings]
-        return max((float(np.nanmax(each)) for each in torques if np.isfinite(each).any()), default=0.0)
+        return max((float(np.nanmax(torque)) for torque in torques if np.isfinite(torque).any()), default=0.0)
 
 
 # Radians of a wave over a time step, whose error is then 1 % (2^4 / 2880, of Simpson's rule), at a fast rate of the
@@ -180,14 +182,14 @@ class Cogging(WaveEffect, JointEffect):
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return it with counts down to one wave in the joint's largest turn."""
-        found = []
+        variants = []
         for variant in super().variants(rig, recordings):
             column = rig.active_links.index(variant.link_index)
             angles = [recording.theta[:, column] for recording in recordings]
-            turns = [float(np.nanmax(each) - np.nanmin(each)) for each in angles if np.isfinite(each).any()]
-            turn = max(turns, default=0.0)
-            found.append(replace(variant, lowest=2 * np.pi / turn if turn > 0 else 0.0))
-        return tuple(found)
+            ranges = [float(np.nanmax(angle) - np.nanmin(angle)) for angle in angles if np.isfinite(angle).any()]
+            largest = max(ranges, default=0.0)
+            variants.append(replace(variant, lowest=2 * np.pi / largest if largest > 0 else 0.0))
+        return tuple(variants)
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the torque on the joint."""

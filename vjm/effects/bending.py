@@ -52,7 +52,7 @@ class StructuralDamping(LinkEffect):
         return (result + result.T) / 2
 
     def max_step(self, chain: Chain) -> float:
-        """Return the time step [s]; light damping is stable with any, of the fastest modes 1.5 of 2 over their rate."""
+        """Return the longest stable time step [s]: any for light damping, else 1.5 over the fastest modes' rate."""
         return np.inf if self.loss_factor <= 0.03 else 1.5 / _FASTEST * self.units(chain)[2]
 
 
@@ -156,7 +156,7 @@ class Taper(LinkEffect):
         )
 
     def _thickness(self, link: LinkChain, arcs: Array) -> Array:
-        """Thickness at arc lengths [m] over the mean."""
+        """Return the thickness at arc lengths [m] over the mean."""
         return 1 + self.taper * (0.5 - arcs / link.length)
 
 
@@ -282,6 +282,6 @@ class Hysteresis(LinkEffect):
         return self.yield_angle * link.cells / link.length
 
     def max_step(self, chain: Chain) -> float:
-        """Return the time step [s] that is stable in fast motion: 1.5 of the time of a bend by one yield angle."""
+        """Return the time step [s] that is stable in fast motion: 1.5 times that of a bend by one yield angle."""
         fast = 2.4  # rad / T, the link's own unit: the rate of a bend by 0.7 rad in the first mode (3.5 rad / T)
         return 1.5 * self.yield_angle / fast * self.units(chain)[2]

@@ -93,7 +93,7 @@ class Parameter:
         return low, high
 
     def on(self, rig_units: tuple[float, float, float] | None) -> Parameter:
-        """Return it on a rig with units of length [m], mass [kg] and time [s]; on none, only its signs are bounded.
+        """Return the parameter in SI, from a rig's units of length [m], mass [kg], time [s]; None: signs are bounded.
 
         Raises:
             ShapeError: a unit that is no product of powers of known ones.
@@ -108,7 +108,7 @@ class Parameter:
 
 
 def _powers(unit: str) -> Array:
-    """(3,) powers of length, mass and time in a unit such as `N m s/rad`."""
+    """Return the (3,) powers of length, mass and time in a unit such as `N m s/rad`."""
     powers = np.zeros(3)
     for sign, part in zip((1, -1), unit.split("/"), strict=False):
         for name, power in re.findall(r"([A-Za-z]+)\^?(\d*)", part):
@@ -188,7 +188,7 @@ class Effect:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters, in order, on its rig."""
-        declared = [(one.name, one.metadata[_METADATA]) for one in fields(self) if _METADATA in one.metadata]
+        declared = [(f.name, f.metadata[_METADATA]) for f in fields(self) if _METADATA in f.metadata]
         return tuple(replace(parameter, name=name).on(self.rig_units) for name, parameter in declared)
 
     @property
@@ -205,45 +205,45 @@ class Effect:
     @property
     def values(self) -> Mapping[str, float]:
         """Its parameters' values by name."""
-        return {each.name: getattr(self, each.name) for each in self.parameters}
+        return {parameter.name: getattr(self, parameter.name) for parameter in self.parameters}
 
     @cached_property
     def is_null(self) -> bool:
         """True if it is absent: every magnitude is null."""
-        return all(getattr(self, each.name) == each.null for each in self.parameters if not each.shape_parameter)
+        return all(getattr(self, p.name) == p.null for p in self.parameters if not p.shape_parameter)
 
     @property
     def at_bound(self) -> bool:
         """True if a magnitude is at a bound: it is then no estimate, and stands in for something else."""
-        sizes = [each for each in self.parameters if not each.shape_parameter and not each.integer]
+        magnitudes = [p for p in self.parameters if not p.shape_parameter and not p.integer]
         return any(
-            np.isclose(each.coordinate(getattr(self, each.name)), bound, rtol=1e-6, atol=0.0)
-            for each in sizes
-            for bound in each.bounds
+            np.isclose(parameter.coordinate(getattr(self, parameter.name)), bound, rtol=1e-6, atol=0.0)
+            for parameter in magnitudes
+            for bound in parameter.bounds
             if np.isfinite(bound) and bound != 0.0  # which is the null
         )
 
     @property
     def coordinates(self) -> Array:
         """(p,) numbers that a search varies: magnitudes over typical ones, then shape parameters' coordinates."""
-        return np.array([each.coordinate(getattr(self, each.name)) for each in self._varied])
+        return np.array([parameter.coordinate(getattr(self, parameter.name)) for parameter in self._varied])
 
     def at(self, coordinates: Array) -> Self:
         """Return the same effect at other coordinates (p,)."""
         varied = zip(self._varied, np.asarray(coordinates, dtype=float).tolist(), strict=True)
-        changes: dict[str, Any] = {each.name: each.value(value) for each, value in varied}
+        changes: dict[str, Any] = {parameter.name: parameter.value(value) for parameter, value in varied}
         return replace(self, **changes)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,) of the coordinates."""
-        pairs = np.array([each.bounds for each in self._varied]).reshape(-1, 2)
+        pairs = np.array([parameter.bounds for parameter in self._varied]).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]
 
     @property
     def magnitude_count(self) -> int:
         """Number of coordinates, the first ones, that are magnitudes."""
-        return sum(not each.shape_parameter for each in self.parameters)
+        return sum(not parameter.shape_parameter for parameter in self.parameters)
 
     @property
     def size_coordinates(self) -> tuple[int, ...]:
@@ -258,8 +258,8 @@ class Effect:
 
     @property
     def _varied(self) -> tuple[Parameter, ...]:
-        varied = [each for each in self.parameters if not each.integer]
-        return tuple(sorted(varied, key=lambda each: each.shape_parameter))
+        varied = [parameter for parameter in self.parameters if not parameter.integer]
+        return tuple(sorted(varied, key=lambda parameter: parameter.shape_parameter))
 
     def places(self, rig: Rig) -> tuple[int | None, ...]:
         """Return the indices of the links on which it can act; None alone for what is camera-wide."""
@@ -267,18 +267,18 @@ class Effect:
 
     def placed(self, rig: Rig, link: int | None) -> Self:
         """Return the effect on a link of a rig, or on the whole arm, whose units then scale its coordinates."""
-        own = rig.links if link is None else (rig.links[link],)
-        length, mass = sum(one.length for one in own), sum(one.mass for one in own)
-        return replace(self, link=link, rig_units=_units(length, mass, min(one.bending_stiffness for one in own)))
+        links = rig.links if link is None else (rig.links[link],)
+        length, mass = sum(part.length for part in links), sum(part.mass for part in links)
+        return replace(self, link=link, rig_units=_units(length, mass, min(part.bending_stiffness for part in links)))
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return absent instances from which searches start: one for each place and combination of shape parameters."""
-        found: list[Self] = []
-        for own in (self.placed(rig, link) for link in self.places(rig)):
-            grids = [[(each.name, value) for value in each.grid] for each in own.parameters if each.shape_parameter]
-            changes: list[dict[str, Any]] = [dict(chosen) for chosen in product(*grids)]
-            found += [replace(own, **change) for change in changes]
-        return tuple(found)
+        result: list[Self] = []
+        for instance in (self.placed(rig, link) for link in self.places(rig)):
+            grids = [[(p.name, value) for value in p.grid] for p in instance.parameters if p.shape_parameter]
+            changes: list[dict[str, Any]] = [dict(values) for values in product(*grids)]
+            result += [replace(instance, **change) for change in changes]
+        return tuple(result)
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         """Return the reason, as a clause, why recordings cannot show it whatever its magnitude; empty if they may."""
@@ -460,15 +460,15 @@ class WaveEffect(Effect):
 
     @property
     def _frequency(self) -> Parameter:
-        return next(each for each in self.parameters if each.from_spectrum)
+        return next(parameter for parameter in self.parameters if parameter.from_spectrum)
 
     def variants(self, rig: Rig, recordings: Sequence[Recording]) -> tuple[Self, ...]:
         """Return it with frequencies down to one period in the longest recording, where it is a wave over time."""
-        found = super().variants(rig, recordings)
+        variants = super().variants(rig, recordings)
         longest = max((float(np.ptp(recording.time)) for recording in recordings), default=0.0)
         if self._frequency.from_spectrum != "time" or longest == 0:
-            return found
-        return tuple(replace(variant, lowest=1 / longest) for variant in found)
+            return variants
+        return tuple(replace(variant, lowest=1 / longest) for variant in variants)
 
 
 @dataclass(frozen=True)
@@ -564,6 +564,6 @@ class ColumnEffect(JointEffect):
 
     def with_column(self, values: Array, gain: float = 1.0, offset: float = 0.0) -> Array:
         """Return values (T, n_a) with the joint's column times a gain, and an offset added."""
-        changed, own = values.copy(), self.own_column
-        changed[:, own] = gain * values[:, own] + offset
+        changed, column = values.copy(), self.own_column
+        changed[:, column] = gain * values[:, column] + offset
         return changed

@@ -91,14 +91,14 @@ class ExternalTone(WaveEffect, _TipEffect):
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         """Return the force on the end of the last virtual link."""
-        rods, still = Rods(chain), np.zeros(chain.size)
+        rods, zero = Rods(chain), np.zeros(chain.size)
         last = np.zeros(rods.lengths.size)
         last[-1] = 1.0
 
         def force(time: Array, q: Array, v: Array, z: Array) -> Array:
             wave = np.sin(2 * np.pi * self.frequency * np.asarray(time) + self.phase)
             push = self.amplitude * wave[..., None] * last
-            return rods.torques(rods.motion(q, still)[0], push, rods.lengths[-1] * push)
+            return rods.torques(rods.motion(q, zero)[0], push, rods.lengths[-1] * push)
 
         return force
 
@@ -170,18 +170,18 @@ class _Drag(LinkEffect):
     dissipative = True
 
     def density(self, normal: Array, slow: float) -> Array:
-        """Force per length [N/m] at normal velocities [m/s], whose sign may be rounded off below a slow one."""
+        """Return the force per length [N/m] at normal velocities [m/s]; its sign may be smoothed below a slow one."""
         raise NotImplementedError
 
     def force(self, chain: Chain, payload: float) -> Motion | None:
         rods = Rods(chain)
         # Three nodes a virtual link; two are exact except where the velocity changes its sign.
         abscissae, gauss = np.polynomial.legendre.leggauss(3)
-        own = np.flatnonzero(rods.owners == self.link_index)
-        lengths = rods.lengths[own, None]
+        indices = np.flatnonzero(rods.owners == self.link_index)
+        lengths = rods.lengths[indices, None]
         places, weights = lengths * (1 + abscissae) / 2, lengths * gauss / 2  # (b, nodes)
         moments = weights * places
-        first, last = int(own[0]), int(own[-1]) + 1
+        first, last = int(indices[0]), int(indices[-1]) + 1
         length, _, time = self.units(chain)
         slow = _SLOW * length / time
 
@@ -225,5 +225,5 @@ class QuadraticDrag(_Drag):
     distinguishing_experiment = "recordings at two amplitudes: its damping grows with amplitude"
 
     def density(self, normal: Array, slow: float) -> Array:
-        """Return the force per length [N/m] at normal velocities [m/s], whose sign is rounded off below a slow one."""
+        """Return the force per length [N/m] at normal velocities [m/s]; its sign is smoothed below a slow one."""
         return -self.coefficient * normal * np.sqrt(normal * normal + slow * slow)

@@ -24,7 +24,7 @@ from vjm.records import Array, Recording, Rig
 
 @dataclass(frozen=True)
 class _CameraEffect(Effect):
-    """Acts on the camera; markers that are shown in a moving link's frame know nothing of it."""
+    """Acts on the camera; markers given in a moving link's frame do not show it."""
 
     def untestable(self, rig: Rig, recordings: Sequence[Recording]) -> str:
         fixed = all(
@@ -71,8 +71,8 @@ class CameraRotation(_CameraEffect):
         """Return the reason if nothing else says where the arm points."""
         if reason := super().untestable(rig, recordings):
             return reason
-        pulled = any(any(recording.gravity) for recording in recordings)
-        if rig.links[0].joint == "revolute" and not is_recorded(recordings, "theta") and not pulled:
+        under_gravity = any(any(recording.gravity) for recording in recordings)
+        if rig.links[0].joint == "revolute" and not is_recorded(recordings, "theta") and not under_gravity:
             return "without encoder or gravity, a rotated camera and a rotated arm are indistinguishable"
         return ""
 
@@ -148,7 +148,7 @@ class CameraVibration(WaveEffect, _CameraEffect):
         sizes, angles = np.abs([forward, backward]), np.angle([forward, backward])
         direction, phase = float(angles.sum() / 2), float((angles[0] - angles[1]) / 2)
         if abs(direction) > np.pi / 2:  # half a turn of the axis is half a cycle
-            direction, phase = (each - np.copysign(np.pi, each) for each in (direction, phase))
+            direction, phase = (angle - np.copysign(np.pi, angle) for angle in (direction, phase))
         long, short = float(sizes.sum()), float(sizes[0] - sizes[1])
         return replace(
             self,

@@ -39,9 +39,9 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: 
 def cleaned(rig: Rig, recording: Recording) -> Recording:
     """Return the recording without markers much farther apart than their link allows, and without clipped coordinates.
 
-    The experiment's warnings tell of both. A frame in which leaving out one marker of a link makes the others
-    possible loses that marker, any other such frame all markers of the link. A recording with which nothing is wrong is
-    returned itself.
+    `Experiment.warnings` reports both. A frame in which leaving out one marker of a link makes the others possible
+    loses that marker; any other such frame loses all markers of the link. A recording with nothing wrong is returned
+    itself.
 
     Raises:
         RecordingError: no frame of a link is left.
@@ -51,8 +51,8 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     for column, _, begin, _ in _clippings(coordinates):  # shorter runs at the same value, at smaller peaks, as well
         clipped[:, column] |= coordinates[:, column] == coordinates[begin, column]
     wrong = clipped.reshape(recording.markers.shape)
-    for link, own in zip(rig.links, rig.marker_slices, strict=True):
-        arcs, markers = np.array(link.markers), recording.markers[:, own]
+    for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
+        arcs, markers = np.array(link.markers), recording.markers[:, marker_slice]
         impossible = _impossible(markers, link, rig.marker_noise)
         seen = np.isfinite(markers).any(axis=2)
         if seen.any() and impossible[seen].all():
@@ -63,7 +63,7 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
                 f"{np.median(ratios.max(axis=1)):.4g} times as far apart as along the link"
             )
             raise RecordingError(recording.file, None, None, problem, "coordinates in metres, marker by marker")
-        wrong[:, own] |= impossible[..., None]
+        wrong[:, marker_slice] |= impossible[..., None]
     if not (wrong & np.isfinite(recording.markers)).any():
         return recording
     return replace(recording, markers=np.where(wrong, np.nan, recording.markers))
@@ -72,12 +72,12 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
 def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
     """Return which markers (T, k) of a link cannot be where they were seen, given their noise [m] if it is known."""
     arcs = np.array(link.markers)
-    # A little too far is a scale that is off, or a marker that is not where the rig file says: something to be found,
-    # not to be left out. As a share of the distance, and at least one of the length.
+    # Markers a little too far apart show a wrong scale, or a marker that is not where the rig file says: something to
+    # find, not to leave out. The slack is a share of the distance, but at least a share of the length.
     slack = np.maximum(0.04 * np.abs(arcs[:, None] - arcs), 0.01 * link.length)
     beyond = _distances(markers) > _distance_limits(arcs, noise or DEFAULT_NOISE * link.length) + slack
     count = beyond.sum(axis=(1, 2)) // 2
-    culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)  # all such pairs are its
+    culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)  # it is in all such pairs
     single = culprit.sum(axis=1) == 1
     wrong: Mask = np.where(single[:, None], culprit, (count > 0)[:, None])
     return wrong
@@ -143,10 +143,12 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     with np.errstate(over="ignore", invalid="ignore"):  # absurd coordinates deserve the sentence on units, not noise
         units = list(_unit_warnings(markers, reach))
         yield from units
-        for link, own in zip(rig.links, rig.marker_slices, strict=True):
+        for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
             if not units and len(link.markers) > 1:
                 noise = rig.marker_noise or DEFAULT_NOISE * link.length
-                yield from _distance_warnings(time, markers[:, own], np.array(link.markers), names[own], noise)
+                yield from _distance_warnings(
+                    time, markers[:, marker_slice], np.array(link.markers), names[marker_slice], noise
+                )
         places = recording.markers.reshape(len(recording.time), -1)
         moving = [moves(values, rig.marker_noise, reach) for values in places.T]
         moving += [moves(values, rig.encoder_noise) for values in recording.theta.T]
@@ -209,38 +211,38 @@ def _distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str
     bad = (excess > 0.0).any(axis=(1, 2))
     if bad.any():
         count, largest = int(bad.sum()), excess.max(axis=0)
-        one, other = np.unravel_index(largest.argmax(), largest.shape)
+        first, second = np.unravel_index(largest.argmax(), largest.shape)
         yield (
             f"in {count} frame{'s' if count > 1 else ''} (first at t = {time[bad][0]:.6g} s) markers are farther apart "
-            f"than the link allows, by up to {largest.max() + limits[0, 0]:.3g} m between {names[one]} and "
-            f"{names[other]}, which are {abs(arcs[other] - arcs[one]):.4g} m apart along the link"
+            f"than the link allows, by up to {largest.max() + limits[0, 0]:.3g} m between {names[first]} and "
+            f"{names[second]}, which are {abs(arcs[second] - arcs[first]):.4g} m apart along the link"
             + _swap_hint(markers[bad], limits, names)
         )
 
 
 def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
     """Say which two labels, exchanged, make most of these frames (F, k, 2) consistent; empty where none do."""
-    looked_at = np.unique(np.linspace(0, len(markers) - 1, 50).astype(int))
-    chosen = markers[looked_at]
-    distances = _distances(chosen)
+    rows = np.unique(np.linspace(0, len(markers) - 1, 50).astype(int))
+    sample = markers[rows]
+    distances = _distances(sample)
     repaired = {}
-    for one, other in combinations(range(len(limits)), 2):
+    for first, second in combinations(range(len(limits)), 2):
         order = np.arange(len(limits))
-        order[[one, other]] = other, one
-        repaired[one, other] = int((distances <= limits[np.ix_(order, order)]).all(axis=(1, 2)).sum())
-    (one, other), count = max(repaired.items(), key=lambda item: item[1])
+        order[[first, second]] = second, first
+        repaired[first, second] = int((distances <= limits[np.ix_(order, order)]).all(axis=(1, 2)).sum())
+    (first, second), count = max(repaired.items(), key=lambda item: item[1])
     return (
         ""
         if not count
         else (
-            f"; labels may be swapped: exchanging {names[one]} and {names[other]} makes "
-            f"{count} of the {len(chosen)} such frames looked at consistent"
+            f"; labels may be swapped: exchanging {names[first]} and {names[second]} makes "
+            f"{count} of the {len(sample)} such frames looked at consistent"
         )
     )
 
 
 def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> Iterator[str]:
-    """Tell of coordinates (T, c) [m] that stand still at their very extreme, as at the edge of a camera's image."""
+    """Yield a warning for each of the coordinates (T, c) [m] that stays at its extreme, as at the edge of an image."""
     for column, extreme, begin, longest in _clippings(coordinates):
         yield (
             f"{names[column]} stays at exactly its {extreme} value, {coordinates[begin, column]:.6g} m, for up to "
@@ -250,11 +252,14 @@ def _clipping_warnings(time: Array, coordinates: Array, names: list[str]) -> Ite
 
 
 def moves(values: Array, noise: float | None, unit: float = 1.0) -> bool:
-    """Return True if a signal (N,) spreads over more than its noise explains; its unit is a length [m], or a radian."""
+    """Return True if a signal (N,) spreads over more than its noise explains.
+
+    Noise that is not given is estimated, and taken as at most a thousandth of `unit`: a length [m], or one radian.
+    """
     measured = values[np.isfinite(values)]
     if measured.size < 2:
         return False
-    if noise is None:  # told by first differences of a well sampled signal; fast motion inflates them
+    if noise is None:  # estimated from first differences of a well sampled signal; fast motion inflates them
         differences = np.diff(measured)
         deviation = np.median(np.abs(differences - np.median(differences)))
         noise = min(1.4826 * deviation / np.sqrt(2.0), DEFAULT_NOISE * unit)  # 1.4826: standard over median deviation
@@ -274,8 +279,8 @@ def _repeat_warnings(recordings: Sequence[Recording]) -> Iterator[str]:
         if difference > 0.05:
             yield f"{pair}, but their torques differ by {100.0 * difference:.3g} % of their root mean square"
         if recording.condition != other.condition:
-            mine, its = (repr(one.condition) if one.condition else "none" for one in (recording, other))
-            yield f"{pair}, but its condition is {mine} and the other's is {its}"
+            condition, other_condition = (repr(r.condition) if r.condition else "none" for r in (recording, other))
+            yield f"{pair}, but its condition is {condition} and the other's is {other_condition}"
 
 
 def _torque_difference(first: Recording, second: Recording) -> float:
@@ -294,9 +299,9 @@ def overlapping_samples(first: Recording, second: Recording, own: Array, other: 
 
     The signals are (T1,) and (T2,), NaN where not measured; the second is interpolated at the instants of the first.
     """
-    mine, others = np.isfinite(own), np.isfinite(other)
-    if mine.sum() < 2 or others.sum() < 2:
+    known, other_known = np.isfinite(own), np.isfinite(other)
+    if known.sum() < 2 or other_known.sum() < 2:
         return np.zeros(0), np.zeros(0)
-    times, other_times = first.time[mine] - first.time[0], second.time[others] - second.time[0]
+    times, other_times = first.time[known] - first.time[0], second.time[other_known] - second.time[0]
     overlap = (times >= other_times[0]) & (times <= other_times[-1])
-    return own[mine][overlap], np.interp(times[overlap], other_times, other[others])
+    return own[known][overlap], np.interp(times[overlap], other_times, other[other_known])

@@ -104,25 +104,27 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
             "every link's markers are in its own frame (markers_frame = \"link\"), which the camera's pose is not in"
         )
         raise ExperimentError(file, "camera", "", problem, 'no [camera], or markers_frame = "base"')
-    columns = _own_columns(file, document.get("columns", {}), rig, camera)
+    columns = _renamed_columns(file, document.get("columns", {}), rig, camera)
     conventions = Conventions(Units(**document.get("units", {})), camera, columns)
     files = _recording_files(file, document)
-    found: dict[str, None] = {}  # all files' columns, in order
+    all_columns: dict[str, None] = {}  # header names of all files, in order
     recordings = [
-        _read_recording(*sources, dict(table), rig, conventions, found)
+        _read_recording(*sources, dict(table), rig, conventions, all_columns)
         for sources, table in zip(files, document["recording"], strict=True)
     ]
     for ours, theirs in columns.items():
-        if theirs not in found and ours not in found:
-            near = suggestion(theirs, found)
+        if theirs not in all_columns and ours not in all_columns:
+            near = suggestion(theirs, all_columns)
             problem = f"no recording has a column {shown(theirs)}{near}"
             raise ExperimentError(file, "columns", ours, problem, "the name in the files' header")
     known = {*known_columns(rig, "xyz"), *columns.values()}
-    return Experiment(rig, tuple(recordings), file, conventions, tuple(name for name in found if name not in known))
+    return Experiment(
+        rig, tuple(recordings), file, conventions, tuple(name for name in all_columns if name not in known)
+    )
 
 
-def _own_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera) -> dict[str, str]:
-    """Return the files' names of columns by the documentation's, of [columns], in which bare dotted keys nest."""
+def _renamed_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera) -> dict[str, str]:
+    """Return the files' column names by the documentation's, from the table [columns]; bare dotted keys in it nest."""
     columns: dict[str, str] = {}
     known = list(known_columns(rig, camera.columns))
 
@@ -136,10 +138,10 @@ def _own_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera) ->
             raise ExperimentError(file, "columns", prefix, problem, f"only the names {', '.join(known)}")
         if not isinstance(value, str) or not value.strip():
             raise ExperimentError(file, "columns", prefix, f"got {shown(value)}", "the name of a column, a string")
-        other = next((ours for ours, theirs in columns.items() if theirs == value.strip()), None)
-        if other is not None:
+        existing = next((ours for ours, theirs in columns.items() if theirs == value.strip()), None)
+        if existing is not None:
             expected = "a column of its own for each name"
-            raise ExperimentError(file, "columns", prefix, f"{shown(value)} is already '{other}'", expected)
+            raise ExperimentError(file, "columns", prefix, f"{shown(value)} is already '{existing}'", expected)
         columns[prefix] = value.strip()
 
     if table:
@@ -178,14 +180,14 @@ def _table_name(document: dict[str, Any], section: str, index: int) -> str:
 def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> ExperimentError:
     """Return the first fault pydantic found; unknown keys go first, being often the cause of missing ones."""
     details = sorted(error.errors(include_url=False), key=lambda detail: detail["type"] != "extra_forbidden")
-    section, *rest = details[0]["loc"]
+    section, *location = details[0]["loc"]
     model: type[BaseModel] = _FILE
-    table, key, items = "", str(section), rest
-    if section in _SECTIONS and rest:
+    table, key, items = "", str(section), location
+    if section in _SECTIONS and location:
         model, table = _SECTIONS[str(section)], str(section)
-        if isinstance(rest[0], int):
-            table, rest = _table_name(document, table, rest[0]), rest[1:]
-        key, items = str(rest[0]) if rest else "", rest[1:]
+        if isinstance(location[0], int):
+            table, location = _table_name(document, table, location[0]), location[1:]
+        key, items = str(location[0]) if location else "", location[1:]
     problem, expected = explain(details[0], model, key, items)
     more = len(details) - 1
     note = f" (and {more} more fault{'s' if more > 1 else ''} in this file)" if more else ""
@@ -199,18 +201,18 @@ def _recording_files(file: Path, document: dict[str, Any]) -> list[tuple[Path, P
     tables = document["recording"]
     for index, table in enumerate(tables):
         place = _table_name(document, "recording", index)
-        path = _existing(file, place, "file", table["file"])
+        path = _existing_file(file, place, "file", table["file"])
         number = first.setdefault(os.path.realpath(path), index)
         role = tables[number]["role"]
         if role != table["role"]:
             problem = f"the same file is recording[{number + 1}], of role '{role}'"
             raise ExperimentError(file, place, "file", problem, "a file to be either train or holdout")
         motors = table.get("motors_file")
-        paths.append((path, None if motors is None else _existing(file, place, "motors_file", motors)))
+        paths.append((path, None if motors is None else _existing_file(file, place, "motors_file", motors)))
     return paths
 
 
-def _existing(file: Path, place: str, key: str, name: str) -> Path:
+def _existing_file(file: Path, place: str, key: str, name: str) -> Path:
     path = file.parent / name
     try:
         check_file(path)
@@ -238,16 +240,21 @@ class _Table:
 
 
 def _read_recording(
-    file: Path, motors: Path | None, table: dict[str, Any], rig: Rig, conventions: Conventions, found: dict[str, None]
+    file: Path,
+    motors: Path | None,
+    table: dict[str, Any],
+    rig: Rig,
+    conventions: Conventions,
+    all_columns: dict[str, None],
 ) -> Recording:
     """Return the recording in a CSV file, or two; its table in the experiment file is valid by itself.
 
-    Names of the files' columns are added to `found`.
+    Names of the files' columns are added to `all_columns`.
     """
     table.pop("motors_file", None)
     axes, sources = conventions.camera.letters, [file] if motors is None else [file, motors]
-    tables = [_read_table(source, rig, conventions, found) for source in sources]
-    columns = [column for each in tables for column in each.values]
+    tables = [_read_table(source, rig, conventions, all_columns) for source in sources]
+    columns = [column for csv_table in tables for column in csv_table.values]
     for column in tables[-1].values if motors is not None else ():
         if column != "t" and ".m" in column:
             problem, expected = "a marker's column in a motors_file", "only times, angles and torques"
@@ -258,17 +265,17 @@ def _read_recording(
     torque = table["kind"] == "driven" and table.get("input", "torque") == "torque"
     for column, expected in needed_columns(columns, rig, torque, axes):
         source = tables[-1] if column.rpartition(".")[2] in ("theta", "tau") else tables[0]
-        if column not in columns or (column == "t" and any("t" not in each.values for each in tables)):
-            source = next((each for each in tables if column == "t" and "t" not in each.values), source)
-            own = conventions.name_in_files(column)
-            raise RecordingError(source.file, 1, own, "the column is missing", expected)
+        if column not in columns or (column == "t" and any("t" not in csv_table.values for csv_table in tables)):
+            source = next((csv_table for csv_table in tables if column == "t" and "t" not in csv_table.values), source)
+            name = conventions.name_in_files(column)
+            raise RecordingError(source.file, 1, name, "the column is missing", expected)
     return _to_recording(_merged(tables, conventions), tables, table, rig, conventions)
 
 
-def _read_table(file: Path, rig: Rig, conventions: Conventions, found: dict[str, None]) -> _Table:
+def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dict[str, None]) -> _Table:
     """Return the numbers of a file's columns that are named; others are an error unless [columns] names some."""
     header, body = _read_text(file)
-    found.update(dict.fromkeys(header))
+    all_columns.update(dict.fromkeys(header))
     letters = conventions.camera.columns
     names = [conventions.standard_name(name) for name in header]
     known = set(known_columns(rig, letters))
@@ -300,20 +307,20 @@ def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[st
     # Instants that differ by rounding share a row: in a ten thousandth of a sample no signal changes noticeably.
     tolerance = 1e-4 * float(np.median(np.diff(second))) if second.size > 1 else 0.0
     nearest = np.clip(np.searchsorted(first, second - tolerance), 0, first.size - 1)
-    alike = np.abs(first[nearest] - second) <= tolerance
-    alike[1:] &= (nearest[1:] != nearest[:-1]) | ~alike[:-1]
-    time = np.concatenate([first, second[~alike]])
+    shared = np.abs(first[nearest] - second) <= tolerance
+    shared[1:] &= (nearest[1:] != nearest[:-1]) | ~shared[:-1]
+    time = np.concatenate([first, second[~shared]])
     order = np.argsort(time, kind="stable")
     rows = np.full((time.size, 2), -1, dtype=np.intp)
     rows[: first.size, 0] = np.arange(first.size)
-    rows[nearest[alike], 1] = np.flatnonzero(alike)
-    rows[first.size :, 1] = np.flatnonzero(~alike)
+    rows[nearest[shared], 1] = np.flatnonzero(shared)
+    rows[first.size :, 1] = np.flatnonzero(~shared)
     rows = rows[order]
     values = {"t": time[order]}
-    for table, own in zip(tables, rows.T, strict=True):
+    for table, table_rows in zip(tables, rows.T, strict=True):
         for column, numbers in table.values.items():
             if column != "t":
-                values[column] = np.where(own >= 0, numbers[own], np.nan)
+                values[column] = np.where(table_rows >= 0, numbers[table_rows], np.nan)
     return values, rows
 
 
@@ -340,11 +347,11 @@ def _to_recording(
         return Recording.from_dataframe(pd.DataFrame(si), rig, **table)
     except RecordingError as error:
         columns = [error.column or "", conventions.name_in_files(error.column or "")]
-        owners = [k for k, each in enumerate(tables) if columns[0] in each.values]  # both of the time
-        own = next((k for k in reversed(owners) if error.index is None or rows[error.index, k] >= 0), 0)
-        row = -1 if error.index is None else int(rows[error.index, own])
-        line = int(tables[own].lines[row]) if row >= 0 else None
-        raise RecordingError(tables[own].file, line, columns[1] or None, error.problem, error.expected) from error
+        owners = [k for k, csv_table in enumerate(tables) if columns[0] in csv_table.values]  # both of the time
+        owner = next((k for k in reversed(owners) if error.index is None or rows[error.index, k] >= 0), 0)
+        row = -1 if error.index is None else int(rows[error.index, owner])
+        line = int(tables[owner].lines[row]) if row >= 0 else None
+        raise RecordingError(tables[owner].file, line, columns[1] or None, error.problem, error.expected) from error
 
 
 def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
@@ -362,8 +369,8 @@ def _read_text(file: Path) -> tuple[tuple[str, ...], bytes]:
     raw = raw.removeprefix(b"\xef\xbb\xbf")
     if not raw or raw.isspace():
         raise RecordingError(file, None, None, "the file is empty", "a header line and rows of numbers")
-    header, *rest = re.split(rb"\r\n|\n|\r", raw, maxsplit=1)
-    return _split_header(file, header.decode("utf-8")), rest[0].rstrip(b"\r\n") if rest else b""
+    header, *body = re.split(rb"\r\n|\n|\r", raw, maxsplit=1)
+    return _split_header(file, header.decode("utf-8")), body[0].rstrip(b"\r\n") if body else b""
 
 
 def _split_header(file: Path, header: str) -> tuple[str, ...]:

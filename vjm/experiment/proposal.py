@@ -57,8 +57,8 @@ class _CsvFile:
 
     def column(self, name: str) -> Array | None:
         """Return the numbers (T,) of a column by its documentation's name; None where there is none."""
-        own = next((theirs for theirs, ours in self.names.items() if ours == name), None)
-        return None if own is None else self.values[own]
+        header_name = next((theirs for theirs, ours in self.names.items() if ours == name), None)
+        return None if header_name is None else self.values[header_name]
 
     def ending(self, *endings: str) -> list[str]:
         """Return the documentation's names of columns with one of these endings."""
@@ -106,16 +106,16 @@ class ExperimentProposal:
     @cached_property
     def links(self) -> dict[str, int]:
         """Number of markers by link, from the base outwards."""
-        found: dict[str, int] = {}
-        for name in (name for one, _ in self.files for name in one.names.values()):
+        counts: dict[str, int] = {}
+        for name in (name for file, _ in self.files for name in file.names.values()):
             match = _STANDARD.fullmatch(name)
             if match:
-                found[match["link"]] = max(found.get(match["link"], 0), int(match["number"] or 0))
-        return {link: count for link, count in found.items() if count} or {"beam": 0}
+                counts[match["link"]] = max(counts.get(match["link"], 0), int(match["number"] or 0))
+        return {link: count for link, count in counts.items() if count} or {"beam": 0}
 
     def is_revolute(self, link: str) -> bool:
         """Return True if the angle of the link's proximal joint was measured."""
-        return self._largest(f"{link}.theta") is not None
+        return self._largest_value(f"{link}.theta") is not None
 
     @cached_property
     def units(self) -> dict[str, tuple[str, str]]:
@@ -125,22 +125,22 @@ class ExperimentProposal:
             for quantity in FACTORS
         }
 
-    def _largest(self, *endings: str) -> float | None:
-        columns = [each.column(name) for each in self._all_files for name in each.ending(*endings)]
+    def _largest_value(self, *endings: str) -> float | None:
+        columns = [file.column(name) for file in self._all_files for name in file.ending(*endings)]
         sizes = [float(np.nanmax(np.abs(column))) for column in columns if column is not None]
         return max(sizes, default=None)
 
     def _guess(self, quantity: str) -> tuple[str, str]:
         """Return the unit that a header names, else the one in which the numbers are of a usual size."""
         endings = {"length": (".x", ".y", ".z"), "angle": (".theta",), "torque": (".tau",), "time": ("t",)}[quantity]
-        for own, ours in ((own, ours) for one in self._all_files for own, ours in one.names.items()):
-            words = re.split(r"[\[\](),_]+", own)
+        for header_name, standard in (pair for file in self._all_files for pair in file.names.items()):
+            words = re.split(r"[\[\](),_]+", header_name)
             unit = next((unit for word, unit in _UNITS[quantity].items() if word in map(str.strip, words[1:])), None)
-            if unit and ours.endswith(endings):
-                return unit, f"the column {own!r} says so"
+            if unit and standard.endswith(endings):
+                return unit, f"the column {header_name!r} says so"
         if quantity == "time":
             return self._guess_time()
-        largest = self._largest(*endings)
+        largest = self._largest_value(*endings)
         usual = {"length": 0.5, "angle": np.pi, "torque": 1.0}[quantity]  # m, rad, N m: arms that stand on a table
         choices: tuple[str, ...] = {"length": ("m", "mm"), "angle": ("rad", "deg"), "torque": ("N m", "N mm")}[quantity]
         if largest is None:
@@ -153,24 +153,24 @@ class ExperimentProposal:
         return unit, f"guessed: numbers reach {largest:.4g}"
 
     def _guess_time(self) -> tuple[str, str]:
-        steps = [float(np.median(np.diff(time))) for one, _ in self.files if (time := one.column("t")) is not None]
+        steps = [float(np.median(np.diff(time))) for file, _ in self.files if (time := file.column("t")) is not None]
         step = steps[0] if steps and steps[0] > 0 else 0.01
         unit = min(FACTORS["time"], key=lambda unit: abs(np.log(step * FACTORS["time"][unit] / 0.01)))
         return unit, f"guessed: rows follow every {step:.4g}"
 
     @property
     def _all_files(self) -> Iterator[_CsvFile]:
-        return (each for pair in self.files for each in pair if each is not None)
+        return (file for pair in self.files for file in pair if file is not None)
 
     @cached_property
     def axes(self) -> tuple[str, str]:
         """Letters of the columns that span the plane of motion: all but the one in which least happens."""
-        letters = sorted({name[-1] for one, _ in self.files for name in one.ending(".x", ".y", ".z")})
+        letters = sorted({name[-1] for file, _ in self.files for name in file.ending(".x", ".y", ".z")})
         if len(letters) < 3:
             return (letters[0], letters[1]) if len(letters) == 2 else ("x", "y")
         spans = {}
         for letter in letters:
-            columns = [one.column(name) for one, _ in self.files for name in one.ending(f".{letter}")]
+            columns = [file.column(name) for file, _ in self.files for name in file.ending(f".{letter}")]
             values = np.concatenate([column for column in columns if column is not None])
             spans[letter] = float(np.nanmax(values) - np.nanmin(values))
         first, second = sorted(sorted(letters, key=lambda letter: spans[letter])[1:])
@@ -179,9 +179,14 @@ class ExperimentProposal:
     @cached_property
     def columns(self) -> dict[str, str]:
         """The files' names of columns by the documentation's, where they differ or some are not used."""
-        names = {ours: own for one in self._all_files for own, ours in one.names.items() if ours != own}
-        surplus = any(len(one.names) < len(one.header) for one in self._all_files)
-        unused = any(name[-1] not in self.axes for one, _ in self.files for name in one.ending(".x", ".y", ".z"))
+        names = {
+            standard: header_name
+            for file in self._all_files
+            for header_name, standard in file.names.items()
+            if standard != header_name
+        }
+        surplus = any(len(file.names) < len(file.header) for file in self._all_files)
+        unused = any(name[-1] not in self.axes for file, _ in self.files for name in file.ending(".x", ".y", ".z"))
         return names or ({"t": "t"} if surplus or (unused and self.axes == ("x", "y")) else {})
 
     def arcs(self, link: str) -> tuple[float, ...] | None:
@@ -191,7 +196,7 @@ class ExperimentProposal:
         """
         factor, distances = FACTORS["length"][self.units["length"][0]], []
         for k in range(1, self.links[link] + 1):
-            pairs = [[one.column(f"{link}.m{k}.{axis}") for axis in self.axes] for one, _ in self.files]
+            pairs = [[file.column(f"{link}.m{k}.{axis}") for axis in self.axes] for file, _ in self.files]
             seen = [np.hypot(x, y) for x, y in pairs if x is not None and y is not None]
             distances.append(factor * float(np.nanmedian(np.concatenate(seen))) if seen else 0.0)
         length = self.given.get("length")
@@ -203,25 +208,27 @@ class ExperimentProposal:
     @cached_property
     def recordings(self) -> tuple[_ProposedRecording, ...]:
         """The recordings: what moved them, and the last moving one held out."""
-        kinds = [self._kind(one, motors) for one, motors in self.files]
+        kinds = [self._kind(file, motors) for file, motors in self.files]
         moving = [k for k, (kind, _) in enumerate(kinds) if kind in ("driven", "decay")]
         held_out = moving[-1] if len(moving) > 1 else None
         proposed = []
-        for k, ((one, motors), (kind, reason)) in enumerate(zip(self.files, kinds, strict=True)):
-            names = [os.path.relpath(each.path, self.folder) for each in (one, motors) if each is not None]
+        for k, ((file, motors), (kind, reason)) in enumerate(zip(self.files, kinds, strict=True)):
+            names = [os.path.relpath(source.path, self.folder) for source in (file, motors) if source is not None]
             role = "holdout" if k == held_out else "train"
             motors_file = Path(names[1]).as_posix() if motors else None
             proposed.append(_ProposedRecording(Path(names[0]).as_posix(), motors_file, kind, role, reason))
         return tuple(proposed)
 
-    def _kind(self, one: _CsvFile, motors: _CsvFile | None) -> tuple[str, str]:
-        both = [each for each in (one, motors) if each is not None]
-        torques = [column for each in both for name in each.ending(".tau") if (column := each.column(name)) is not None]
+    def _kind(self, file: _CsvFile, motors: _CsvFile | None) -> tuple[str, str]:
+        both = [source for source in (file, motors) if source is not None]
+        torques = [
+            column for source in both for name in source.ending(".tau") if (column := source.column(name)) is not None
+        ]
         largest = max((float(np.nanmax(np.abs(torque))) for torque in torques), default=0.0)
         if largest > 0:
             return "driven", f"guessed: the torque reaches {largest:.4g} {self.units['torque'][0]}"
         factor = FACTORS["length"][self.units["length"][0]]
-        coordinates = [one.column(name) for name in one.ending(".x", ".y", ".z")]
+        coordinates = [file.column(name) for name in file.ending(".x", ".y", ".z")]
         if not any(column is not None and moves(factor * column, None) for column in coordinates):
             return "quiet", "guessed: nothing moves beyond the noise"
         return "decay", "guessed: it moves without a torque"
@@ -261,22 +268,22 @@ def read_csv(path: Path) -> _CsvFile:
 
 
 def _recognized(values: Mapping[str, Array]) -> dict[str, str]:
-    """Return the documentation's names of the columns that can be told, by the file's own."""
+    """Return the documentation's names of the columns that are recognized, by the file's own."""
     if any(_STANDARD.fullmatch(name) for name in values):
         names = {name: name for name in values if _STANDARD.fullmatch(name) or name == "t"}
     else:
-        names = _recognized_markers([name for name in values if not _is(name, "t", "theta", "tau")])
+        names = _recognized_markers([name for name in values if not _matches(name, "t", "theta", "tau")])
     for quantity in ("t", "theta", "tau"):
         standard = "t" if quantity == "t" else f"beam.{quantity}"
-        own = next((name for name in values if name not in names and _is(name, quantity)), None)
-        if own is not None and not any(
+        header_name = next((name for name in values if name not in names and _matches(name, quantity)), None)
+        if header_name is not None and not any(
             ours == "t" or ours.endswith(quantity) for ours in names.values() if ours == standard
         ):
-            names[own] = standard
+            names[header_name] = standard
     return names
 
 
-def _is(name: str, *quantities: str) -> bool:
+def _matches(name: str, *quantities: str) -> bool:
     return any(_WORDS[quantity].fullmatch(name) for quantity in quantities)
 
 
@@ -296,7 +303,8 @@ def propose(folder: Path, paths: Sequence[Path]) -> ExperimentProposal:
 
     Args:
         folder: that it is written into.
-        paths: of the CSV files. One without markers holds angles and torques of the one whose name its own begins with.
+        paths: of the CSV files. One without markers holds the angles and torques of the file whose name its own name
+            begins with.
 
     Raises:
         RecordingError: a file cannot be read, has no markers, or belongs to none that has.
@@ -305,14 +313,14 @@ def propose(folder: Path, paths: Sequence[Path]) -> ExperimentProposal:
         if re.search("[\ud800-\udfff]", str(path)):
             raise RecordingError(path, None, None, "its name is not UTF-8", "a name that an experiment file can hold")
     files = [read_csv(path) for path in paths]
-    markers = [one for one in files if one.has_markers]
+    markers = [file for file in files if file.has_markers]
     motors: dict[Path, _CsvFile] = {}
-    for one in files:
-        if one.has_markers:
+    for file in files:
+        if file.has_markers:
             continue
-        stems = [other for other in markers if one.path.stem.startswith(other.path.stem)]
-        if not stems or not one.names:
+        stems = [candidate for candidate in markers if file.path.stem.startswith(candidate.path.stem)]
+        if not stems or not file.names:
             expected = "columns such as beam.m1.x and beam.m1.y, or Marker1_X and Marker1_Y"
-            raise RecordingError(one.path, 1, None, "no column looks like a marker's coordinate", expected)
-        motors[max(stems, key=lambda other: len(other.path.stem)).path] = one
-    return ExperimentProposal(folder, tuple((one, motors.get(one.path)) for one in markers))
+            raise RecordingError(file.path, 1, None, "no column looks like a marker's coordinate", expected)
+        motors[max(stems, key=lambda candidate: len(candidate.path.stem)).path] = file
+    return ExperimentProposal(folder, tuple((file, motors.get(file.path)) for file in markers))

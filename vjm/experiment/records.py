@@ -186,7 +186,7 @@ class Rig:
     def __post_init__(self) -> None:
         """Validate."""
         _check_fields(self, self.name)
-        links = _several(self.links, Link, f"rig {self.name}", "links")
+        links = _tuple_of(self.links, Link, f"rig {self.name}", "links")
         object.__setattr__(self, "links", links)
         names = [link.name for link in links]
         for index, name in enumerate(names):
@@ -324,8 +324,10 @@ class Recording:
         if not isinstance(other, Recording):
             return NotImplemented
         return all(
-            np.array_equal(mine, its, equal_nan=True) if isinstance(mine, np.ndarray) else mine == its
-            for mine, its in zip(vars(self).values(), vars(other).values(), strict=True)
+            np.array_equal(value, other_value, equal_nan=True)
+            if isinstance(value, np.ndarray)
+            else value == other_value
+            for value, other_value in zip(vars(self).values(), vars(other).values(), strict=True)
         )
 
     def __repr__(self) -> str:
@@ -372,7 +374,7 @@ class Experiment:
         rig = _as_rig(self.rig)
         rig.require_markers()
         recordings = []
-        for number, recording in enumerate(_several(self.recordings, Recording, "experiment", "recordings"), start=1):
+        for number, recording in enumerate(_tuple_of(self.recordings, Recording, "experiment", "recordings"), start=1):
             gravity = rig.gravity if isinstance(recording.gravity, _RigsGravity) else recording.gravity
             if gravity is not recording.gravity or not recording.file:
                 recording = replace(recording, gravity=gravity, file=recording.file or f"recording_{number}")
@@ -390,11 +392,14 @@ class Experiment:
             number = first.setdefault(recording.repeat, index)
             other = self.recordings[number]
             for key in ("kind", "payload", "gravity"):
-                here, there = getattr(recording, key), getattr(other, key)
-                if here != there:
+                value, other_value = getattr(recording, key), getattr(other, key)
+                if value != other_value:
                     place = f"[recording[{number + 1}] {other.file}] with the same repeat label '{recording.repeat}'"
-                    problem = f"{shown(here)}, but {place} has another"
-                    table, expected = f"recording[{index + 1}] {recording.file}", f"{shown(there)}, or another label"
+                    problem = f"{shown(value)}, but {place} has another"
+                    table, expected = (
+                        f"recording[{index + 1}] {recording.file}",
+                        f"{shown(other_value)}, or another label",
+                    )
                     raise ExperimentError(self.file, table, key, problem, expected)
 
     def __repr__(self) -> str:
@@ -407,8 +412,8 @@ class Experiment:
     def warnings(self) -> tuple[str, ...]:
         """Sentences that a user should read before trusting results."""
         unused = [f"columns that nothing names are not used: {', '.join(self.unused_columns)}"]
-        found = experiment_warnings(self.rig, self.recordings, self.conventions)
-        return (*unused[: len(self.unused_columns)], *found)
+        warnings = experiment_warnings(self.rig, self.recordings, self.conventions)
+        return (*unused[: len(self.unused_columns)], *warnings)
 
     @cached_property
     def cleaned_recordings(self) -> tuple[Recording, ...]:
@@ -464,9 +469,9 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
     seen = [measured.any(axis=(1, 2)), *np.isfinite(recording.theta).T, *np.isfinite(recording.tau).T]
     _check_rate(name, recording.time, (recording.time[rows] for rows in seen))
     usable = measured[:, :, 1]
-    for link, own in zip(rig.links, rig.marker_slices, strict=True):
+    for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
         if link.markers_frame == "base":
-            usable[:, own] &= measured[:, own, 0]
+            usable[:, marker_slice] &= measured[:, marker_slice, 0]
     count = int(usable.any(axis=1).sum())
     if count < _MIN_FRAMES:
         problem = f"{count} usable frame{'' if count == 1 else 's'}"
@@ -479,7 +484,7 @@ def _check_fields(record: object, name: object) -> None:
     check_fields(record, name)
 
 
-def _several(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
+def _tuple_of(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]:
     try:
         items = (values,) if isinstance(values, kind) else tuple(values)
     except TypeError:  # not iterable
@@ -502,8 +507,8 @@ def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[in
     if key != "time" and array.ndim == 1 and len(shape) == 2:
         array = array[:, None]
     if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
-        there = "" if shape[0] is None else f" with T = {shape[0]}"
-        raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{there}")
+        length_note = "" if shape[0] is None else f" with T = {shape[0]}"
+        raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{length_note}")
     _check_range(name, key, array, key)
     return array
 

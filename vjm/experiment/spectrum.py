@@ -23,7 +23,7 @@ from vjm.experiment.records import Array, Complex, Recording, Rig
 def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, float]:
     """Return marker noise [m] and encoder noise [rad]: the experiment's, else the median over recordings.
 
-    Quiet recordings, where there are any, speak for all.
+    Where there are quiet recordings, only these are used.
     """
     chosen = [recording for recording in recordings if recording.kind == "quiet"] or recordings
     length = max(link.length for link in rig.links)
@@ -87,7 +87,7 @@ class Oscillators:
         return np.stack([np.exp(pole * self.time), *(self._forced(pole, signal) for signal in self.inputs)], axis=1)
 
     def _forced(self, pole: complex, signal: Array) -> Complex:
-        """Response of z' = pole z + u at the camera's instants, u linear between its samples (exact)."""
+        """Return the response of z' = pole z + u at the camera's instants, exact for u linear between its samples."""
         h = self.step
         flow = np.exp(pole * h)
         first = (flow - 1) / pole
@@ -97,12 +97,12 @@ class Oscillators:
         )
         # Between grid instants: exact propagation from the one before, with the torque frozen in its linear piece.
         k = np.minimum((self.time / h + 1e-9).astype(int), signal.size - 2)
-        rest = self.time - k * h
-        part = np.exp(pole * rest)
+        remainder = self.time - k * h
+        decay = np.exp(pole * remainder)
         slope = (signal[k + 1] - signal[k]) / h
-        zeroth = (part - 1) / pole
-        moved: Complex = part * response[k] + zeroth * signal[k] + (zeroth - rest) / pole * slope
-        return moved
+        zeroth = (decay - 1) / pole
+        result: Complex = decay * response[k] + zeroth * signal[k] + (zeroth - remainder) / pole * slope
+        return result
 
 
 _FALSE_ALARM = 1e-6  # probability that noise alone shows a mode
@@ -192,7 +192,7 @@ def mode_shapes(
 
 
 def _complete(time: ArrayLike, signals: ArrayLike) -> tuple[Array, Array]:
-    """Return the frames without a gap, of a very long recording its beginning."""
+    """Return the frames in which everything was measured; of a very long recording, its beginning."""
     t, y = np.asarray(time, dtype=float), np.asarray(signals, dtype=float)
     kept = np.flatnonzero(np.isfinite(y).all(axis=1))[:_MOST_FRAMES]
     return t[kept], y[kept]
@@ -236,12 +236,12 @@ def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: 
     lower = np.column_stack([0.5 * first[:, 0], np.zeros(len(first))]).ravel()
     upper = np.column_stack([np.minimum(1.5 * first[:, 0], top), np.full(len(first), 0.7)]).ravel()
     scale = np.column_stack([first[:, 0], np.full(len(first), 1.0)]).ravel()
-    inside = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
+    initial = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
 
     def slopes(x: Array) -> Array:
         return -_projected_jacobian(oscillators, y, x.reshape(-1, 2)) / noise
 
-    result = least_squares(residual, inside, slopes, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
+    result = least_squares(residual, initial, slopes, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
     refined: Array = np.asarray(result.x).reshape(-1, 2)
     return refined
 
@@ -255,10 +255,10 @@ def _projected_jacobian(oscillators: Oscillators, y: Array, values: Array) -> Ar
     columns = oscillators.columns(values)
     _, amplitudes = _project(columns, y)
     slopes = []
-    for pair, own in zip(values, np.split(amplitudes[1:], len(values)), strict=True):
+    for pair, pair_amplitudes in zip(values, np.split(amplitudes[1:], len(values)), strict=True):
 
-        def motion(x: Array, own: Array = own) -> Array:
-            return (oscillators.columns(x[None])[:, 1:] @ own).ravel()
+        def motion(x: Array, pair_amplitudes: Array = pair_amplitudes) -> Array:
+            return (oscillators.columns(x[None])[:, 1:] @ pair_amplitudes).ravel()
 
         slopes.append(approx_fprime(pair, motion, 1e-6 * np.maximum(np.abs(pair), 1e-3)))
     return _project(columns, np.hstack(slopes).reshape(len(y), -1))[0].reshape(y.size, -1)
@@ -269,13 +269,13 @@ def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> 
     kept = values
     for row in values:
         without = kept[~(kept == row).all(axis=1)]
-        with_it, alone = (
+        sum_with, sum_without = (
             float(np.sum(_project(oscillators.columns(v), y)[0] ** 2)) / noise**2 for v in (kept, without)
         )
         freedom = 2 * (1 + len(oscillators.inputs)) * y.shape[1] + 2
         # A model error in the residual counts as noise here: a mode has to stand out of what is left anyway.
-        scale = max(with_it / y.size, 1.0)
-        if (alone - with_it) / scale < stats.chi2.isf(_FALSE_ALARM, freedom):
+        scale = max(sum_with / y.size, 1.0)
+        if (sum_without - sum_with) / scale < stats.chi2.isf(_FALSE_ALARM, freedom):
             kept = without
     return kept
 

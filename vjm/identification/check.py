@@ -114,7 +114,7 @@ def check(experiment: Experiment) -> Check:
         return Check(experiment, tuple(doubts), expected, (), {}, problem, overviews)
     try:
         data = {kind: TrainingData.of(experiment, kind) for kind in PARAMETRISATIONS}
-        identifiable = {kind: _identifiable(each) for kind, each in data.items()}
+        identifiable = {kind: _identifiable(training_data) for kind, training_data in data.items()}
     except InsufficientDataError as error:
         problem = str(error)
         about_markers = [text for link in rig.links for text in _marker_warnings(link, link.virtual_joints)]
@@ -171,8 +171,8 @@ def estimates(
             if parametrisation.kind != "uniform" and at_bound[k]:
                 remedy += "; or fewer parameters (--parameters uniform)"
         error = float(std[k]) if np.isfinite(std[k]) and visible[k] else None
-        found = (coordinate.name, float(values[k]), error, coordinate.unit)
-        result.append(Estimate(*found, not reason, reason, remedy, None if error is None else shifts[k]))
+        fields = (coordinate.name, float(values[k]), error, coordinate.unit)
+        result.append(Estimate(*fields, not reason, reason, remedy, None if error is None else shifts[k]))
     return tuple(result)
 
 
@@ -211,13 +211,13 @@ def _remedy(parametrisation: Parametrisation, k: int, x: Array) -> str:
 
 def _mode_to_excite(chain: Chain, link: int, index: int) -> str:
     """Name the one of the four slowest modes with most elastic energy in a joint; for a whole link, the second."""
-    found = modes(chain, gravity=(0.0, 0.0))
-    count = min(4, found.frequencies.size)  # faster ones are hard to excite
-    energy = chain.stiffness[:, None] * found.shapes[:, :count] ** 2
+    natural_modes = modes(chain, gravity=(0.0, 0.0))
+    count = min(4, natural_modes.frequencies.size)  # faster ones are hard to excite
+    energy = chain.stiffness[:, None] * natural_modes.shapes[:, :count] ** 2
     share = energy / np.maximum(energy.sum(axis=0), 1e-300)
     joint = chain.passive_slices[link].start + index
     mode = min(1, count - 1) if index < 0 else int(np.argmax(share[joint]))
-    return f"mode {mode + 1} (about {found.frequencies[mode]:.2g} Hz)"
+    return f"mode {mode + 1} (about {natural_modes.frequencies[mode]:.2g} Hz)"
 
 
 def identification_notes(data: TrainingData, decisions: Sequence[str]) -> tuple[str, ...]:
@@ -256,8 +256,8 @@ def data_warnings(data: TrainingData) -> list[str]:
             remedy = "; --virtual-joints sets more" if coarse else ""
             warnings.append(f"{_joint_note(link, order, choice, data.parameters)}{remedy}")
         warnings += _marker_warnings(link, choice.joints if choice.requested else None)
-    for one in data.prepared:
-        angles, name = one.angles, one.recording.file
+    for prepared in data.prepared:
+        angles, name = prepared.angles, prepared.recording.file
         if angles.unsolved:
             frames = f"{angles.unsolved} of {len(angles.time)} frames"
             warnings.append(f"{name}: {frames} have no solution for the joint angles and were left out")
@@ -267,12 +267,12 @@ def data_warnings(data: TrainingData) -> list[str]:
                 f"{name}: the motion is only {motion:.1f} × the noise of the joint angles; it determines little"
             )
     fastest = max((float(m.frequencies[-1]) for m in data.modes if m.frequencies.size), default=0.0)
-    for one in data.prepared:
-        rate = 1 / float(np.median(np.diff(one.angles.time)))
+    for prepared in data.prepared:
+        rate = 1 / float(np.median(np.diff(prepared.angles.time)))
         if fastest and rate < _MIN_FRAMES_PER_PERIOD * fastest:
             warnings.append(
-                f"{one.recording.file}: the camera takes {rate:.3g} frames/s, {rate / fastest:.2g} a period of the "
-                f"{fastest:.3g} Hz mode; at least {_MIN_FRAMES_PER_PERIOD} are needed"
+                f"{prepared.recording.file}: the camera takes {rate:.3g} frames/s, {rate / fastest:.2g} a period of "
+                f"the {fastest:.3g} Hz mode; at least {_MIN_FRAMES_PER_PERIOD} are needed"
             )
     return warnings + _repeat_warnings(data)
 
@@ -319,16 +319,16 @@ def _repeat_warnings(data: TrainingData) -> list[str]:
     return warnings
 
 
-def _distance(one: Recording, other: Recording) -> float:
+def _distance(first: Recording, second: Recording) -> float:
     """Return the RMS distance of the same coordinates at the same time after the start [m]."""
-    columns = zip(*(recording.markers.reshape(recording.time.size, -1).T for recording in (one, other)), strict=True)
-    pairs = [overlapping_samples(one, other, *column) for column in columns]
-    differences = np.concatenate([np.zeros(0), *(mine - theirs for mine, theirs in pairs)])
+    columns = zip(*(recording.markers.reshape(recording.time.size, -1).T for recording in (first, second)), strict=True)
+    pairs = [overlapping_samples(first, second, *column) for column in columns]
+    differences = np.concatenate([np.zeros(0), *(x - y for x, y in pairs)])
     return float(np.sqrt(np.mean(differences**2))) if differences.size else 0.0
 
 
 def failure_of(experiment: Experiment, recordings: Sequence[RecordingComparison]) -> str:
-    """Return why an identified model is not to be used, whatever its search says of itself; empty where it may be.
+    """Return why an identified model must not be used even if its search converged; empty if it may be used.
 
     Args:
         experiment: as it was read.
@@ -338,17 +338,23 @@ def failure_of(experiment: Experiment, recordings: Sequence[RecordingComparison]
     rig = experiment.rig
     names = [column for link in rig.links for column in link.marker_columns]
     reasons = []
-    for item in recordings:
-        file, used = item.recording.file, item.recording
-        before, after = (np.isfinite(each.markers).any(axis=0).ravel().tolist() for each in (read[file], used))
-        lost = [name for name, was, is_ in zip(names, before, after, strict=True) if was and not is_]
+    for comparison in recordings:
+        file, used = comparison.recording.file, comparison.recording
+        before, after = (
+            np.isfinite(recording.markers).any(axis=0).ravel().tolist() for recording in (read[file], used)
+        )
+        lost = [
+            name
+            for name, was_measured, is_measured in zip(names, before, after, strict=True)
+            if was_measured and not is_measured
+        ]
         if lost:
             reasons.append(f"{file}: every value of {', '.join(lost)} was left out as impossible")
-        rms = None if item.simulated is None else item.simulated.marker_rms
+        rms = None if comparison.simulated is None else comparison.simulated.marker_rms
         if used.role == "holdout" and (rms is None or not np.isfinite(rms)):
             reasons.append(f"{file}: held out, but the model could not be simulated over it")
         # Exact data have hardly any noise; what is less than a millionth of the arm is none.
-        noise = max(item.noise[0], 1e-6 * sum(link.length for link in rig.links))
+        noise = max(comparison.noise[0], 1e-6 * sum(link.length for link in rig.links))
         if rms is not None and rms > 100 * noise:  # as large as motions are: the model follows nothing
             reasons.append(f"{file}: residual {ratio(rms / noise)} × noise")
     more = f", and {len(reasons) - 1} more such" if len(reasons) > 1 else ""
@@ -381,21 +387,26 @@ def fit_warnings(
                 f"{'above' if error > 0 else 'below'} the measured {mode.frequency_measured:.4g} Hz; "
                 "method torque+frequency fits the measured one"
             )
-    warnings += [f"{item.recording.file}: {item.problem}" for item in recordings if item.problem]
     warnings += [
-        f"{item.recording.file}: {counted(item.left_out, 'marker coordinate')} left out: inconsistent with the other "
-        "markers, clipped, or outliers in time"
-        for item in recordings
-        if item.left_out
+        f"{comparison.recording.file}: {comparison.problem}" for comparison in recordings if comparison.problem
     ]
-    for item in recordings:
-        if item.simulated is not None and item.simulated.marker_rms > _LARGE_RESIDUAL * item.noise[0]:
-            rms, nominal = item.simulated.marker_rms, None if item.reference is None else item.reference.marker_rms
+    warnings += [
+        f"{comparison.recording.file}: {counted(comparison.left_out, 'marker coordinate')} left out: inconsistent with "
+        "the other markers, clipped, or outliers in time"
+        for comparison in recordings
+        if comparison.left_out
+    ]
+    for comparison in recordings:
+        if comparison.simulated is not None and comparison.simulated.marker_rms > _LARGE_RESIDUAL * comparison.noise[0]:
+            rms, nominal = (
+                comparison.simulated.marker_rms,
+                None if comparison.reference is None else comparison.reference.marker_rms,
+            )
             better = "" if nominal is None or nominal > rms else f"; the nominal model's is {millimetres(nominal)}"
-            size = f"{millimetres(rms)} RMS, {ratio(rms / item.noise[0])} × noise"
-            warnings.append(f"{item.recording.file}: marker residual {size}{better}")
-        if item.simulated is not None and item.simulated.status != "converged":
-            warnings.append(f"{item.recording.file}: no initial state was found that follows the recording")
+            size = f"{millimetres(rms)} RMS, {ratio(rms / comparison.noise[0])} × noise"
+            warnings.append(f"{comparison.recording.file}: marker residual {size}{better}")
+        if comparison.simulated is not None and comparison.simulated.status != "converged":
+            warnings.append(f"{comparison.recording.file}: no initial state was found that follows the recording")
     missing = [estimate.name for estimate in parameters if not estimate.identifiable]
     if missing:
         warnings.append(f"not determined by the recordings: {', '.join(missing)}")

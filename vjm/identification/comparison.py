@@ -38,9 +38,11 @@ def compare(
         ShapeError: a model whose links are longer or shorter than the rig's.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
     """
-    for link, own in zip(model.chain.links, experiment.rig.links, strict=True):
-        if abs(link.length - own.length) > 1e-3 * own.length:  # more than rounding in either file
-            raise ShapeError(f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {own.length:.6g} m")
+    for link, rig_link in zip(model.chain.links, experiment.rig.links, strict=True):
+        if abs(link.length - rig_link.length) > 1e-3 * rig_link.length:  # more than rounding in either file
+            raise ShapeError(
+                f"model, link {link.name}", f"length {link.length:.6g} m", f"the rig's {rig_link.length:.6g} m"
+            )
     likely = refuse_mistakes(experiment)
     nominal = replace(model, chain=nominal_chain(experiment.rig, model.chain.links), estimates=(), effects=())
     recordings = compare_recordings(experiment, model, (nominal, None), progress)
@@ -66,7 +68,7 @@ def compare_recordings(
     report, known, noise = progress or (lambda *_: None), states or {}, (model.marker_noise, model.encoder_noise)
     report("replaying recordings", 0, 2)
     measured = [Observations.of(experiment.rig, recording, noise) for recording in experiment.cleaned_recordings]
-    starts = [known.get(one.recording.file) for one in measured]
+    starts = [known.get(observations.recording.file) for observations in measured]
     measured, results = replay_without_outliers(partial(_replay, model, step_multiple), measured, starts)
     report("replaying recordings", 2, 2)
     # Others miss by more than the error of steps twice as long.
@@ -74,15 +76,15 @@ def compare_recordings(
     columns = [[_simulated(result) for result in column or [""] * len(measured)] for column in (results, *replays)]
     return tuple(
         RecordingComparison(
-            recording=one.recording,
+            recording=observations.recording,
             noise=noise,
             simulated=simulated,
             reference=reference,
             alternative=alternative,
-            left_out=int(np.isfinite(raw.markers).sum() - np.isfinite(one.recording.markers).sum()),
+            left_out=int(np.isfinite(raw.markers).sum() - np.isfinite(observations.recording.markers).sum()),
             problem=result if isinstance(result, str) else "",
         )
-        for raw, one, result, simulated, reference, alternative in zip(
+        for raw, observations, result, simulated, reference, alternative in zip(
             experiment.recordings, measured, results, *columns, strict=True
         )
     )
@@ -91,7 +93,9 @@ def compare_recordings(
 def _replay(
     model: Model, step_multiple: float, observed: Sequence[Observations], states: Sequence[Array | None] | None
 ) -> list[tuple[Run, bool]]:
-    return fit_initial_states([model.arm_in(one.recording) for one in observed], observed, states, step_multiple)
+    return fit_initial_states(
+        [model.arm_in(observations.recording) for observations in observed], observed, states, step_multiple
+    )
 
 
 def _simulated(result: tuple[Run, bool] | str) -> SimulatedRecording | None:
@@ -103,8 +107,8 @@ def replay_each(
 ) -> list[tuple[Run, bool] | str]:
     """Simulate recordings together, or each alone where that fails; return the reason for one that cannot be.
 
-    The function to `replay` them does so from the initial states (2 nv,) given, None where not known, and says whether
-    these converged, as `fit_initial_states`.
+    `replay` simulates recordings from given initial states (2 nv,), None where not known, and returns for each whether
+    its state converged, as `fit_initial_states` does.
     """
     if not observed:
         return []
@@ -113,7 +117,7 @@ def replay_each(
     except (InsufficientDataError, SimulationDivergedError) as error:
         if len(observed) == 1:
             return [str(error)]
-    return [replay_each(replay, [one], states and [states[k]])[0] for k, one in enumerate(observed)]
+    return [replay_each(replay, [observations], states and [states[k]])[0] for k, observations in enumerate(observed)]
 
 
 def replay_without_outliers(

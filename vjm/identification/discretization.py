@@ -36,12 +36,12 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
         point: where the chain fits best.
         rig: the arm.
     """
-    here = _with_offset(point, None)
+    coarse = _with_offset(point, None)
     try:
-        predicted = _predictions(_finer(here, rig), here)
-        offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
-        beside = _with_offset(here, offset)
-        change: Array = beside.reduced()[0].best() - here.reduced()[0].best()
+        predicted = _predictions(_finer(coarse, rig), coarse)
+        offset = [fine - _predicted(run) for fine, run in zip(predicted, coarse.runs, strict=True)]
+        corrected = _with_offset(coarse, offset)
+        change: Array = corrected.reduced()[0].best() - coarse.reduced()[0].best()
     except (SimulationDivergedError, InsufficientDataError):
         return None
     return _EXTRAPOLATION * change
@@ -70,23 +70,23 @@ class DiscretizationBias:
         """
         start = _with_offset(point, None)
         finer = _finer(start, rig)
-        best, chi2, here = None, np.inf, start
+        best, chi2, current = None, np.inf, start
         try:
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
-                predicted = _predictions(finer, here)
-                previous, chi2 = chi2, sum(map(_chi2, here.runs, predicted))
+                predicted = _predictions(finer, current)
+                previous, chi2 = chi2, sum(map(_chi2, current.runs, predicted))
                 # What is left falls by about the same factor each time.
                 if chi2 * min(chi2 / previous, 1.0) ** remaining > max_misfit**2 * point.expected_chi2:
                     return None
                 if not chi2 < previous * (1 - 1e-4):  # below a tenth of a typical noise of chi^2
                     break
-                best = predicted, here.x
+                best = predicted, current.x
                 if remaining:
-                    offset = [fine - _predicted(run) for fine, run in zip(predicted, here.runs, strict=True)]
-                    shifted = _with_offset(here, offset)
+                    offset = [fine - _predicted(run) for fine, run in zip(predicted, current.runs, strict=True)]
+                    shifted = _with_offset(current, offset)
                     states = [run.state for run in shifted.runs]
                     fit = fit_trajectory(shifted.problem, shifted.x, None, states, rough=True)
-                    here = _with_offset(fit.point, None)
+                    current = _with_offset(fit.point, None)
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if best is None:
@@ -107,8 +107,8 @@ class DiscretizationBias:
 def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
     """Return the same simulations with offsets (N,) of their predictions, one for each recording; None: without."""
     runs = tuple(
-        replace(run, observed=replace(run.observed, discretization_offset=own))
-        for run, own in zip(point.runs, [None] * len(point.runs) if offset is None else offset, strict=True)
+        replace(run, observed=replace(run.observed, discretization_offset=run_offset))
+        for run, run_offset in zip(point.runs, [None] * len(point.runs) if offset is None else offset, strict=True)
     )
     return replace(point, problem=replace(point.problem, observed=tuple(run.observed for run in runs)), runs=runs)
 

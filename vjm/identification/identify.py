@@ -82,7 +82,7 @@ def identify(
         InsufficientDataError: recordings that cannot determine the model.
         SimulationDivergedError: no start can be simulated.
     """
-    for option, given, choices in (
+    for option, value, choices in (
         ("method", method, METHODS),
         ("parameters", parameters, PARAMETRISATIONS),
         ("layout", layout, LAYOUTS),
@@ -91,8 +91,8 @@ def identify(
         ("derivatives", derivatives, get_args(DerivativeMethod)),
         ("loss", loss, LOSSES),
     ):
-        if given not in choices:
-            raise ChoiceError(option, given, choices)
+        if value not in choices:
+            raise ChoiceError(option, value, choices)
     if virtual_joints is not None and not 1 <= virtual_joints <= 60:
         raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
     likely = refuse_mistakes(experiment)
@@ -141,7 +141,8 @@ def _result(
     compared_modes = _compare_modes(chain, data)
     # The same weights for both models.
     objectives = [
-        objective(data.weighted_errors(either, chain)) if data.prepared else None for either in (chain, nominal.chain)
+        objective(data.weighted_errors(compared, chain)) if data.prepared else None
+        for compared in (chain, nominal.chain)
     ]
     failure = failure_of(experiment, recordings)
     return Identification(
@@ -175,10 +176,12 @@ def _result(
 
 def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ...]:
     """Compare a chain's modes with the measured ones: up to the last measured one, and all that the markers show."""
-    found = modes(chain, data.payload)
-    shapes = _marker_deflections(chain, data.rig, found.shapes)
+    natural_modes = modes(chain, data.payload)
+    shapes = _marker_deflections(chain, data.rig, natural_modes.shapes)
     rows = []
-    for frequency, ratio, shape in zip(found.frequencies.tolist(), found.damping_ratios.tolist(), shapes, strict=True):
+    for frequency, ratio, shape in zip(
+        natural_modes.frequencies.tolist(), natural_modes.damping_ratios.tolist(), shapes, strict=True
+    ):
         value, std, damping = match(frequency, data.modes, MODE_TOLERANCE) or (None, None, None)
         measured = _measured_shape(data, frequency)
         mac = None if measured is None else _modal_assurance(shape, measured)
@@ -190,8 +193,8 @@ def _compare_modes(chain: Chain, data: TrainingData) -> tuple[ModeComparison, ..
 def _marker_deflections(chain: Chain, rig: Rig, angles: Array) -> Array:
     """Return lateral deflections (m, k) of the markers in their link frames, for small joint angles (nv, m)."""
     rows = []
-    for link, own, part in zip(chain.links, rig.links, chain.passive_slices, strict=True):
-        slope = curve_map(link, own.markers).jacobian(np.zeros(link.virtual_joints))
+    for link, rig_link, part in zip(chain.links, rig.links, chain.passive_slices, strict=True):
+        slope = curve_map(link, rig_link.markers).jacobian(np.zeros(link.virtual_joints))
         rows.append(slope[:, 1] @ angles[part])
     return np.concatenate(rows).T
 
@@ -205,15 +208,19 @@ def _modal_assurance(model: Array, measured: Complex) -> float:
 def _measured_shape(data: TrainingData, frequency: float) -> Complex | None:
     """Return the deflection (k,) of all markers in the measured mode nearest to a frequency [Hz]; None if none is near.
 
-    Of all recordings, and of free and forced motion, the one shape that explains most.
+    It is the shape that explains most of the free and the forced motion of all recordings.
     """
     parts = []
-    for one, known in zip(data.freely_moving, data.modes, strict=True):
-        deviations = np.abs(known.frequencies / frequency - 1)
+    for prepared, measured_modes in zip(data.freely_moving, data.modes, strict=True):
+        deviations = np.abs(measured_modes.frequencies / frequency - 1)
         if np.min(deviations, initial=np.inf) < MODE_TOLERANCE:
-            pairs = zip(data.rig.links, one.angles.shapes, strict=True)
+            pairs = zip(data.rig.links, prepared.angles.shapes, strict=True)
             lateral = np.hstack([shape.evaluate(link.markers) for link, shape in pairs])
-            parts.append(mode_shapes(one.angles.time, lateral, known, one.driving_torque)[np.argmin(deviations)])
+            parts.append(
+                mode_shapes(prepared.angles.time, lateral, measured_modes, prepared.driving_torque)[
+                    np.argmin(deviations)
+                ]
+            )
     if not parts:
         return None
     shape: Complex = np.linalg.svd(np.concatenate(parts, axis=1), full_matrices=False)[0][:, 0]

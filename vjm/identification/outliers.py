@@ -44,7 +44,7 @@ def _outliers(residual: Array, time: Array) -> Mask:
 
 
 def _outlying(values: Array) -> Mask:
-    """Return True where a residual is far from the running median, by the scatter of those around it and of most."""
+    """Return True where a residual is far from the running median, beside the scatter around it and that of most."""
     distance = np.abs(values - median_filter(values, 15, mode="nearest"))
     typical = np.sort(np.abs(values))[: max(1, int((1 - _MAX_SHARE) * values.size))]
     outlying: Mask = distance > np.maximum(_threshold(distance), 5 * np.sqrt(np.mean(typical**2)))
@@ -85,11 +85,11 @@ def _prediction_error(values: Array, time: Array) -> Array:
     for side, predictors in zip(error, _PREDICTORS, strict=True):
         for offsets in predictors:
             rows = np.arange(max(0, -min(offsets)), values.size - max(0, max(offsets)))
-            given = rows[:, None] + np.array(offsets)
-            weights = _lagrange_weights(time[given], time[rows])
+            neighbours = rows[:, None] + np.array(offsets)
+            weights = _lagrange_weights(time[neighbours], time[rows])
             near = np.linalg.norm(weights, axis=1) < 5  # or the prediction is that much noisier than a value
-            rows, given, weights = rows[near], given[near], weights[near]
-            side[rows] = np.minimum(side[rows], np.abs(values[rows] - np.sum(weights * values[given], axis=1)))
+            rows, neighbours, weights = rows[near], neighbours[near], weights[near]
+            side[rows] = np.minimum(side[rows], np.abs(values[rows] - np.sum(weights * values[neighbours], axis=1)))
     return np.where(np.isinf(error[:2]).any(axis=0), 0.0, error.min(axis=0))
 
 

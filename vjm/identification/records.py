@@ -112,7 +112,7 @@ class Identification(Comparison):
             ChoiceError: no recording of that name; the message lists those there are.
         """
         name = recording.file if isinstance(recording, Recording) else recording
-        by_name = {each.recording.file: each for each in self.recordings}
+        by_name = {comparison.recording.file: comparison for comparison in self.recordings}
         if name not in by_name:
             raise ChoiceError("recording", name, by_name)
         comparison, chain, rig = by_name[name], self.model.chain, self.model.rig

@@ -87,8 +87,10 @@ class RobotIdentification(Record):
     def __str__(self) -> str:
         """Return a line for each parameter; the reason instead of the value where there is none."""
         return "\n".join(
-            str(each) if each.identifiable else f"{each.name}: not identifiable, {each.reason}; {each.remedy}"
-            for each in self.parameters
+            str(estimate)
+            if estimate.identifiable
+            else f"{estimate.name}: not identifiable, {estimate.reason}; {estimate.remedy}"
+            for estimate in self.parameters
         )
 
 
@@ -131,14 +133,14 @@ def identify_stiffness(
         rates: (T, n_a) [rad/s]; None: those of the angles.
         accelerations: (T, n_a) [rad/s^2]; None: those of the angles.
         torques: (T, n_a) of the motors, for their residuals alone [N m]; None where not measured.
-        marker_positions_3d: (T, k, 3) in the model's world [m]; NaN where a marker was not seen. Frames whose markers
-            tell the angles with more than ten times the noise that all of them would leave are left out.
+        marker_positions_3d: (T, k, 3) in the model's world [m]; NaN where a marker was not seen. Frames are left out
+            whose markers determine the angles with more than ten times the noise that all markers would give.
         time: (T,) instants of all of them [s].
         markers: for each marker, a frame of the model and the marker's place in it (3,) [m]; by name, or in a list.
             On a flexible link the place may be given in the link's own frame, wherever along it.
         bandwidth: half-power frequency of the filter that all signals pass [Hz], above those of the motion. The lower,
             the less noise, and the less a model of few virtual joints has to explain (default: as high as the noise
-            lets the angles be told, by the discrepancy principle).
+            allows, by the discrepancy principle).
         tied: whether the joints of a flexible link share its material; False: each has values of its own.
 
     Returns:
@@ -160,8 +162,8 @@ def identify_stiffness(
     q, misfit, noise = angles_from_markers(model, tree, motors["q_active"], seen, shown)
     kept = np.isfinite(q).all(axis=1)
     visible = np.isfinite(seen).reshape(t.size, -1)[kept]
-    of_motors = {name: values[kept] for name, values in motors.items()}
-    signals = sampled_signals(model, tree, q[kept], of_motors, visible, shown, noise)
+    motor_signals = {name: values[kept] for name, values in motors.items()}
+    signals = sampled_signals(model, tree, q[kept], motor_signals, visible, shown, noise)
     problem = _Problem(model, groups, shown, t[kept], signals, bandwidth)
     if problem.time.size < FEWEST_FRAMES:
         reason = f"{problem.time.size} frames remain where the filter is cut off at both ends"
@@ -193,8 +195,8 @@ class _Problem:
         halves = (slice(0, None, 2), slice(1, None, 2))
         instants = time[1 : min(time.size - 1, 2 * (time.size // 2) - 1)]  # inside both halves
         self.smoothers = [Smoother(time[half], instants) for half in halves]
-        given = None if bandwidth is None else self.smoothers[0].exponent_of(bandwidth)
-        first = self.smoothers[0].derivatives(signals.columns[halves[0]], filtering, given)
+        exponent = None if bandwidth is None else self.smoothers[0].exponent_of(bandwidth)
+        first = self.smoothers[0].derivatives(signals.columns[halves[0]], filtering, exponent)
         self.exponent = first.smoothing or 0.0
         second = self.smoothers[1].derivatives(signals.columns[halves[1]], filtering, self.exponent)
         inside = first.interior & second.interior
@@ -223,8 +225,8 @@ class _Problem:
 
     def equations(self, motion: _Motion) -> tuple[Array, Array]:
         """Return regressors (S, r, p) and right-hand sides (S, r) of the passive rows."""
-        without = _with_springs(self.model, np.zeros(self.model.model.nv), np.zeros(self.model.model.nv))
-        right = -without.inverse_dynamics(self.model.configuration(motion.q), motion.v, motion.a)
+        springless = _with_springs(self.model, np.zeros(self.model.model.nv), np.zeros(self.model.model.nv))
+        right = -springless.inverse_dynamics(self.model.configuration(motion.q), motion.v, motion.a)
         matrix = np.zeros((*motion.q.shape, 2 * len(self.groups)))
         for g, group in enumerate(self.groups):
             matrix[:, group.joints, 2 * g] = motion.q[:, group.joints] / group.cells
@@ -239,12 +241,12 @@ class _Problem:
     def factors(self, slopes: Sequence[Array]) -> list[Array]:
         """Return the derivatives (..., m) of torque errors by values, rates and accelerations of the signals."""
         nv, active, count = self.model.model.nv, self.model.active, self.signals.columns.shape[1]
-        result = [np.zeros((*part.shape[:-1], count)) for part in slopes]
-        for whole, part in zip(result, slopes, strict=True):
-            whole[..., :nv] = part
+        result = [np.zeros((*slope.shape[:-1], count)) for slope in slopes]
+        for padded, slope in zip(result, slopes, strict=True):
+            padded[..., :nv] = slope
         place = nv
-        for order, given in ((1, self.signals.rates), (2, self.signals.accelerations)):
-            if given:
+        for order, measured in ((1, self.signals.rates), (2, self.signals.accelerations)):
+            if measured:
                 result[0][..., place : place + active.size] = slopes[order][..., active]
                 result[order][..., active] = 0.0
                 place += active.size
@@ -268,33 +270,33 @@ class _Problem:
         count = weighted.shape[2]
         result = np.zeros((count, count))
         for half, smoother in enumerate(self.smoothers):
-            moved = []
+            adjoints = []
             for p in range(count):
                 weights = []
                 for factor in factors:
-                    every = np.zeros((self.inside.size, factor.shape[2]))
-                    every[self.inside] = np.einsum("srm,sr->sm", factor, weighted[..., p])
-                    weights.append(every)
-                moved.append(smoother.adjoint(weights, self.exponent))
-            stacked = np.stack(moved)
+                    padded = np.zeros((self.inside.size, factor.shape[2]))
+                    padded[self.inside] = np.einsum("srm,sr->sm", factor, weighted[..., p])
+                    weights.append(padded)
+                adjoints.append(smoother.adjoint(weights, self.exponent))
+            stacked = np.stack(adjoints)
             sets = self.signals.sets[half::2]
             for k, covariance in enumerate(self.signals.covariances):
-                some = stacked[:, sets == k]
-                result += np.einsum("ptm,mn,qtn->pq", some, covariance, some, optimize=True)
+                subset = stacked[:, sets == k]
+                result += np.einsum("ptm,mn,qtn->pq", subset, covariance, subset, optimize=True)
         return result
 
     def solve(self, model: FlexibleModel, free: Indices) -> tuple[Array, Array, float]:
         """Return values of the free parameters, their covariance and the condition number, weighted as of a model."""
         factors = self.factors(self.error_jacobian(model))
         W = self.weight(factors)
-        (one, right_one), (two, right_two) = (self.equations(half) for half in self.halves)
-        held = np.setdiff1d(np.arange(one.shape[2]), free)
+        (first, first_right), (second, second_right) = (self.equations(half) for half in self.halves)
+        held = np.setdiff1d(np.arange(first.shape[2]), free)
         known = self.values(self.model)[held]
-        right_one, right_two = right_one - one[..., held] @ known, right_two - two[..., held] @ known
-        one, two = one[..., free], two[..., free]
-        weighted = [np.einsum("rs,tsp->trp", W, part) for part in (one, two)]
-        normal = np.einsum("trp,trq->pq", weighted[1], one) + np.einsum("trp,trq->pq", weighted[0], two)
-        right = np.einsum("trp,tr->p", weighted[1], right_one) + np.einsum("trp,tr->p", weighted[0], right_two)
+        first_right, second_right = first_right - first[..., held] @ known, second_right - second[..., held] @ known
+        first, second = first[..., free], second[..., free]
+        weighted = [np.einsum("rs,tsp->trp", W, matrix) for matrix in (first, second)]
+        normal = np.einsum("trp,trq->pq", weighted[1], first) + np.einsum("trp,trq->pq", weighted[0], second)
+        right = np.einsum("trp,tr->p", weighted[1], first_right) + np.einsum("trp,tr->p", weighted[0], second_right)
         size = np.sqrt(np.maximum(np.abs(np.diag(normal)), 1e-300))
         scaled = normal / np.outer(size, size)
         inverse = np.linalg.pinv(scaled, rcond=SINGULAR) / np.outer(size, size)
@@ -370,11 +372,11 @@ class _Problem:
     def order_of_turns(self, group: SpringGroup) -> float:
         """Return the RMS of the angle [rad] that the order of turns about the other axes makes: half their product."""
         beside = [
-            self.model.indices([name for name in names if name not in own])
+            self.model.indices([name for name in names if name not in group_names])
             for link in self.model.links
             for names in zip(*link.joints.values(), strict=True)
-            for own in [{self.model.names[k] for k in group.joints}]
-            if own & set(names) and len(names) == 3
+            for group_names in [{self.model.names[k] for k in group.joints}]
+            if group_names & set(names) and len(names) == 3
         ]
         products = [self.mean.q[:, k[0]] * self.mean.q[:, k[1]] / 2 for k in beside]
         return float(np.sqrt(np.mean(np.square(products)))) if products else 0.0

@@ -133,7 +133,7 @@ def spring_groups(model: FlexibleModel, tied: bool) -> tuple[SpringGroup, ...]:
         for axis, names in link.joints.items():
             k = np.array([free.pop(name) for name in names])
             kind, end = ("torsional", "") if axis == "torsion" else ("bending", f"_{axis}")
-            stiffness, damping = (f"{link.name}.{kind}_{what}{end}" for what in ("stiffness", "damping"))
+            stiffness, damping = (f"{link.name}.{kind}_{quantity}{end}" for quantity in ("stiffness", "damping"))
             motion = f"torsion of {link.name}" if axis == "torsion" else f"bending of {link.name} about {axis}"
             cells = np.array([model.cells[name] for name in names])
             groups.append(SpringGroup(stiffness, damping, "N m^2", motion, k, cells))
@@ -155,21 +155,21 @@ def unseen_coordinates(model: FlexibleModel, tree: MarkerTree, motors: Array, gr
     q[0, model.active] = motors.mean(axis=0)
     slopes = tree.positions(q)[1][0][..., model.passive].reshape(-1, model.passive.size)
     size = np.linalg.norm(slopes, axis=0)
-    still = size <= SINGULAR * max(float(size.max(initial=0.0)), 1e-300)
-    moving = model.passive[~still]
+    unmoved = size <= SINGULAR * max(float(size.max(initial=0.0)), 1e-300)
+    moving = model.passive[~unmoved]
     if moving.size:
-        _, values, vectors = np.linalg.svd(slopes[:, ~still] / size[~still], full_matrices=True)
+        _, values, vectors = np.linalg.svd(slopes[:, ~unmoved] / size[~unmoved], full_matrices=True)
         rank = int((values > np.sqrt(SINGULAR) * values[0]).sum())
-        confused = moving[(np.abs(vectors[rank:]) > 1e-3).any(axis=0)] if rank < moving.size else moving[:0]
+        ambiguous = moving[(np.abs(vectors[rank:]) > 1e-3).any(axis=0)] if rank < moving.size else moving[:0]
     else:
-        confused = moving
-    unseen: Indices = model.passive[still]
+        ambiguous = moving
+    unseen: Indices = model.passive[unmoved]
     for group in groups:
         if np.isin(group.joints, unseen).all():
             continue
-        bad = np.isin(group.joints, np.r_[unseen, confused])
-        if bad.any():
-            names = ", ".join(model.names[k] for k in group.joints[bad])
+        undetermined = np.isin(group.joints, np.r_[unseen, ambiguous])
+        if undetermined.any():
+            names = ", ".join(model.names[k] for k in group.joints[undetermined])
             reason = f"the markers do not tell apart the angles of {names}"
             raise InsufficientDataError(
                 group.stiffness, reason, "add markers, or make the link flexible by fewer joints"
@@ -180,33 +180,35 @@ def unseen_coordinates(model: FlexibleModel, tree: MarkerTree, motors: Array, gr
 def angles_from_markers(
     model: FlexibleModel, tree: MarkerTree, motors: Array, seen: Array, shown: Indices
 ) -> tuple[Array, float, float]:
-    """Return angles (T, nv) of all coordinates, NaN where a frame does not tell them, and markers' misfit and noise.
+    """Return angles (T, nv) of all coordinates, NaN where a frame does not determine them; markers' misfit and noise.
 
-    These are the RMS distance of a marker's coordinate from the model's, and its part that is white [m].
+    Misfit is the RMS distance of a marker's coordinate from the model's, noise its white part [m].
 
     Raises:
         InsufficientDataError: too few frames.
         ShapeError: markers far from where the model can have them.
     """
 
-    def whole(phi: Array) -> Array:
+    def coordinates(phi: Array) -> Array:
         q = np.zeros((len(phi), model.model.nv))
         q[:, model.active], q[:, shown] = motors, phi
         return q
 
     def locate(phi: Array) -> tuple[Array, Array]:
-        positions, slopes = tree.positions(whole(phi))
+        positions, slopes = tree.positions(coordinates(phi))
         return positions, slopes[..., shown]
 
     straight = np.zeros((len(motors), shown.size))
     at_rest, slopes = locate(straight)
     reach = float(np.linalg.norm(at_rest, axis=-1).max())
-    told = _frames_that_tell(slopes.mean(axis=0).reshape(-1, shown.size), np.isfinite(seen).reshape(len(seen), -1))
-    if told.sum() < FEWEST_FRAMES:
-        reason = f"only {int(told.sum())} frames show markers enough to tell all angles"
+    determined = _determining_frames(
+        slopes.mean(axis=0).reshape(-1, shown.size), np.isfinite(seen).reshape(len(seen), -1)
+    )
+    if determined.sum() < FEWEST_FRAMES:
+        reason = f"only {int(determined.sum())} frames show markers enough to tell all angles"
         raise InsufficientDataError("stiffness", reason, f"record {FEWEST_FRAMES} or more of them")
     phi = solve_angles(locate, seen, straight)
-    residual = np.where(told[:, None, None], seen - locate(phi)[0], np.nan)
+    residual = np.where(determined[:, None, None], seen - locate(phi)[0], np.nan)
     misfit = float(np.sqrt(np.nanmean(residual**2)))
     if not misfit <= _LARGEST_MISFIT * reach:
         raise ShapeError(
@@ -215,13 +217,13 @@ def angles_from_markers(
     # Differences of neighbouring frames are free of what misfits slowly; angles have taken their share of the noise.
     steps = np.diff(residual, axis=0)
     known = np.isfinite(steps)
-    freedom = 1 - shown.size * told.sum() / np.isfinite(residual).sum()
+    freedom = 1 - shown.size * determined.sum() / np.isfinite(residual).sum()
     noise = float(np.sqrt(np.sum(steps[known] ** 2) / (2 * max(known.sum(), 1) * max(freedom, SINGULAR))))
-    return np.where(told[:, None], whole(phi), np.nan), misfit, max(noise, _FINEST * reach)
+    return np.where(determined[:, None], coordinates(phi), np.nan), misfit, max(noise, _FINEST * reach)
 
 
-def _frames_that_tell(slopes: Array, visible: Mask) -> Mask:
-    """Return the frames (T,) whose markers tell all angles with at most ten times the noise that all of them leave.
+def _determining_frames(slopes: Array, visible: Mask) -> Mask:
+    """Return the frames (T,) whose markers determine all angles with at most ten times the noise that all markers give.
 
     Args:
         slopes: (3 k, n) derivatives of the markers' coordinates by the angles.
@@ -232,12 +234,12 @@ def _frames_that_tell(slopes: Array, visible: Mask) -> Mask:
     sets, of_frame = np.unique(visible, axis=0, return_inverse=True)
     size = np.maximum(np.linalg.norm(slopes[visible.any(axis=0)], axis=0), 1e-300)
     scaled = slopes / size
-    every = scaled[visible.any(axis=0)]
-    values, vectors = np.linalg.eigh(every.T @ every)
+    ever_seen = scaled[visible.any(axis=0)]
+    values, vectors = np.linalg.eigh(ever_seen.T @ ever_seen)
     whitened = scaled @ (vectors / np.sqrt(np.maximum(values, SINGULAR * values[-1])))
     information = np.einsum("pm,mi,mj->pij", sets.astype(float), whitened, whitened, optimize=True)
-    good = np.linalg.eigvalsh(information)[:, 0] >= 1 / _LARGEST_VARIANCE
-    return np.asarray(good[of_frame.ravel()])
+    determined = np.linalg.eigvalsh(information)[:, 0] >= 1 / _LARGEST_VARIANCE
+    return np.asarray(determined[of_frame.ravel()])
 
 
 def sampled_signals(

@@ -111,13 +111,13 @@ class TorqueFit:
         return replace(self.problem, parametrisation=parametrisation, preference=parametrisation.preference)
 
     def rescaled(self) -> _TorqueProblem:
-        """Return the problem in units of its RMS residual, times the root of the samples for each independent one.
+        """Return the problem with residuals over their RMS and the root of the number of samples per independent one.
 
-        Neither a model that misses more than the noise nor samples that the filter has made alike may outvote the rest.
+        Else a model that misses more than the noise, or samples that the filter correlates, would outweigh other terms.
         """
         residuals = np.concatenate([r.ravel() for r in self.problem.torque_residuals(self.x)])
         prepared = self.problem.data.prepared  # whose filters do not depend on the cuts
-        independent = float(np.mean([one.derivatives.gains[0, 0] for one in prepared]))
+        independent = float(np.mean([p.derivatives.gains[0, 0] for p in prepared]))
         scale = np.sqrt(max(float(np.mean(residuals**2)), 1.0) / min(independent, 1.0))
         return replace(self.problem, residual_scale=float(scale))
 
@@ -129,7 +129,7 @@ class TorqueFit:
         """
         data = self.problem.data
         matches = [match(f, data.modes, MODE_TOLERANCE) for f in modes(self.chain, data.payload).frequencies.tolist()]
-        targets = tuple((mode, *found[:2]) for mode, found in enumerate(matches) if found is not None)
+        targets = tuple((mode, *measured[:2]) for mode, measured in enumerate(matches) if measured is not None)
         if not targets:
             reason = "no peak of the recordings' spectra is near a mode of the model"
             raise InsufficientDataError("torque+frequency", reason, "use method 'torque'")
@@ -149,7 +149,7 @@ def fit_torque(
     if not data.prepared:
         raise InsufficientDataError("the torque method", *data.problems[0].rsplit("; ", 1))  # with its remedy
     start = starting_chain(data.rig, data.cuts)
-    hubs = data.driven_hubs([one.recording for one in data.prepared])
+    hubs = data.driven_hubs([p.recording for p in data.prepared])
     fit = _TorqueProblem(data, Parametrisation(start, "uniform", hubs)).fit(progress)
     problem = fit.rescaled()
     fit = replace(fit, problem=problem, jacobian=fit.jacobian / problem.residual_scale)

@@ -100,8 +100,8 @@ class JointChoice:
         exact = frequencies(2 * _MOST_JOINTS)
         choice = cls(joints or _MOST_JOINTS, np.inf, requested)
         for n in range(visible + 1, _MOST_JOINTS + 1) if joints is None else [joints]:
-            found = frequencies(n)
-            choice = cls(n, float(np.max(np.abs(found / exact[: found.size] - 1))), requested)
+            approximate = frequencies(n)
+            choice = cls(n, float(np.max(np.abs(approximate / exact[: approximate.size] - 1))), requested)
             if choice.error < FREQUENCY_TOLERANCE:
                 break
         return choice
@@ -177,17 +177,17 @@ class TrainingData:
                 prepared.append(_prepare(self, self.cuts, recording))
             except InsufficientDataError as error:
                 problems.append(str(error))
-        payloads = [one.recording.payload for one in prepared] or [recording.payload for recording in self.recordings]
+        payloads = [p.recording.payload for p in prepared] or [recording.payload for recording in self.recordings]
         payload = max(sorted(set(payloads)), key=payloads.count)
         most = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
         data = replace(self, prepared=tuple(prepared), problems=tuple(problems), payload=payload)
-        return replace(data, modes=tuple(one.modes(self.noise[0], most) for one in data.freely_moving))
+        return replace(data, modes=tuple(p.modes(self.noise[0], most) for p in data.freely_moving))
 
     @property
     def freely_moving(self) -> tuple[PreparedRecording, ...]:
         """Recordings in which the arm has the modes of the model: with the commonest payload, and no motion given."""
-        alike = [one for one in self.prepared if one.recording.payload == self.payload]
-        return tuple(one for one in alike if one.recording.input == "torque")
+        same_payload = [p for p in self.prepared if p.recording.payload == self.payload]
+        return tuple(p for p in same_payload if p.recording.input == "torque")
 
     def driven_hubs(self, recordings: Sequence[Recording]) -> tuple[int, ...]:
         """Return the links whose hub inertia shows: their active joint's torque was measured in a recording."""
@@ -200,16 +200,18 @@ class TrainingData:
     def prepared_for(self, chain: Chain) -> tuple[PreparedRecording, ...]:
         """Return the prepared recordings with angles at a chain's own cuts, through the same filters."""
         pairs = zip(chain.links, self.cuts, strict=True)
-        if all(np.array_equal(one.lengths, two.lengths) and np.array_equal(one.cells, two.cells) for one, two in pairs):
+        if all(
+            np.array_equal(link.lengths, cut.lengths) and np.array_equal(link.cells, cut.cells) for link, cut in pairs
+        ):
             return self.prepared
-        return tuple(_prepare(self, chain.links, one.recording, one) for one in self.prepared)
+        return tuple(_prepare(self, chain.links, prepared.recording, prepared) for prepared in self.prepared)
 
     def weighted_errors(self, chain: Chain, weighting: Chain | None = None) -> list[Array]:
         """Return the torque errors (S, r) of each prepared recording over their noise, in `weighting` if it is given.
 
         Both chains have the same cuts.
         """
-        return [one.weighted_errors(chain, weighting or chain) for one in self.prepared_for(chain)]
+        return [prepared.weighted_errors(chain, weighting or chain) for prepared in self.prepared_for(chain)]
 
 
 def _training_recordings(recordings: Sequence[Recording]) -> tuple[Recording, ...]:

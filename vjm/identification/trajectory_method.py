@@ -124,7 +124,9 @@ class TrajectoryMethod:
         """Return a fit's numbers of joints with their discretisation errors."""
         links = zip(self.data.rig.links, self.data.shape.orders, fit.point.chain.links, strict=True)
         requested = all(choice.requested for choice in self.data.joints)
-        return tuple(JointChoice.of(link, order, own.virtual_joints, requested) for link, order, own in links)
+        return tuple(
+            JointChoice.of(link, order, link_chain.virtual_joints, requested) for link, order, link_chain in links
+        )
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
         """Return the problem of uniform links with given numbers of joints."""
@@ -199,7 +201,7 @@ def first_fit(
             "no torque was measured at the active joints of any training recording, so none can be simulated",
             "record the column LINK.tau, give the recordings input = 'motion', or use method 'torque'",
         )
-    observed = tuple(Observations.of(data.rig, each, data.noise, Loss(loss)) for each in recordings)
+    observed = tuple(Observations.of(data.rig, recording, data.noise, Loss(loss)) for recording in recordings)
     torque = fit_torque(data, progress=progress) if data.prepared else None
     rough = rough or data.parameters != "uniform"
     used = replace(data, problems=problems)
@@ -207,7 +209,7 @@ def first_fit(
     joints = search.joint_counts()[0]
     fit = search._fit_from_far(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)
-    if any(one is not two for one, two in zip(observed, search.observed, strict=True)):
+    if any(kept is not original for kept, original in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
         fit = search.fit_from(joints, fit)
     return search, fit
@@ -255,8 +257,8 @@ def _fit_first_periods(
         return [point.x for point in sorted(points, key=lambda point: point.misfit) if np.isfinite(point.misfit)]
 
     def better(fit: TrajectoryFit | None, candidates: Sequence[Array]) -> TrajectoryFit | None:
-        fits = [each for each in (fit, best_of(by_misfit(candidates))) if each is not None]
-        return min(fits, key=lambda each: each.point.misfit, default=None)
+        fits = [trial for trial in (fit, best_of(by_misfit(candidates))) if trial is not None]
+        return min(fits, key=lambda trial: trial.point.misfit, default=None)
 
     fit = best_of(starts[:1])
     if fit is None or fit.point.misfit > DIVERGED_MISFIT:
@@ -322,10 +324,10 @@ def _next_count(counts: Sequence[tuple[int, ...]], k: int, fits: Sequence[Trajec
         return k + 1
     sizes = [float(np.mean(joints)) for joints in counts]
     n, m = (np.mean([link.virtual_joints for link in fit.point.chain.links]) for fit in fits[-2:])
-    before, here = (fit.misfit**2 - 1 for fit in fits[-2:])
-    power = np.log(before / here) / np.log(m / n)
+    previous, last = (fit.misfit**2 - 1 for fit in fits[-2:])
+    power = np.log(previous / last) / np.log(m / n)
     for following in range(k + 1, len(counts) - 1):
-        excess, next_excess = (here * (sizes[each] / m) ** -power for each in (following, following + 1))
+        excess, next_excess = (last * (sizes[index] / m) ** -power for index in (following, following + 1))
         if excess - next_excess < 10 * VISIBLE_GAIN * (1 + excess):
             return following
     return len(counts) - 1
@@ -344,19 +346,22 @@ def _joint_note(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
     gain = 1 - float(np.sqrt(more.point.chi2 / fewer.point.chi2))
     reduction = f"reduce the residual by {number(100 * gain, 2)} %" if gain > 0 else "not reduce the residual"
     note = f"one more virtual joint would {reduction}"
-    one, two = (fit.point.problem.parametrisation for fit in (fewer, more))
-    if one.kind != "uniform":
+    coarse, fine = (fit.point.problem.parametrisation for fit in (fewer, more))
+    if coarse.kind != "uniform":
         return note
-    values, others = one.physical(fewer.point.x), two.physical(more.point.x)
-    shifts = np.abs(others / np.where(values > 0, values, np.inf) - (values > 0))
-    named = zip(one.coordinates, shifts.tolist(), strict=True)
+    values, fine_values = coarse.physical(fewer.point.x), fine.physical(more.point.x)
+    shifts = np.abs(fine_values / np.where(values > 0, values, np.inf) - (values > 0))
+    named = zip(coarse.coordinates, shifts.tolist(), strict=True)
     return f"{note}, and would change {listed([f'{c.name} by {number(100 * shift, 2)} %' for c, shift in named])}"
 
 
 def _first_step_multiple(problem: TrajectoryProblem, x: Array) -> float:
     """Return the multiple of the integrator's default step for searches from x (p,), with initial states at rest."""
     arms = problem.arms(x)
-    states = [InitialStatePrior.of(arm, one.recording).rest for arm, one in zip(arms, problem.observed, strict=True)]
+    states = [
+        InitialStatePrior.of(arm, observations.recording).rest
+        for arm, observations in zip(arms, problem.observed, strict=True)
+    ]
     with contextlib.suppress(SimulationDivergedError):
         return search_step_multiple(problem.simulated(x, states, states, [1.0] * len(states)), 1.0)
     return 1.0
@@ -375,13 +380,17 @@ def search_step_multiple(point: Point, reduced_chi2: float | None = None, larges
     arms, observed, coarse, before = [run.arm for run in point.runs], point.problem.observed, list[Run](), 1.0
     # 3 % of the RMS residual changes chi^2 by a thousandth: a tenth of what decides for one joint more.
     tolerance = 0.03**2 * max(point.misfit**2 if reduced_chi2 is None else reduced_chi2, 1.0) * point.count
-    for multiple in (each for each in (16.0, 8.0, 4.0, 2.0, 1.0) if each <= largest):
+    for multiple in (m for m in (16.0, 8.0, 4.0, 2.0, 1.0) if m <= largest):
         try:
             fine = simulate_runs(arms, observed, None, point.states, multiple)
         except SimulationDivergedError:
             continue
         pairs = [*zip(coarse, fine, strict=True)] if coarse else []
-        differences = [one.residual - two.residual for one, two in pairs if one.trajectory.step > two.trajectory.step]
+        differences = [
+            coarse_run.residual - fine_run.residual
+            for coarse_run, fine_run in pairs
+            if coarse_run.trajectory.step > fine_run.trajectory.step
+        ]
         if differences and sum(float(difference @ difference) for difference in differences) < tolerance:
             return before
         coarse, before = fine, multiple
@@ -395,7 +404,9 @@ def _largest_step_multiple(
     exact = simulate_runs(arms, observed, None, states, 1.0)
     for multiple in (4.0, 2.0):
         runs = simulate_runs(arms, observed, None, states, multiple)
-        error = sum(float(np.sum((one.residual - two.residual) ** 2)) for one, two in zip(runs, exact, strict=True))
+        error = sum(
+            float(np.sum((run.residual - exact_run.residual) ** 2)) for run, exact_run in zip(runs, exact, strict=True)
+        )
         if error < 0.1**2 * max(reduced_chi2, 1.0):  # no estimate moves by more standard errors than the root
             return multiple
     return 1.0

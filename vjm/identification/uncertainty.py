@@ -81,7 +81,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     """
     point = fit.point
     count = point.x.size
-    moved = point.problem.perturbed_arms(point.x)
+    perturbed = point.problem.perturbed_arms(point.x)
     whiteness = tuple(_whiteness(run) for run in point.runs)
     normal, plain = np.zeros((2, count, count))
     for linearized, white in zip(point.linearizations, whiteness, strict=True):
@@ -91,8 +91,10 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     if not any(white.coloured for white in whiteness):
         return Information(normal, plain), whiteness
     sandwich = np.zeros((count, count))
-    for run, linearized, own in zip(point.runs, point.linearizations, linearize(point.runs, moved), strict=True):
-        scores = run.scores(own, linearized)
+    for run, linearized, by_parameters in zip(
+        point.runs, point.linearizations, linearize(point.runs, perturbed), strict=True
+    ):
+        scores = run.scores(by_parameters, linearized)
         frames = run.observed.frames  # summed from one camera frame to the next: an even rate
         starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
         summed = np.add.reduceat(scores, starts, axis=0)
@@ -119,13 +121,13 @@ def _correlation_length(series: Array) -> int:
     return max(1, int(np.ceil(1.1447 * (alpha * len(series)) ** (1 / 3))))
 
 
-def _larger(one: Array, other: Array, normal: Array) -> Array:
+def _larger(covariance: Array, reference: Array, normal: Array) -> Array:
     """Return the larger of two score covariances, direction by direction."""
     root = np.linalg.cholesky(normal + 1e-12 * np.diag(np.diag(normal)) + 1e-300 * np.eye(len(normal)))
-    first, second = (np.linalg.solve(root, np.linalg.solve(root, each).T) for each in (one, other))
+    first, second = (np.linalg.solve(root, np.linalg.solve(root, matrix).T) for matrix in (covariance, reference))
     values, vectors = np.linalg.eigh(first - second)
     excess = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    result: Array = other + root @ excess @ root.T
+    result: Array = reference + root @ excess @ root.T
     return result
 
 
@@ -157,7 +159,7 @@ ErrorKind = Literal["noise", "blocks"]
 def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -> tuple[float, float]:
     """Find the values of a parameter that the recordings do not reject, all others being fitted again at each.
 
-    Unlike value +- standard errors it need not be symmetric, and knows of bounds. Where the residuals are no white
+    Unlike value +- standard errors it need not be symmetric, and respects bounds. Where the residuals are no white
     noise, the likelihood is scaled as the standard errors are.
 
     Args:
@@ -185,9 +187,9 @@ def profile_interval(fit: Identification, name: str, confidence: float = 0.95) -
     return max(low, 0.0), high
 
 
-def _trajectory_fit(fit: Identification, what: str) -> TrajectoryFit:
+def _trajectory_fit(fit: Identification, purpose: str) -> TrajectoryFit:
     if fit.trajectory is None:
-        raise InsufficientDataError(what, f"the fit is of method {fit.method!r}", "use method 'trajectory'")
+        raise InsufficientDataError(purpose, f"the fit is of method {fit.method!r}", "use method 'trajectory'")
     return fit.trajectory
 
 
@@ -198,7 +200,7 @@ def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -
     """
     parametrisation = best.point.problem.parametrisation
     value = float(parametrisation.physical(best.point.x)[index])
-    # The likelihood knows of white noise only: standard errors are larger where the residuals are not.
+    # The likelihood assumes white noise: standard errors are larger where the residuals are coloured.
     R = best.point.reduced()[0].R[:-1, :-1]
     slope = parametrisation.jacobian(best.point.x)[index]
     inflation = max(abs(std) / float(np.linalg.norm(np.linalg.lstsq(R.T, slope, rcond=None)[0])), 1.0)

@@ -28,8 +28,9 @@ class ShapeSettings:
 
     family: str  # of the shape functions
     orders: tuple[int, ...]  # for each link, the number of functions
-    # `curvature`: shape over arc length, phi = cell times curvature; `curve`: the chain's own curve, which needs a
-    # marker a joint; `points`: shape over measured position and representative points, as in the paper.
+    # `curvature`: shape over arc length, phi = cell times curvature; `curve`: the chain's own curve, which needs
+    # at least as many markers as joints; `points`: shape over measured position and representative points, as in the
+    # paper.
     method: AngleMethod = "curvature"
     robust: bool = False  # Huber weights against wild markers
 
@@ -98,10 +99,11 @@ def estimate_angles(
 
 
 def _linearly_interpolated(time: Array, samples: Array) -> Array:
-    """Samples (T, m) that a smooth signal with the content of the lines between given samples would have.
+    """Return the samples (T, m) of a smooth signal with the frequency content of the lines between given samples.
 
-    Lines between samples h apart hold sinc^2(f h) of a tone of f, to second order its samples plus h^2 / 12 times
-    their second derivative: 2 % less at a dozen samples a period, which a filtered torque has to know.
+    Lines between samples h apart contain a tone of frequency f times sinc^2(f h): to second order, its samples plus
+    h^2 / 12 times their second derivative. That is 2 % less at a dozen samples a period, and matters once the torque
+    is filtered.
     """
     result = samples.copy()
     for column in range(samples.shape[1]):
@@ -116,13 +118,13 @@ def _linearly_interpolated(time: Array, samples: Array) -> Array:
 
 
 def _at_frames(recording: Recording, values: Array, rows: Indices) -> Array:
-    """Columns of an encoder or torque sensor at the camera's frames, linear between its own samples."""
+    """Return the columns of an encoder or torque sensor at the camera's frames, linear between its own samples."""
     result = np.full((rows.size, values.shape[1]), np.nan)
     for column, signal in enumerate(values.T):
         known = np.isfinite(signal)
         if known.sum() >= 2:
-            own = recording.time[known]
-            result[:, column] = np.interp(recording.time[rows], own, signal[known], left=np.nan, right=np.nan)
+            sampled = recording.time[known]
+            result[:, column] = np.interp(recording.time[rows], sampled, signal[known], left=np.nan, right=np.nan)
     return result
 
 
@@ -175,13 +177,13 @@ class _LinkMeasurement:
 
 
 def _headings(fit: ShapeFit, arcs: Array) -> Array:
-    """Headings psi (T, p) [rad] of a shape at arc lengths (p,) [m]; NaN where its slope by arc length exceeds one."""
+    """Return headings psi (T, p) [rad] at arc lengths (p,) [m]; NaN where a shape's slope by arc length exceeds one."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.arcsin(fit.evaluate(arcs, 1)))
 
 
 def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
-    """Position (T, 2) [m] and heading (T,) [rad] of the distal end in the link frame, by Gauss-Legendre quadrature."""
+    """Return position (T, 2) [m] and heading (T,) [rad] of the tip in the link frame, by Gauss-Legendre quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
     along = np.cos(_headings(fit, fit.length * (1 + nodes) / 2)) @ weights * fit.length / 2
     end = np.array([fit.length])
@@ -189,7 +191,7 @@ def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
 
 
 def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
-    """Angles phi (T, n) [rad] by Gauss-Newton steps on markers (T, k, 2) [m]; NaN for frames with too few of them."""
+    """Return phi (T, n) [rad] by Gauss-Newton steps on markers (T, k, 2) [m]; NaN for frames with too few of them."""
     n = curve.heading.shape[1]
     if curve.arcs.size < n:
         problem = f"{curve.arcs.size} markers cannot place {n} virtual joints"
@@ -237,7 +239,7 @@ def solve_angles(locate: Callable[[Array], tuple[Array, Array]], markers: Array,
 
 
 def _representative_points(fit: ShapeFit, lengths: Array) -> Array:
-    """Joints 1 .. n and the tip on the curve (T, n + 1, 2) [m], each at its link's length from the one before.
+    """Return joints 1 .. n and the tip on the curve (T, n + 1, 2) [m], each at its link's length from the one before.
 
     Virtual link 0 lies along the x axis of Sigma_i; joint 1 is therefore at (l_0, 0). From there on
     (x_(j+1) - x_j)^2 + (y_(j+1) - y_j)^2 = l_j^2 with y_(j+1) = y(x_(j+1)), which has a root between x_j and x_j + l_j.

@@ -136,11 +136,13 @@ def _solve(functions: Array, lateral: Array, known: Mask, robust: bool) -> Array
     for _ in range(_ROBUST_PASSES if robust and len(solution) else 0):
         residual = np.abs(values - np.einsum("tko,to->tk", functions, solution))
         scale = 1.4826 * float(np.median(residual[known]))  # standard deviation of Gaussian noise of that median
-        trust = np.minimum(1.0, _HUBER * max(scale, 1e-300) / np.maximum(residual, 1e-300))
-        doubted = ((trust < 1) & known).any(axis=1)  # the others' solution is the plain one
-        if not doubted.any():
+        huber_weight = np.minimum(1.0, _HUBER * max(scale, 1e-300) / np.maximum(residual, 1e-300))
+        reweighted = ((huber_weight < 1) & known).any(axis=1)  # the others' solution is the plain one
+        if not reweighted.any():
             break
-        solution[doubted] = _weighted_least_squares(functions[doubted], values[doubted], (weight * trust)[doubted])
+        solution[reweighted] = _weighted_least_squares(
+            functions[reweighted], values[reweighted], (weight * huber_weight)[reweighted]
+        )
     return solution
 
 

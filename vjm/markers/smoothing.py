@@ -89,8 +89,8 @@ class Smoother:
         self._basis = [basis(self.instants, order) for order in range(3)]
         penalty = _differences(size, _PENALISED)
         self._gram = _bands(csr_array(self._data.T @ self._data))
-        # Inside a long pause the penalty alone would hold the coefficients, and over hundreds of them not beyond
-        # rounding; what is before and what is after are parted there.
+        # Inside a long pause the penalty alone would determine the coefficients, and over hundreds of them no better
+        # than rounding errors: the spline is split there.
         inside_pause = binary_erosion(self._gram[-1] == 0.0, iterations=_BRIDGED)
         penalty = penalty[abs(penalty) @ inside_pause == 0.0]
         self._penalty = _bands(csr_array(penalty.T @ penalty))
@@ -150,7 +150,7 @@ class Smoother:
         try:
             return np.asarray(solveh_banded(matrix, right))
         except np.linalg.LinAlgError:
-            # Few frames beside a long pause do not hold its coefficients beyond rounding; ten times that does.
+            # With few frames beside a long pause the matrix is singular up to rounding: add ten times that much.
             matrix[-1] += 10 * np.finfo(float).eps * matrix[-1].max()
             return np.asarray(solveh_banded(matrix, right))
 

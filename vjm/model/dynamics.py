@@ -88,12 +88,12 @@ class RigidBodies:
     def mass_matrix(self, q: ArrayLike) -> Array:
         """Return M(q), (T, nv, nv) [kg m^2], at q (T, nq), by one batched RNEA a column."""
         angles = self._batch("q", q, self.model.nq)
-        rest = np.zeros((len(angles), self.model.nv))
-        at_rest = self.inverse_dynamics(angles, rest, rest)
-        matrix = np.empty((*rest.shape, self.model.nv))
+        zero = np.zeros((len(angles), self.model.nv))
+        gravity_torque = self.inverse_dynamics(angles, zero, zero)
+        matrix = np.empty((*zero.shape, self.model.nv))
         for column, unit in enumerate(np.eye(self.model.nv)):
-            acceleration = np.broadcast_to(unit, rest.shape)
-            matrix[:, :, column] = self.inverse_dynamics(angles, rest, acceleration) - at_rest
+            acceleration = np.broadcast_to(unit, zero.shape)
+            matrix[:, :, column] = self.inverse_dynamics(angles, zero, acceleration) - gravity_torque
         return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
     def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
@@ -106,8 +106,8 @@ class RigidBodies:
 
     def gravity_stiffness(self, q: ArrayLike) -> Array:
         """Return the derivative of the static torque by the angles, (nv, nv) [N m/rad], at q (nq,)."""
-        angles, rest = np.asarray(q, dtype=float), np.zeros(self.model.nv)
-        pin.computeRNEADerivatives(self.model, self._data, angles, rest, rest)
+        angles, zero = np.asarray(q, dtype=float), np.zeros(self.model.nv)
+        pin.computeRNEADerivatives(self.model, self._data, angles, zero, zero)
         return np.array(self._data.dtau_dq)
 
 
@@ -213,8 +213,8 @@ def objective(weighted_errors: Iterable[ArrayLike]) -> float:
     """Return J of eq. (15), here as a mean: of the squares of all weighted torque errors.
 
     Args:
-        weighted_errors: of each recording, (T, m) errors times F^T for a weight W = F^T F, the inverse of their noise
-            covariance; in units of the noise, NaN rows of joints without measured torque count nothing.
+        weighted_errors: for each recording, (T, m) errors times F^T, where the weight W = F^T F is the inverse of their
+            noise covariance, so in units of the noise; NaN where no torque is measured, which counts nothing.
     """
     values = np.concatenate([np.ravel(errors) for errors in weighted_errors])
     return float(np.mean(values[np.isfinite(values)] ** 2))

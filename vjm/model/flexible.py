@@ -236,15 +236,17 @@ class FlexibleModel:
         if isinstance(coordinates, str):
             if coordinates not in ("all", "active", "passive"):
                 raise ChoiceError("coordinates", coordinates, ("all", "active", "passive", "a list of names"))
-            every: Indices = np.arange(self.model.nv)
-            return every if coordinates == "all" else np.array(getattr(self, coordinates))
-        found: list[int] = []
+            all_indices: Indices = np.arange(self.model.nv)
+            return all_indices if coordinates == "all" else np.array(getattr(self, coordinates))
+        selected: list[int] = []
         for name in coordinates:
-            some = [k for k, given in enumerate(self.names) if name in (given, given.partition("[")[0])]
-            if not some:
+            matches = [
+                k for k, coordinate in enumerate(self.names) if name in (coordinate, coordinate.partition("[")[0])
+            ]
+            if not matches:
                 raise ChoiceError("joint", name, self.names)
-            found += some
-        return np.array(found, dtype=np.intp)
+            selected += matches
+        return np.array(selected, dtype=np.intp)
 
     def _of_coordinates(self, name: str, given: ArrayLike, chosen: Indices, low: float = 0.0) -> Array:
         values = np.asarray(given, dtype=float)
@@ -411,30 +413,32 @@ class FlexibleModel:
     def static_equilibrium(self, q: ArrayLike, loads: Loads | None = None) -> StaticEquilibrium:
         """Find where the passive joints rest under gravity and loads, the active ones held: g + K q - p = J^T w.
 
-        Newton's method with a line search (`vjm.model.modes.balance`); one that does not converge says so by its
-        status and raises nothing.
+        Newton's method with a line search (`vjm.model.modes.balance`); where it does not converge, the status of the
+        result says so, and nothing is raised.
 
         Args:
             q: (nq,) configuration: the active joints', and where the search starts.
             loads: by frame, a force (3,) [N] or force and moment (6,) [N, N m], constant in the world's axes.
         """
-        start, p, still = self._rows(q=q)[1][0][0], self.passive, np.zeros(self.model.nv)
+        start, p, zero = self._rows(q=q)[1][0][0], self.passive, np.zeros(self.model.nv)
 
         def configuration(turns: Array) -> Array:
-            step = still.copy()
+            step = zero.copy()
             step[p] = turns
             return np.asarray(pin.integrate(self.model, start, step))
 
         def unbalanced(turns: Array) -> Array:
-            here = configuration(turns)
-            return self.inverse_dynamics(here, still, still) - self.load_torques(here, loads or {})[0]
+            posture = configuration(turns)
+            return self.inverse_dynamics(posture, zero, zero) - self.load_torques(posture, loads or {})[0]
 
         def tangent(turns: Array) -> Array:
             return self._tangent_stiffness(configuration(turns), loads)[np.ix_(p, p)]
 
-        found = balance(lambda turns: unbalanced(turns)[p], tangent, np.zeros(p.size))
-        torque = unbalanced(found.position)[self.active]
-        return StaticEquilibrium(configuration(found.position), torque, found.status, found.iterations, found.residual)
+        solution = balance(lambda turns: unbalanced(turns)[p], tangent, np.zeros(p.size))
+        torque = unbalanced(solution.position)[self.active]
+        return StaticEquilibrium(
+            configuration(solution.position), torque, solution.status, solution.iterations, solution.residual
+        )
 
     def _tangent_stiffness(self, q: Array, loads: Loads | None) -> Array:
         """Return dg/dq + K - d(J^T w)/dq (nv, nv) [N m/rad]."""
@@ -452,8 +456,8 @@ class FlexibleModel:
         """
         (posture,), chosen = self._rows(q=q)[1][0], self.indices(coordinates)
         M = self._rigid.mass_matrix(posture[None])[0]
-        some = np.ix_(chosen, chosen)
-        return M[some], np.diag(self.damping)[some], self._tangent_stiffness(posture, loads)[some]
+        block = np.ix_(chosen, chosen)
+        return M[block], np.diag(self.damping)[block], self._tangent_stiffness(posture, loads)[block]
 
     def modes(self, q: ArrayLike, loads: Loads | None = None, coordinates: Coordinates = "passive") -> Modes:
         """Return natural modes about a posture: K u = omega^2 M u, of the chosen coordinates, the others held.
@@ -514,11 +518,11 @@ class FlexibleModel:
             if rows[name].shape != (self.model.nv,):
                 raise ShapeError(f"outputs[{name!r}]", f"shape {rows[name].shape}", f"shape ({self.model.nv},)")
         size = chosen.size
-        inverse, still = np.linalg.inv(M), np.zeros((size, size))
+        inverse, zero = np.linalg.inv(M), np.zeros((size, size))
         C = np.array(list(rows.values())).reshape(-1, self.model.nv)[:, chosen]
         names = [self.names[k] for k in chosen]
         return StateSpace(
-            A=np.block([[still, np.eye(size)], [-inverse @ K, -inverse @ D]]),
+            A=np.block([[zero, np.eye(size)], [-inverse @ K, -inverse @ D]]),
             B=np.vstack([np.zeros((size, driven.size)), inverse @ unit[np.ix_(chosen, driven)]]),
             C=np.hstack([C, np.zeros_like(C)]),
             states=(*names, *(f"{name}'" for name in names)),

@@ -173,14 +173,14 @@ def flexify(
         ChoiceError: no such link, joint, axis or section.
         ShapeError: values out of range, a link without inertia, a link that branches, an inertia that cannot be cut.
     """
-    of_link = _LinkOptions(
+    link_options = _LinkOptions(
         joints, bending_stiffness, bending, torsion, axis, child, ends, section, youngs_modulus, shear_modulus, density
     )
-    of_joint = {"stiffness": stiffness, "rotor_inertia": rotor_inertia}
-    _check_places((("link", link, of_link._asdict()), ("joint", joint, of_joint)), kelvin_voigt)
+    joint_options = {"stiffness": stiffness, "rotor_inertia": rotor_inertia}
+    _check_places((("link", link, link_options._asdict()), ("joint", joint, joint_options)), kelvin_voigt)
     document = UrdfDocument.read(urdf)
     if link is not None:
-        document = _with_flexible_link(document, _named(document, "link", link), of_link, kelvin_voigt)
+        document = _with_flexible_link(document, _named(document, "link", link), link_options, kelvin_voigt)
     if joint is not None:
         springs = positive("stiffness", stiffness), positive("rotor_inertia", rotor_inertia)
         document = _with_flexible_joint(document, _named(document, "joint", joint), *springs, kelvin_voigt)
@@ -188,15 +188,15 @@ def flexify(
 
 
 def _check_places(places: Sequence[tuple[str, str | None, Mapping[str, object]]], kelvin_voigt: float) -> None:
-    """Refuse options without the link or the joint that they are of: its kind, its name and the options of each."""
-    if all(given is None for _, given, _ in places):
+    """Refuse options given without the name of their link or joint; places are its kind, its name and its options."""
+    if all(name is None for _, name, _ in places):
         raise ShapeError("link, joint", "neither", "the name of a link or of a joint to make flexible")
     if not 0 <= kelvin_voigt < math.inf:
         raise ShapeError("kelvin_voigt", kelvin_voigt, "zero or a positive number [s]")
-    for what, given, options in places:
-        loose = [name for name, value in options.items() if given is None and value is not None]
+    for kind, name, options in places:
+        loose = [option for option, value in options.items() if name is None and value is not None]
         if loose:
-            raise ShapeError(what, None, f"the name of the {what} that {loose[0]} is of")
+            raise ShapeError(kind, None, f"the name of the {kind} that {loose[0]} is of")
 
 
 def _named(document: UrdfDocument, tag: str, name: str) -> Element:
@@ -252,13 +252,13 @@ def _carries_mass(document: UrdfDocument, name: str) -> bool:
     """Return True if a link, or any link that it carries, has mass."""
     carried, seen = [name], set()
     while carried:
-        here = carried.pop()
-        if here in seen:
+        current = carried.pop()
+        if current in seen:
             continue
-        seen.add(here)
-        if _inertia(document, _named(document, "link", here)) is not None:
+        seen.add(current)
+        if _inertia(document, _named(document, "link", current)) is not None:
             return True
-        carried += [_end(joint, "child") for joint in document.robot.all("joint") if _end(joint, "parent") == here]
+        carried += [_end(joint, "child") for joint in document.robot.all("joint") if _end(joint, "parent") == current]
     return False
 
 
@@ -303,7 +303,7 @@ def _placed(document: UrdfDocument, link: Element, options: _LinkOptions) -> tup
             f"link {link.attributes['name']}", "no child joint", "ends: two points of the link's frame [m]"
         )
     place = document.pose(tip)[0]
-    away = ", ".join(f"{name} {value:g} m" for name, value in zip(_AXES, place, strict=True))
+    offset_text = ", ".join(f"{name} {value:g} m" for name, value in zip(_AXES, place, strict=True))
     if axis is None:
         length = float(np.linalg.norm(place))
         if length == 0:
@@ -312,7 +312,7 @@ def _placed(document: UrdfDocument, link: Element, options: _LinkOptions) -> tup
     direction = _vector(axis)
     length = float(place @ direction)
     if abs(length) <= 1e-6 * np.linalg.norm(place):
-        raise ShapeError("axis", axis, f"one along which child joint {tip.attributes['name']} is away ({away})")
+        raise ShapeError("axis", axis, f"one along which child joint {tip.attributes['name']} is away ({offset_text})")
     return np.zeros(3), math.copysign(1.0, length) * direction, abs(length)
 
 
@@ -371,8 +371,8 @@ def _across(direction: Array, bending: Sequence[str] | str | None) -> dict[str, 
         raise ShapeError("bending", ",".join(chosen), "one axis of the link's frame, or two, as y,z")
     for name in chosen:
         if nearness[name] > _STEEPEST + 1e-9:
-            good = [key for key in _AXES if nearness[key] <= _STEEPEST + 1e-9]
-            raise ShapeError("bending", name, f"axes across the link, which lies along {name}: {', '.join(good)}")
+            valid = [key for key in _AXES if nearness[key] <= _STEEPEST + 1e-9]
+            raise ShapeError("bending", name, f"axes across the link, which lies along {name}: {', '.join(valid)}")
     first = _AXES[chosen[0]] - direction * (direction @ _AXES[chosen[0]])
     axes = {chosen[0]: first / np.linalg.norm(first)}
     if len(chosen) == 2:
@@ -437,10 +437,10 @@ def _with_flexible_link(
     """Return the file with virtual links and joints in a link's place."""
     name, body = link.attributes["name"], _inertia(document, link)
     if body is None:
-        heavy = [e.attributes["name"] for e in document.robot.all("link") if _inertia(document, e) is not None]
-        raise ShapeError(f"link {name}", "no mass", f"a link with mass, one of: {', '.join(heavy) or 'none'}")
-    beam, bar = _beam(document, link, options)
-    pieces = split_inertia(body, beam.start, beam.direction, beam.lengths, bar)
+        with_mass = [e.attributes["name"] for e in document.robot.all("link") if _inertia(document, e) is not None]
+        raise ShapeError(f"link {name}", "no mass", f"a link with mass, one of: {', '.join(with_mass) or 'none'}")
+    beam, section_mass = _beam(document, link, options)
+    pieces = split_inertia(body, beam.start, beam.direction, beam.lengths, section_mass)
     links = [name, *(f"{name}_virtual_{j}_link" for j in range(1, len(pieces)))]
     edits = _inertial_edits(document, link, pieces[0])
     shapes: list[list[str]] = [[] for _ in pieces]
@@ -465,8 +465,11 @@ def _with_flexible_link(
         for j in range(1, len(pieces))
         for axis, cell in ((axis, beam.cells_of(axis)[j - 1]) for axis in beam.axes)
     ]
-    held = {"name": name, "start": exact(beam.start), "axis": exact(beam.direction), "length": exact(beam.length)}
-    edits += [_inserted(document, link, parts), _extension(document, "flexible_link", held, "virtual_joint", springs)]
+    attributes = {"name": name, "start": exact(beam.start), "axis": exact(beam.direction), "length": exact(beam.length)}
+    edits += [
+        _inserted(document, link, parts),
+        _extension(document, "flexible_link", attributes, "virtual_joint", springs),
+    ]
     return UrdfDocument.read(document.edited(edits).decode())
 
 
@@ -514,11 +517,11 @@ def _with_flexible_joint(
     numbers = direction, exact(reach), exact(kelvin_voigt * stiffness)
     kind = "prismatic" if kind == "prismatic" else "revolute"
     spring = _Joint(f"{name}_spring", kind, exact(np.zeros(3)), motor, link.attributes["name"], *numbers)
-    held = {"name": name, "rotor_inertia": exact(rotor_inertia)}
+    attributes = {"name": name, "rotor_inertia": exact(rotor_inertia)}
     springs = [(spring.name, {"stiffness": exact(stiffness)})]
     edits += [
         _inserted(document, joint, [_Body(motor, inertial), spring]),
-        _extension(document, "flexible_joint", held, "spring_joint", springs),
+        _extension(document, "flexible_joint", attributes, "spring_joint", springs),
     ]
     return UrdfDocument.read(document.edited(edits).decode())
 
@@ -526,10 +529,12 @@ def _with_flexible_joint(
 def _inserted(document: UrdfDocument, element: Element, parts: Sequence[_Joint | _Body]) -> Edit:
     """Return the edit that writes further joints and links behind an element."""
     taken = {child.attributes.get("name") for child in document.robot.children if child.tag in ("link", "joint")}
-    again = [part.name for part in parts if part.name in taken]
-    if again:
+    duplicates = [part.name for part in parts if part.name in taken]
+    if duplicates:
         name = element.attributes["name"]
-        raise ShapeError(f"{element.tag} {name}", f"a file that has {again[0]} already", "one that is not flexible yet")
+        raise ShapeError(
+            f"{element.tag} {name}", f"a file that has {duplicates[0]} already", "one that is not flexible yet"
+        )
     lines = template("flexible.urdf.jinja").render(parts=parts).splitlines()
     start = document.newline + document.indentation(element)
     return Edit(element.stop, element.stop, "".join(start + line for line in lines).encode())
@@ -538,17 +543,17 @@ def _inserted(document: UrdfDocument, element: Element, parts: Sequence[_Joint |
 def _extension(
     document: UrdfDocument,
     tag: str,
-    held: Mapping[str, str],
+    attributes: Mapping[str, str],
     spring: str,
     springs: Sequence[tuple[str, Mapping[str, str]]],
 ) -> Edit:
     """Return the edit that adds to `vjm:model`, which is made where it is absent, what URDF has no element for."""
 
-    def opened(name: str, attributes: Mapping[str, str]) -> str:
-        return f"<vjm:{name} " + " ".join(f"{key}={quoteattr(value)}" for key, value in attributes.items())
+    def tag_start(name: str, values: Mapping[str, str]) -> str:
+        return f"<vjm:{name} " + " ".join(f"{key}={quoteattr(value)}" for key, value in values.items())
 
-    lines = [f"  {opened(tag, held)}>"]
-    lines += [f"    {opened(spring, {'name': name, **values})}/>" for name, values in springs]
+    lines = [f"  {tag_start(tag, attributes)}>"]
+    lines += [f"    {tag_start(spring, {'name': name, **values})}/>" for name, values in springs]
     lines += [f"  </vjm:{tag}>"]
     model = document.robot.first("vjm:model")
     if model is None:

@@ -55,26 +55,26 @@ class MarkerTree(Record):
     def positions(self, q: Array) -> tuple[Array, Array]:
         """Return positions (T, k, 3) in the world [m] and their derivatives (T, k, 3, nv) by q (T, nv)."""
         count = len(q)
-        turned: dict[int, Array] = {-1: np.broadcast_to(np.eye(3), (count, 3, 3))}
-        moved: dict[int, Array] = {-1: np.zeros((count, 3))}
+        orientations: dict[int, Array] = {-1: np.broadcast_to(np.eye(3), (count, 3, 3))}
+        origins: dict[int, Array] = {-1: np.zeros((count, 3))}
         axes = []
         for k, joint in enumerate(self.joints):
-            base = turned[joint.parent] @ joint.rotation
-            origin = moved[joint.parent] + turned[joint.parent] @ joint.translation
+            base = orientations[joint.parent] @ joint.rotation
+            origin = origins[joint.parent] + orientations[joint.parent] @ joint.translation
             axes.append(base @ joint.axis)
             if joint.slides:
-                turned[k], moved[k] = base, origin + q[:, [k]] * axes[k]
+                orientations[k], origins[k] = base, origin + q[:, [k]] * axes[k]
             else:
-                turned[k], moved[k] = base @ _rotations(joint.axis, q[:, k]), origin
+                orientations[k], origins[k] = base @ _rotations(joint.axis, q[:, k]), origin
         places = np.empty((count, len(self.bodies), 3))
         slopes = np.zeros((*places.shape, len(self.joints)))
         for m, body in enumerate(self.bodies):
             offset = self.offsets[m] + q @ self.slopes[m].T
-            places[:, m] = moved[body] + np.einsum("tij,tj->ti", turned[body], offset)
-            slopes[:, m] = turned[body] @ self.slopes[m]
+            places[:, m] = origins[body] + np.einsum("tij,tj->ti", orientations[body], offset)
+            slopes[:, m] = orientations[body] @ self.slopes[m]
             while body >= 0:
                 joint = self.joints[body]
-                arm = places[:, m] - moved[body]
+                arm = places[:, m] - origins[body]
                 slopes[:, m, :, body] += axes[body] if joint.slides else np.cross(axes[body], arm)
                 body = joint.parent
         return places, slopes
@@ -112,12 +112,12 @@ def marker_tree(model: FlexibleModel, places: Sequence[tuple[str, Array]]) -> Ma
     bodies, offsets, slopes = [], [], []
     for frame, offset in places:
         if not robot.existFrame(frame):
-            raise ChoiceError("frame", frame, [each.name for each in robot.frames])
+            raise ChoiceError("frame", frame, [known.name for known in robot.frames])
         frame, offset, slope = _on_curve(model, frame, np.asarray(offset, dtype=float))
-        here = robot.frames[robot.getFrameId(frame)]
-        bodies.append(here.parentJoint - 1)
-        offsets.append(here.placement.translation + here.placement.rotation @ offset)
-        slopes.append(here.placement.rotation @ slope)
+        carrier = robot.frames[robot.getFrameId(frame)]
+        bodies.append(carrier.parentJoint - 1)
+        offsets.append(carrier.placement.translation + carrier.placement.rotation @ offset)
+        slopes.append(carrier.placement.rotation @ slope)
     shape = len(places), 3, model.model.nv
     return MarkerTree(tuple(joints), tuple(bodies), np.array(offsets).reshape(shape[:2]), np.reshape(slopes, shape))
 

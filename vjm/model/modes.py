@@ -51,9 +51,9 @@ def linearise(
     """
     active = np.broadcast_to(theta, chain.active.shape).astype(float)
     load = chain.gravity if gravity is None else gravity
-    # Without gravity an arm's inertia and stiffness are the same wherever its first joint stands on the ground.
-    known = np.where(chain.active > 0, active, 0.0) if not any(load) else active
-    M, D, K, q = _linearised(chain, payload, load, tuple(known.tolist()))
+    # Without gravity, M and K do not depend on the angle of an active first joint: at zero, results are remembered.
+    angles = np.where(chain.active > 0, active, 0.0) if not any(load) else active
+    M, D, K, q = _linearised(chain, payload, load, tuple(angles.tolist()))
     rest = q.copy()
     rest[chain.active] = active
     return M, D, K, rest
@@ -71,20 +71,20 @@ def _linearised(
         q = _rest_position(chain, mechanism, q)
     M = mechanism.mass_matrix(q[None])[0]
     K = np.diag(chain.stiffness) + mechanism.gravity_stiffness(q)
-    found = M, np.diag(chain.damping), (K + K.T) / 2, q
-    for matrix in found:
+    result = M, np.diag(chain.damping), (K + K.T) / 2, q
+    for matrix in result:
         matrix.setflags(write=False)  # they are shared
-    return found
+    return result
 
 
 def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
-    """Joint angles (nv,) [rad] at which the passive joints rest under gravity, the active ones standing as they do."""
+    """Return the joint angles (nv,) [rad] at which the passive joints rest under gravity, the active ones held."""
     q, p, K = start.copy(), chain.passive, np.diag(chain.stiffness)
 
     def residual(phi: Array) -> Array:
         q[p] = phi
-        rest = np.zeros((1, chain.size))
-        unbalanced: Array = mechanism.inverse_dynamics(q[None], rest, rest)[0] + K @ q
+        zero = np.zeros((1, chain.size))
+        unbalanced: Array = mechanism.inverse_dynamics(q[None], zero, zero)[0] + K @ q
         return unbalanced[p]
 
     def tangent(phi: Array) -> Array:
@@ -92,7 +92,7 @@ def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
         return np.asarray((K + mechanism.gravity_stiffness(q))[np.ix_(p, p)])
 
     solution = balance(residual, tangent, q[p])
-    # A position in which the arm is balanced, and about to fall over, is none.
+    # An unstable equilibrium is no position of rest.
     if solution.status != "converged":
         raise InsufficientDataError("position of rest", "none was found", "check gravity, masses and bending stiffness")
     q[p] = solution.position
@@ -165,9 +165,9 @@ def balance(residual: Callable[[Array], Array], tangent: Callable[[Array], Array
         share = min(1.0, _LARGEST_STEP / max(largest, 1e-300))
         while share > 1e-10:
             trial = position + share * step
-            after = residual(trial)
-            if after @ after <= (1 - 2 * _ARMIJO * share) * (torque @ torque):
-                position, torque = trial, after
+            trial_torque = residual(trial)
+            if trial_torque @ trial_torque <= (1 - 2 * _ARMIJO * share) * (torque @ torque):
+                position, torque = trial, trial_torque
                 break
             share /= 2
         else:  # rounding alone keeps a tiny step from reducing the torques

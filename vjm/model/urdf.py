@@ -145,7 +145,7 @@ def _environment() -> Environment:
 
 
 def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterator[_Joint]:
-    """All joints with the bodies that they carry, from the base, their parent, outwards."""
+    """Yield all joints with the bodies that they carry, from the base, their parent, outwards."""
     if chain.base is not None:
         radius, mass, axis = 0.1 * chain.links[0].length, chain.base.mass, chain.base.axis
         across = mass * radius**2 / 4  # a disc's; nothing turns it
@@ -177,16 +177,16 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
 
 
 def _hub(link: LinkChain) -> _Body:
-    """The body between active joint and root joint; a bare frame where nothing turns."""
-    name, turning = f"{link.name}_hub", float(link.hub_inertia)
-    if link.joint == "clamped" and not turning:
+    """Return the body between active joint and root joint; a bare frame where nothing turns."""
+    name, inertia = f"{link.name}_hub", float(link.hub_inertia)
+    if link.joint == "clamped" and not inertia:
         return _Body(name)
-    disc = _Inertial(_HUB_MASS, 0.0, turning / 2, turning / 2, turning)
+    disc = _Inertial(_HUB_MASS, 0.0, inertia / 2, inertia / 2, inertia)
     return _Body(name, disc, (_hub_shape(link),) if link.joint == "revolute" else ())
 
 
 def _virtual_link(link: LinkChain, j: int) -> _Body:
-    """Virtual link j, with what turns with virtual link 0 about the joint's axis.
+    """Return virtual link j; virtual link 0 includes what turns with it about the joint's axis.
 
     izz is the chain's moment of inertia, plus that of hub and root for virtual link 0: these carry no mass here, so
     their inertia is the same about every point. ixx and iyy follow from second moments of mass along x, y and z, none
@@ -194,13 +194,13 @@ def _virtual_link(link: LinkChain, j: int) -> _Body:
     as izz allows, along x the rest; hub and root count half along x and half along y, like a disc.
     """
     width, thickness = _section(link)
-    mass, turning, length = link.masses[j], link.inertias[j], link.lengths[j]
+    mass, inertia, length = link.masses[j], link.inertias[j], link.lengths[j]
     along_z = mass * width**2 / 12
-    along_y = min(mass * thickness**2 / 12, turning / 2)
-    along_x = turning - along_y
+    along_y = min(mass * thickness**2 / 12, inertia / 2)
+    along_x = inertia - along_y
     disc = link.carried_inertia if j == 0 else 0.0
     ixx, iyy = along_y + along_z + disc / 2, along_x + along_z + disc / 2
-    inertial = _Inertial(mass, link.mass_centers[j], ixx, iyy, turning + disc)
+    inertial = _Inertial(mass, link.mass_centers[j], ixx, iyy, inertia + disc)
     shapes = [_Shape("box", (length, thickness, width), length / 2, "vjm_even" if j % 2 == 0 else "vjm_odd")]
     if j:
         radius = max(0.6 * thickness, 0.008 * link.length)
@@ -215,7 +215,7 @@ def _hub_shape(link: LinkChain) -> _Shape:
 
 
 def _section(link: LinkChain) -> tuple[float, float]:
-    """Width (along z) and thickness (along y) [m]; 2 % of the length where unknown: planar motion cannot tell."""
+    """Return width (along z) and thickness (along y) [m]; 2 % of the length where unknown: the motion needs neither."""
     default = 0.02 * link.length
     return float(link.width or default), float(link.thickness or default)
 
@@ -313,10 +313,10 @@ def simulator_file(
         chain=chain,
         base=base,
         joints=_with_payloads(joints) if simulator == "gazebo" else joints,
-        movable={one.joint.name: one for one in movable},
+        movable={entry.joint.name: entry for entry in movable},
         sites=_sites(chain, markers),
         tip=f"{chain.links[-1].name}_tip",
-        armature=[one.armature for one in movable] if chain.armature else None,
+        armature=[entry.armature for entry in movable] if chain.armature else None,
         step=step,
         substeps=_BULLET_SUBSTEPS,
         frame=_FRAME,
@@ -326,7 +326,7 @@ def simulator_file(
 
 
 def _step_and_compliance(chain: Chain) -> tuple[float, Array]:
-    """Time step [s] that resolves the fastest mode of the chain at zero, and (nv,) the inverse of what joints feel."""
+    """Return a time step [s] for the fastest mode of the chain at zero, and the joints' compliance diag(M^-1) (nv,)."""
     q = np.zeros((1, chain.size))
     inverse = np.linalg.inv(Mechanism(chain).mass_matrix(q)[0])
     zero, identity = np.zeros_like(inverse), np.eye(chain.size)
@@ -336,7 +336,7 @@ def _step_and_compliance(chain: Chain) -> tuple[float, Array]:
 
 
 def _movable_joints(chain: Chain, joints: Sequence[_Joint], slip: Array) -> list[_Movable]:
-    """Joints of the coordinates, in their order; slip (nv,) is the change of rate in a step under a torque of one."""
+    """Return the movable joints in the coordinates' order; slip (nv,): change of rate in a step under 1 N m [rad/s]."""
     reference, armature, start = np.zeros(chain.size), np.zeros(chain.size), np.zeros(chain.size)
     armature[chain.active] = chain.armature
     for link, part in zip(chain.links, chain.passive_slices, strict=True):
@@ -367,17 +367,17 @@ def _sites(chain: Chain, markers: Sequence[Sequence[float]]) -> list[_Site]:
 
 
 def _with_payloads(joints: Sequence[_Joint]) -> list[_Joint]:
-    """Joints whose bodies have an inertia that SDF takes, which is positive: payloads are part of the link they are on.
+    """Return the joints with payloads merged into the links they are on, as SDF takes only positive inertias.
 
     The payload's point mass m at the distance d from the composite's centre adds m d^2 to its moments.
     """
-    at = {joint.body.name: joint for joint in joints}
-    merged = dict(at)
+    by_body = {joint.body.name: joint for joint in joints}
+    merged = dict(by_body)
     for joint in joints:
         point = joint.body.inertial
         if joint.type != "fixed" or not point.mass or point.izz:
             continue
-        tip = at[joint.parent]
+        tip = by_body[joint.parent]
         carrier = merged[tip.parent]
         body = carrier.body.inertial
         mass = body.mass + point.mass
@@ -385,6 +385,6 @@ def _with_payloads(joints: Sequence[_Joint]) -> list[_Joint]:
         added = body.mass * (body.center - center) ** 2 + point.mass * (tip.x - center) ** 2
         whole = _Inertial(mass, center, body.ixx, body.iyy + added, body.izz + added)
         merged[tip.parent] = carrier._replace(body=carrier.body._replace(inertial=whole))
-        shown = _Body(joint.body.name, shapes=joint.body.shapes)
-        merged[joint.body.name] = joint._replace(body=shown)
+        massless = _Body(joint.body.name, shapes=joint.body.shapes)
+        merged[joint.body.name] = joint._replace(body=massless)
     return list(merged.values())

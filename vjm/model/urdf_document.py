@@ -133,9 +133,9 @@ class UrdfDocument:
         """Return the edit that sets an attribute, whether or not the element has it."""
         tag = self.data[element.start : element.inside]
         text = escape(value, {'"': "&quot;", "'": "&apos;"}).encode()
-        found = re.search(rb"\s" + re.escape(name).encode() + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", tag)
-        if found is not None:
-            return Edit(element.start + found.start(1) + 1, element.start + found.end(1) - 1, text)
+        match = re.search(rb"\s" + re.escape(name).encode() + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", tag)
+        if match is not None:
+            return Edit(element.start + match.start(1) + 1, element.start + match.end(1) - 1, text)
         end = element.inside - (2 if tag.endswith(b"/>") else 1)
         while self.data[end - 1 : end].isspace():
             end -= 1
@@ -218,7 +218,7 @@ class FlexibleLink(NamedTuple):
 def flexible_links_of(document: UrdfDocument) -> tuple[FlexibleLink, ...]:
     """Return the flexible links in the file's `vjm:model`."""
     model = document.robot.first("vjm:model")
-    found = []
+    links = []
     for element in () if model is None else model.all("vjm:flexible_link"):
         joints: dict[str, tuple[str, ...]] = {}
         for child in element.all("vjm:virtual_joint"):
@@ -226,8 +226,8 @@ def flexible_links_of(document: UrdfDocument) -> tuple[FlexibleLink, ...]:
             joints[axis] = (*joints.get(axis, ()), child.attributes["name"])
         start, direction = (document.numbers(element.attributes[key], key, 3) for key in ("start", "axis"))
         length = float(document.numbers(element.attributes["length"], "length", 1)[0])
-        found.append(FlexibleLink(element.attributes["name"], start, direction, length, joints))
-    return tuple(found)
+        links.append(FlexibleLink(element.attributes["name"], start, direction, length, joints))
+    return tuple(links)
 
 
 def springs_of(document: UrdfDocument) -> list[Spring]:
@@ -298,12 +298,12 @@ def _elements(data: bytes) -> Element:
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         place = parser.CurrentByteIndex
-        found = _START_TAG.match(data, place)
-        assert found is not None  # expat has read it
+        match = _START_TAG.match(data, place)
+        assert match is not None  # expat has read it
         prefixes.update(key[6:] for key, value in attributes.items() if key.startswith("xmlns:") and value == NAMESPACE)
         prefix, _, local = name.rpartition(":")
         tag = f"vjm:{local}" if prefix in prefixes else name
-        opened.append((tag, attributes, place, found.end(), []))
+        opened.append((tag, attributes, place, match.end(), []))
 
     def end(_: str) -> None:
         tag, attributes, start, inside, children = opened.pop()

@@ -69,7 +69,7 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
             Section(points=carried),
         ]
     else:
-        wrong, still, gained = (named(pictures, name) for name in ("symptom", "held_out", "gain"))
+        symptom_figures, still, gained = (named(pictures, name) for name in ("symptom", "held_out", "gain"))
         labels = {"reference": "without causes", "simulated": "with causes"}
         labels = labels if diagnosis.causes else {"reference": "model"}
         rig, models = diagnosis.model.rig, {"reference": diagnosis.reference, "simulated": diagnosis.model}
@@ -82,8 +82,8 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
         notes = [("Note", note) for note in diagnosis.notes]
         gain_heading = "Gain" if diagnosis.causes else "Fit per recording"
         sections = [
-            Section("Symptoms", symptoms, pictures=wrong[:1]),
-            Section("Symptoms in detail", pictures=wrong[1:], folded=True),
+            Section("Symptoms", symptoms, pictures=symptom_figures[:1]),
+            Section("Symptoms in detail", pictures=symptom_figures[1:], folded=True),
             Section("Causes", tables=cause_tables, pictures=named(pictures, "cause")),
             Section("Indistinguishable causes", _alternative_points(diagnosis)),
             Section(gain_heading, tables=[recordings], pictures=gained, plots=plots, still=still),
@@ -108,18 +108,18 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
         return f"Not enough data for a diagnosis: {why}.", "poor"
     main = diagnosis.main_causes
     causes = "; ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in main)
-    found = "Cause found" if len(main) == 1 else f"{len(main)} causes found"
+    opening = "Cause found" if len(main) == 1 else f"{len(main)} causes found"
     if kind == "named":
-        return f"{found}: {causes}. {_improvement(diagnosis)}".rstrip(), "good"
+        return f"{opening}: {causes}. {_improvement(diagnosis)}".rstrip(), "good"
     if kind == "set":
         choices = "; ".join(_choice(cause, diagnosis.model) for cause in main)
-        text = f"{found}: {choices}. These recordings cannot distinguish the alternatives. {_improvement(diagnosis)}"
+        text = f"{opening}: {choices}. These recordings cannot distinguish the alternatives. {_improvement(diagnosis)}"
         return text.rstrip(), "fair"
     description = diagnosis.remaining.description.rstrip(".")
     ending = f": {description}" if description else ""
     # Causes lead where what they leave unexplained is about as large as the noise.
     if diagnosis.causes and gain is not None and gain.after < 1.5 * gain.noise:
-        return f"{found}: {causes}. A further residual is not explained by any candidate{ending}.", "poor"
+        return f"{opening}: {causes}. A further residual is not explained by any candidate{ending}.", "poor"
     part = f" Explained in part by: {causes}." if diagnosis.causes else ""
     return f"Residual not explained by any candidate{ending}.{part}", "poor"
 
@@ -136,11 +136,11 @@ def _minor_points(diagnosis: Diagnosis) -> list[str]:
 
 
 def _choice(cause: Cause, model: Model) -> str:
-    own = clause(cause.effect, model, cause.parameters)
-    others = [clause(item.effect, model) for item in cause.alternatives[:2]]
+    main_clause = clause(cause.effect, model, cause.parameters)
+    others = [clause(alternative.effect, model) for alternative in cause.alternatives[:2]]
     more = len(cause.alternatives) - len(others)
     others += [f"{counted(more, 'other')} (see below)"] if more else []
-    return f"{own}, or {', or '.join(others)}" if others else own
+    return f"{main_clause}, or {', or '.join(others)}" if others else main_clause
 
 
 def _detectable(diagnosis: Diagnosis) -> list[str]:
@@ -216,12 +216,13 @@ def _next_points(diagnosis: Diagnosis) -> list[str]:
 def _alternative_points(diagnosis: Diagnosis) -> list[str]:
     points = []
     for cause in diagnosis.causes:
-        for item in cause.alternatives:
-            own, other = clause(cause.effect, diagnosis.model), clause(item.effect, diagnosis.model)
-            worse = f"chi² larger by {number(item.chi2_increase, 2)}" if item.chi2_increase >= 0 else "chi² no larger"
-            points.append(f"{capital(own)}, or {other} ({worse}).")
-            apart = item.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
-            points += [f"{item.effect.title} would be distinguished by {apart}."] if apart else []
+        cause_clause = capital(clause(cause.effect, diagnosis.model))
+        for alternative in cause.alternatives:
+            increase = alternative.chi2_increase
+            worse = f"chi² larger by {number(increase, 2)}" if increase >= 0 else "chi² no larger"
+            points.append(f"{cause_clause}, or {clause(alternative.effect, diagnosis.model)} ({worse}).")
+            apart = alternative.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
+            points += [f"{alternative.effect.title} would be distinguished by {apart}."] if apart else []
     return points + (_next_points(diagnosis) if diagnosis.next_experiment not in diagnosis.warnings else [])
 
 
@@ -287,11 +288,11 @@ def _why_it_differs(cause: Cause | None, estimate: str) -> str:
     """Explain why a cause has another size than the candidate alone; empty where it has not."""
     if cause is None:
         return ""
-    found = sizes_text(cause.effect, {name: size.value for name, size in cause.parameters.items()})
-    if found == estimate:
+    fitted = sizes_text(cause.effect, {name: size.value for name, size in cause.parameters.items()})
+    if fitted == estimate:
         return ""
     why = "which is nonlinear and has all causes; this row's estimate is linearised, for this cause alone"
-    return f"{found} in the fit, {why}"
+    return f"{fitted} in the fit, {why}"
 
 
 def _untestable_points(diagnosis: Diagnosis) -> list[str]:

@@ -147,20 +147,20 @@ def _check_page(check: Check) -> Page:
 def _overview_table(check: Check) -> Table:
     """Return the recordings in numbers, narrow enough for a terminal of 80 columns."""
     rows = []
-    for item in check.overviews:
-        rates = [item.frame_rate] + ([] if item.sensor_rate is None else [item.sensor_rate])
+    for overview in check.overviews:
+        rates = [overview.frame_rate] + ([] if overview.sensor_rate is None else [overview.sensor_rate])
         row = (
-            short(Path(item.recording.file).stem, 14),
-            number(item.duration, 2),
+            short(Path(overview.recording.file).stem, 14),
+            number(overview.duration, 2),
             "/".join(number(rate, 3) for rate in rates),
-            str(item.frames),
-            str(item.missing),
-            number(1e3 * item.noise, 2),
-            number(item.motion, 2),
-            " ".join(number(frequency, 3) for frequency in item.modes) or UNKNOWN,
+            str(overview.frames),
+            str(overview.missing),
+            number(1e3 * overview.noise, 2),
+            number(overview.motion, 2),
+            " ".join(number(frequency, 3) for frequency in overview.modes) or UNKNOWN,
         )
         rows.append(row)
-    encoder = any(item.sensor_rate is not None for item in check.overviews)
+    encoder = any(overview.sensor_rate is not None for overview in check.overviews)
     rate = "camera/ encoder [Hz]" if encoder else "camera [Hz]"
     headers = ("recording", "[s]", rate, "frames", "cells missing", "noise [mm]", "motion/ noise", "modes [Hz]")
     return Table("", headers, tuple(rows))
@@ -171,19 +171,19 @@ def _ratio(comparison: RecordingComparison) -> float:
 
 
 def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[str, Grade]:
-    simulated = [item for item in comparisons if item.simulated is not None]
-    held_out = [item for item in simulated if item.recording.role == "holdout"]
+    simulated = [comparison for comparison in comparisons if comparison.simulated is not None]
+    held_out = [comparison for comparison in simulated if comparison.recording.role == "holdout"]
     if not simulated:
         return "No recording could be simulated.", "poor"
-    worst = max(_ratio(item) for item in held_out or simulated)
+    worst = max(_ratio(comparison) for comparison in held_out or simulated)
     ending = "" if held_out else " No recording was held out: prediction not tested."
-    what = "predicts every held-out recording" if held_out else "follows every training recording"
+    claim = "predicts every held-out recording" if held_out else "follows every training recording"
     if len(held_out) == 1:
-        what = f"predicts the held-out recording {short(held_out[0].recording.file)}"
+        claim = f"predicts the held-out recording {short(held_out[0].recording.file)}"
     if worst <= 1.1:  # a tenth above the noise is half of it in quadrature: not to be seen in a picture
-        return f"The {name} model {what} to within camera noise.{ending}", "good" if held_out else "fair"
+        return f"The {name} model {claim} to within camera noise.{ending}", "good" if held_out else "fair"
     if worst <= 1.5:  # what is missing is about as large as the noise
-        return f"The {name} model {what} to {number(worst, 2)} × camera noise.{ending}", "fair"
+        return f"The {name} model {claim} to {number(worst, 2)} × camera noise.{ending}", "fair"
     roles = "held-out" if held_out else "training"
     missed = f"residual up to {number(worst, 2)} × camera noise in {roles} recordings"
     remedy = "" if name == "given" else " 'vjm diagnose' looks for the cause."
@@ -193,19 +193,19 @@ def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[s
 def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     points = []
     for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "training", 1)):
-        group = [item for item in comparisons if item.recording.role == role]
+        group = [comparison for comparison in comparisons if comparison.recording.role == role]
         # The worst first; at rest, any model follows.
-        group.sort(key=lambda item: (item.recording.kind != "quiet", _ratio(item)), reverse=True)
-        shown = [(item, item.simulated) for item in group if item.simulated is not None]
+        group.sort(key=lambda comparison: (comparison.recording.kind != "quiet", _ratio(comparison)), reverse=True)
+        shown = [(comparison, comparison.simulated) for comparison in group if comparison.simulated is not None]
         name = words if len(shown) == 1 or role == "holdout" else f"worst {words} recording"
-        for item, simulated in shown[:most]:
-            recording = item.recording
+        for comparison, simulated in shown[:most]:
+            recording = comparison.recording
             duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
-            others = [("torque method", item.alternative), ("nominal", item.reference)]
-            beside = ", ".join(f"{other} {millimetres(sim.marker_rms)}" for other, sim in others if sim is not None)
+            others = [("torque method", comparison.alternative), ("nominal", comparison.reference)]
+            beside = ", ".join(f"{label} {millimetres(sim.marker_rms)}" for label, sim in others if sim is not None)
             rms = f"{millimetres(simulated.marker_rms)} RMS over all {duration}, open loop"
             text = f"{short(recording.file)} ({name}): {rms}{f' ({beside})' if beside else ''}"
-            points.append(f"{text}; camera noise {millimetres(item.noise[0])}.")
+            points.append(f"{text}; camera noise {millimetres(comparison.noise[0])}.")
     return points
 
 
@@ -224,7 +224,11 @@ def _stiffness_points(fit: Identification) -> list[str]:
 
 
 def _not_simulated_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
-    missing = [f"{short(item.recording.file)} ({item.problem})" for item in comparisons if item.simulated is None]
+    missing = [
+        f"{short(comparison.recording.file)} ({comparison.problem})"
+        for comparison in comparisons
+        if comparison.simulated is None
+    ]
     return [f"Not simulated: {listed(missing[:MOST_NAMED])}."] if missing else []
 
 
@@ -299,16 +303,16 @@ def _values_by_name(chain: Chain) -> dict[str, float]:
 
 
 def _remedy_tables(estimates: Sequence[Estimate]) -> list[Table]:
-    rows = tuple((item.name, item.reason, item.remedy or UNKNOWN) for item in _undetermined(estimates))
+    rows = tuple((estimate.name, estimate.reason, estimate.remedy or UNKNOWN) for estimate in _undetermined(estimates))
     headers = ("parameter", "reason", "recording that would determine it")
     return [Table("Parameters not determined by these recordings", headers, rows, words=3)] if rows else []
 
 
 def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
     rows = []
-    for item in whiteness:
-        rms = math.sqrt(item.chi2) if item.chi2 >= 0 else None
-        rows.append((item.file, "no" if item.coloured else "yes", number(rms, 3), number(item.correlation, 2)))
+    for test in whiteness:
+        rms = math.sqrt(test.chi2) if test.chi2 >= 0 else None
+        rows.append((test.file, "no" if test.coloured else "yes", number(rms, 3), number(test.correlation, 2)))
     headers = ("recording", "white", "residual / noise, all sensors", "largest correlation (lags up to 10)")
     caption = "Residuals of the training recordings"
     return [Table(caption, headers, tuple(rows), words=2)] if rows else []
@@ -343,24 +347,27 @@ def recording_table(
     The names are those of the columns of its comparison's `simulated`, `reference` and `alternative`.
     """
     rows, notes = [], []
-    for item in comparisons:
-        recording, simulated, noise = item.recording, item.simulated, item.noise[0]
+    for comparison in comparisons:
+        recording, simulated, noise = comparison.recording, comparison.simulated, comparison.noise[0]
         theta = None if simulated is None or simulated.theta_rms is None else 1e3 * simulated.theta_rms
         row = (
             recording.file,
             ROLES[recording.role],
             recording.kind,
-            *(millimetres(sim.marker_rms if sim else None) for sim in (item.reference, item.alternative, simulated)),
+            *(
+                millimetres(sim.marker_rms if sim else None)
+                for sim in (comparison.reference, comparison.alternative, simulated)
+            ),
             millimetres(noise),
             number(simulated.marker_rms / noise if simulated else None, 2),
             number(theta, 2),
         )
         rows.append(row)
-        remarks = [f"not simulated: {item.problem}"] if simulated is None else []
+        remarks = [f"not simulated: {comparison.problem}"] if simulated is None else []
         if simulated is not None and simulated.status != "converged":
             remarks.append("initial state not converged: residual may be too large")
-        if simulated is not None and item.left_out:
-            remarks.append(f"{counted(item.left_out, 'marker coordinate')} left out")
+        if simulated is not None and comparison.left_out:
+            remarks.append(f"{counted(comparison.left_out, 'marker coordinate')} left out")
         notes.append("; ".join(remarks))
     numbers = (reference, alternative, model, "noise", f"{model}\N{NO-BREAK SPACE}/ noise", "encoder [mrad]")
     caption = "Fit per recording: RMS marker residual, open loop"

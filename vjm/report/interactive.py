@@ -53,9 +53,11 @@ def arm_animation(
     Returns:
         Size, duration, words and coordinates; None where no recording moves.
     """
-    moving = [each for each in comparisons if each.recording.kind != "quiet"]
-    pairs = ((each, Signal.of(rig, each.recording)) for each in ranked_recordings(moving, labels))
-    comparison, signal = next(((each, signal) for each, signal in pairs if signal and signal.is_marker), (None, None))
+    moving = [candidate for candidate in comparisons if candidate.recording.kind != "quiet"]
+    pairs = ((candidate, Signal.of(rig, candidate.recording)) for candidate in ranked_recordings(moving, labels))
+    comparison, signal = next(
+        ((candidate, signal) for candidate, signal in pairs if signal and signal.is_marker), (None, None)
+    )
     if comparison is None or signal is None:
         return None
     recording, window = comparison.recording, liveliest_window(signal.time, signal.value)
@@ -63,13 +65,15 @@ def arm_animation(
     time = recording.time[rows]
     simulated_by = simulations(comparison, labels)
     arms = {role: (models[role].arm_in(recording).chain, simulated) for role, simulated in simulated_by.items()}
-    judged, simulated = arms[role := [*arms][-1]]
+    judged, simulated = arms[judged_role := [*arms][-1]]
     factor = _magnification(judged, simulated.simulation.q[rows])
     curves = {
-        own: _magnified(chain, sim.simulation.q[rows], _arcs(chain), factor)[0] for own, (chain, sim) in arms.items()
+        role: _magnified(chain, sim.simulation.q[rows], _arcs(chain), factor)[0] for role, (chain, sim) in arms.items()
     }
     places, measured, seen = _markers(rig, judged, simulated, rows, factor)
-    points = np.concatenate([each.reshape(-1, 2) for each in (*curves.values(), places, measured, np.zeros(2))])
+    points = np.concatenate(
+        [positions.reshape(-1, 2) for positions in (*curves.values(), places, measured, np.zeros(2))]
+    )
     low, scale = points.min(axis=0), _WIDTH / max(float(np.ptp(points, axis=0).max()), 1e-9)
 
     def drawn(values: Array) -> Array:  # y points down in a picture
@@ -80,7 +84,7 @@ def arm_animation(
     ends = np.cumsum([0, *(_ARC_POINTS for _ in judged.links)])[:-1]
     roots = [int(end) for end, link in zip(ends, judged.links, strict=True) if link.joint == "revolute"]
     # The picture that does not move is that of the largest deflection.
-    still = int(np.argmax(np.abs(curves[role] - curves[role].mean(axis=0)).max(axis=(1, 2))))
+    still = int(np.argmax(np.abs(curves[judged_role] - curves[judged_role].mean(axis=0)).max(axis=(1, 2))))
     times = (time - time[0]) / (time[-1] - time[0])
     return {
         "recording": recording_label(recording),
@@ -93,8 +97,8 @@ def arm_animation(
         "still": still,
         "still_second": round(seconds * float(times[still]), 2),
         "clamp": drawn(np.zeros(2)).tolist() if judged.links[0].joint == "clamped" else None,
-        "curves": [(own, labels[own], [_line(frame) for frame in drawn(curve)]) for own, curve in curves.items()],
-        "joints": [_path(drawn(curves[role][:, root])) for root in roots],
+        "curves": [(role, labels[role], [_line(frame) for frame in drawn(curve)]) for role, curve in curves.items()],
+        "joints": [_path(drawn(curves[judged_role][:, root])) for root in roots],
         "simulated": [_path(drawn(places[:, k])) for k in range(places.shape[1])],
         "measured": [
             {**_path(drawn(measured[:, k])), "seen": seen[:, k].astype(int).tolist()}
@@ -187,12 +191,12 @@ def time_histories(
         return None
     series = (len(labels) + 1) * (2 * sum(len(link.markers) for link in rig.links) + len(rig.active_links))
     most = max(1, _MOST_VALUES // (series * _LEAST_INSTANTS))
-    kept = [each for each in comparisons if any(each is one for one in ranked[:most])]
+    kept = [comparison for comparison in comparisons if any(comparison is chosen for chosen in ranked[:most])]
     instants = min(_MOST_INSTANTS, _MOST_VALUES // (series * len(kept)))
-    recordings = [_plotted_recording(rig, each, simulations(each, labels), instants) for each in kept]
+    recordings = [_plotted_recording(rig, comparison, simulations(comparison, labels), instants) for comparison in kept]
     return {
         "labels": labels,
-        "first": next(k for k, each in enumerate(kept) if each is ranked[0]),
+        "first": next(k for k, comparison in enumerate(kept) if comparison is ranked[0]),
         "recordings": recordings,
         "thinned": any(signal["thinned"] for recording in recordings for signal in recording["signals"]),
         "left_out": len(ranked) - len(kept),
@@ -203,7 +207,9 @@ def _plotted_recording(
     rig: Rig, comparison: RecordingComparison, simulated: Mapping[str, SimulatedRecording], most: int
 ) -> dict[str, Any]:
     recording, outermost = comparison.recording, Signal.of(rig, comparison.recording)
-    signals = [_plotted_signal(each, comparison.noise, simulated, most) for each in measured_signals(rig, recording)]
+    signals = [
+        _plotted_signal(measured, comparison.noise, simulated, most) for measured in measured_signals(rig, recording)
+    ]
     times: list[list[float]] = []  # markers mostly share theirs
     for signal in signals:
         times += [] if signal["time"] in times else [signal["time"]]
@@ -215,7 +221,7 @@ def _plotted_recording(
 def _plotted_signal(
     signal: Signal, noise: tuple[float, float], simulated: Mapping[str, SimulatedRecording], most: int
 ) -> dict[str, Any]:
-    residuals = {role: signal.residual(one) for role, one in simulated.items()}
+    residuals = {role: signal.residual(simulation) for role, simulation in simulated.items()}
     rows = _extreme_rows(np.nan_to_num(np.stack([signal.value, *residuals.values()], axis=1)), most)
     (factor, unit), sigma, time = signal.unit, noise[0 if signal.is_marker else 1], signal.time[rows]
     step = _ROUNDING * sigma

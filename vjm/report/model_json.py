@@ -1,4 +1,4 @@
-"""Models as model.json: every number comes back exactly, and faults are told by file and key."""
+"""Models as model.json: every number comes back exactly, and errors name the file and the key."""
 
 from __future__ import annotations
 
@@ -119,11 +119,15 @@ def read_model(
     rig = experiment.rig if experiment else entry.rig
     recordings = experiment.cleaned_recordings if experiment else ()
     noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
-    model = Model(entry.chain, rig, *noise, entry.estimates, (), sum(item.in_reference for item in entry.effects))
-    ordered = sorted(enumerate(entry.effects), key=lambda item: not item[1].in_reference)
+    model = Model(
+        entry.chain, rig, *noise, entry.estimates, (), sum(effect_entry.in_reference for effect_entry in entry.effects)
+    )
+    ordered = sorted(enumerate(entry.effects), key=lambda pair: not pair[1].in_reference)
     catalogue = {effect.id: effect for effect in effects}
     with _faults_of(path):
-        placed = tuple(_effect(f"effects[{k}]", item, catalogue, rig, recordings) for k, item in ordered)
+        placed = tuple(
+            _effect(f"effects[{k}]", effect_entry, catalogue, rig, recordings) for k, effect_entry in ordered
+        )
     covariance = np.array(entry.covariance, dtype=float).reshape(len(entry.covariance), len(entry.covariance))
     return replace(model, effects=placed), covariance
 
@@ -177,7 +181,7 @@ def _fault(error: ValidationError) -> tuple[str, str, str]:
 def _effect(
     key: str, entry: _EffectEntry, catalogue: Mapping[str, Effect], rig: Rig, recordings: Sequence[Recording]
 ) -> Effect:
-    """Return an effect with its values and with all that it must know of its place, which its variants there know."""
+    """Return an effect with its values, from its variant at that place, which knows the rig and the recordings."""
     names = [link.name for link in rig.links]
     if entry.effect not in catalogue:
         raise ShapeError(f"{key}.effect", f"got {entry.effect!r}", f"one of {', '.join(catalogue)}")
@@ -187,12 +191,12 @@ def _effect(
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     values: dict[str, Any] = {}
     for name in dict.fromkeys([*parameters, *entry.parameters]):
-        inner = f"{key}.parameters.{name}"
+        parameter_key = f"{key}.parameters.{name}"
         if name not in parameters:
-            raise ShapeError(inner, "unknown key", f"only {', '.join(parameters) or 'no parameter'}")
+            raise ShapeError(parameter_key, "unknown key", f"only {', '.join(parameters) or 'no parameter'}")
         if name not in entry.parameters:
-            raise ShapeError(inner, "missing", "this key")
-        values[name] = _value(inner, parameters[name], entry.parameters[name])
+            raise ShapeError(parameter_key, "missing", "this key")
+        values[name] = _value(parameter_key, parameters[name], entry.parameters[name])
     places = effect.places(rig)
     link = None if entry.link is None else names.index(entry.link)
     if link is None and None not in places:  # on no link in particular, which is the first one
@@ -201,12 +205,12 @@ def _effect(
         known = [names[i] for i in places if i is not None]
         raise ShapeError(f"{key}.link", f"got {entry.link!r}", f"one of {known}" if known else "null")
     variants = [variant for variant in effect.variants(rig, recordings) if variant.link == link]
-    for whole in (parameter.name for parameter in parameters.values() if parameter.integer):
-        choices = sorted({getattr(variant, whole) for variant in variants})
-        variants = [variant for variant in variants if getattr(variant, whole) == values[whole]]
+    for integer_name in (parameter.name for parameter in parameters.values() if parameter.integer):
+        choices = sorted({getattr(variant, integer_name) for variant in variants})
+        variants = [variant for variant in variants if getattr(variant, integer_name) == values[integer_name]]
         if not variants:
             expected = f"one of {choices}, on link {entry.link!r}"
-            raise ShapeError(f"{key}.parameters.{whole}", f"got {values[whole]}", expected)
+            raise ShapeError(f"{key}.parameters.{integer_name}", f"got {values[integer_name]}", expected)
     return replace(variants[0], **values)
 
 

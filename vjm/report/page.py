@@ -45,7 +45,7 @@ class Table:
     rows: tuple[tuple[str, ...], ...]  # cells as text
     words: int = 1  # number of columns, from the left, that hold words; the others hold numbers
     notes: tuple[str, ...] = ()  # at the end of a row, a remark that needs room; empty where there is none
-    optional: tuple[str, ...] = ()  # columns that a narrow terminal leaves out, as many as it must, the first first
+    optional: tuple[str, ...] = ()  # columns that a narrow terminal leaves out, from the first on
 
     def without(self, *columns: str) -> Table:
         """Return the table without the named columns."""
@@ -61,16 +61,16 @@ class Table:
     def widths(self, wrapped: bool = False) -> list[int]:
         """Return how wide its columns must be with their headers wrapped; words are wrapped from 30 characters on.
 
-        Where cells are `wrapped`, they are so at commas.
+        Cells are wrapped at commas if `wrapped`.
         """
         pieces = [[row[k].split(", ") if wrapped else [row[k]] for row in self.rows] for k in range(len(self.headers))]
-        cells = [max((len(part) for own in column for part in own), default=1) for column in pieces]
+        cells = [max((len(part) for cell in column for part in cell), default=1) for column in pieces]
         cells[: self.words] = [min(width, 30) for width in cells[: self.words]]
         return [max(width, *map(len, head.split(" ")), 1) for head, width in zip(self.headers, cells, strict=True)]
 
 
 def named(pictures: Sequence[Picture], *beginnings: str) -> list[Picture]:
-    """Return the pictures whose names begin so."""
+    """Return the pictures whose names begin with one of `beginnings`."""
     return [picture for picture in pictures if picture.name.startswith(beginnings)]
 
 
@@ -115,7 +115,7 @@ class Page:
     def html(self, fragment: bool = False, command: str = "") -> str:
         """Return it as a self-contained HTML file, or as a fragment for notebooks.
 
-        The file tells the `command` that made it, if one did, and the time.
+        The file states the `command` that made it, if any, and the time.
         """
         made = {"vjm": version("vjm"), "date": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %z}", "command": command}
         return _template().render(page=self, fragment=fragment, made=made, embedded=_embedded, asset=_asset)

@@ -128,10 +128,10 @@ function touchable(plot, show) {
   let grip = null, tap = null;
 
   function hold({targetTouches}) {  // where the fingers are: their middle as a share of the width, and their distance
-    const {left, width} = over.getBoundingClientRect(), [one, other = one] = targetTouches;
-    const apart = targetTouches.length > 1 ? Math.hypot(one.clientX - other.clientX, one.clientY - other.clientY) : 1;
-    return {x: one.clientX, y: one.clientY, apart: Math.max(apart, 1),
-      middle: ((one.clientX + other.clientX) / 2 - left) / width};
+    const {left, width} = over.getBoundingClientRect(), [first, second = first] = targetTouches;
+    const apart = targetTouches.length > 1 ? Math.hypot(first.clientX - second.clientX, first.clientY - second.clientY) : 1;
+    return {x: first.clientX, y: first.clientY, apart: Math.max(apart, 1),
+      middle: ((first.clientX + second.clientX) / 2 - left) / width};
   }
 
   function take(event, moving) {

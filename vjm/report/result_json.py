@@ -158,7 +158,8 @@ def _identification(fit: Identification) -> Result:
             "trajectory_chi2_per_sample": fit.trajectory.misfit**2 if fit.trajectory else None,
         },
         "recordings": [
-            {**_recording(item), "whiteness": whiteness.get(item.recording.file)} for item in fit.recordings
+            {**_recording(comparison), "whiteness": whiteness.get(comparison.recording.file)}
+            for comparison in fit.recordings
         ],
         "status": fit.status,
         "remedy": fit.remedy,
@@ -177,17 +178,17 @@ def _comparison(comparison: Comparison) -> Result:
     }
 
 
-def _recording(item: RecordingComparison) -> Result:
+def _recording(comparison: RecordingComparison) -> Result:
     return {
-        "file": item.recording.file,
-        "role": item.recording.role,
-        "marker_rms_m": _rms(item.simulated),
-        "theta_rms_rad": item.simulated.theta_rms if item.simulated else None,
-        "noise_m": item.noise[0],
-        "nominal_marker_rms_m": _rms(item.reference),
-        "torque_marker_rms_m": _rms(item.alternative),
-        "left_out": item.left_out,
-        "problem": item.problem,
+        "file": comparison.recording.file,
+        "role": comparison.recording.role,
+        "marker_rms_m": _rms(comparison.simulated),
+        "theta_rms_rad": comparison.simulated.theta_rms if comparison.simulated else None,
+        "noise_m": comparison.noise[0],
+        "nominal_marker_rms_m": _rms(comparison.reference),
+        "torque_marker_rms_m": _rms(comparison.alternative),
+        "left_out": comparison.left_out,
+        "problem": comparison.problem,
     }
 
 
@@ -196,7 +197,7 @@ def _rms(simulated: SimulatedRecording | None) -> float | None:
 
 
 def _estimates(estimates: Sequence[Estimate], *names: str) -> list[Result]:
-    return [{"parameter": item.name, **{name: getattr(item, name) for name in names}} for item in estimates]
+    return [{"parameter": estimate.name, **{name: getattr(estimate, name) for name in names}} for estimate in estimates]
 
 
 def _check(check: Check) -> Result:
@@ -208,12 +209,12 @@ def _check(check: Check) -> Result:
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in check.modes],
         "recordings": [
             {
-                **{"file": item.recording.file, "kind": item.recording.kind, "role": item.recording.role},
-                **{"duration_s": item.duration, "frames": item.frames, "missing_cells": item.missing},
-                **{"frames_per_s": item.frame_rate, "encoder_samples_per_s": item.sensor_rate},
-                **{"noise_m": item.noise, "motion_over_noise": item.motion, "modes_hz": item.modes},
+                **{"file": overview.recording.file, "kind": overview.recording.kind, "role": overview.recording.role},
+                **{"duration_s": overview.duration, "frames": overview.frames, "missing_cells": overview.missing},
+                **{"frames_per_s": overview.frame_rate, "encoder_samples_per_s": overview.sensor_rate},
+                **{"noise_m": overview.noise, "motion_over_noise": overview.motion, "modes_hz": overview.modes},
             }
-            for item in check.overviews
+            for overview in check.overviews
         ],
         "identifiable": {kind: _estimates(estimates, *_IDENTIFIABLE) for kind, estimates in check.identifiable.items()},
     }
@@ -227,14 +228,14 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
         "causes": [_cause(cause, model) for cause in diagnosis.causes],
         "recordings": [
             {
-                "file": item.recording.file,
-                "role": item.recording.role,
-                "marker_rms_before_m": _rms(item.reference),
-                "marker_rms_after_m": _rms(item.simulated),
-                "marker_rms_next_best_m": _rms(item.alternative),
-                "noise_m": item.noise[0],
+                "file": comparison.recording.file,
+                "role": comparison.recording.role,
+                "marker_rms_before_m": _rms(comparison.reference),
+                "marker_rms_after_m": _rms(comparison.simulated),
+                "marker_rms_next_best_m": _rms(comparison.alternative),
+                "noise_m": comparison.noise[0],
             }
-            for item in diagnosis.recordings
+            for comparison in diagnosis.recordings
         ],
         "gain": gain
         and {
@@ -269,10 +270,14 @@ def _cause(cause: Cause, model: Model) -> Result:
         },
         "p_value": cause.p_value,
         "chi2_gain": cause.decrease,
-        "indistinguishable_from": list(dict.fromkeys(item.effect.id for item in cause.alternatives)),
+        "indistinguishable_from": list(dict.fromkeys(alternative.effect.id for alternative in cause.alternatives)),
         "alternatives": [
-            {**_place(item.effect, model), "parameters": item.effect.values, "chi2_increase": item.chi2_increase}
-            for item in cause.alternatives
+            {
+                **_place(alternative.effect, model),
+                "parameters": alternative.effect.values,
+                "chi2_increase": alternative.chi2_increase,
+            }
+            for alternative in cause.alternatives
         ],
         "evidence": cause.evidence,
         "role": cause.role,

@@ -58,7 +58,7 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = 
 def sizes_text(effect: Effect, sizes: Mapping[str, float], from_null: bool = False) -> str:
     """Return sizes of an effect's parameters, without errors: `13 g`, or `gx 0.10, gy 0.02 m/s²`.
 
-    A dimensionless parameter whose null is not zero, such as a scale, is told by the difference: `+0.04 %`, or
+    A dimensionless parameter whose null is not zero, such as a scale, is given as the difference: `+0.04 %`, or
     `0.04 %` where `sizes` are themselves differences `from_null`.
     """
     for parameter in effect.parameters:
@@ -79,7 +79,7 @@ def _together(effect: Effect, sizes: Mapping[str, float]) -> str:
         largest = max(abs(value) for value in sizes.values())
         factor, name = everyday_unit(largest, units.get(next(iter(sizes)), ""))
         last = max(1 - math.floor(math.log10(largest / factor)), 0) if largest > 0 else 0
-        values = (f"{own} {round(value / factor, last) + 0.0:.{last}f}" for own, value in sizes.items())
+        values = (f"{key} {round(value / factor, last) + 0.0:.{last}f}" for key, value in sizes.items())
         return f"{', '.join(values)} {name}".rstrip().replace("-", "\N{MINUS SIGN}")
     texts = [(name, quantity(value, None, units.get(name, ""))) for name, value in sizes.items()]
     return texts[0][1] if len(texts) == 1 else ", ".join(f"{name} {text}" for name, text in texts) or UNKNOWN

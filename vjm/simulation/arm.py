@@ -51,7 +51,7 @@ class Arm:
 
     @cached_property
     def _prescribed(self) -> Arm:
-        """The arm with so heavy drives that the torque of their given acceleration is all that counts."""
+        """The arm with drives so heavy that it turns as they are accelerated, whatever reacts on them."""
         inertia = sum(float(link.masses.sum()) + link.payload for link in self.chain.links)
         inertia *= sum(link.length for link in self.chain.links) ** 2
         return Arm(replace(self.chain, armature=_HEAVY * inertia), self.effects)
@@ -61,10 +61,12 @@ class Arm:
 
         Where the motion of the active joints is given, that is the torque by which their drives follow it.
         """
-        given = recording.acceleration
+        acceleration = recording.acceleration
         for effect in self.effects:
             recording = effect.true_inputs(recording)
-        return recording if given is None else replace(recording, tau=self.chain.armature * given, input="torque")
+        if acceleration is None:
+            return recording
+        return replace(recording, tau=self.chain.armature * acceleration, input="torque")
 
     @cached_property
     def states(self) -> tuple[int, ...]:
@@ -149,11 +151,11 @@ class Arm:
         Raises:
             ChoiceError, ShapeError: as of `vjm.model.urdf.simulator_file`.
         """
-        still = Recording(np.zeros(1), np.zeros((1, 0, 2)), kind="quiet", gravity=self.chain.gravity)
+        quiet = Recording(np.zeros(1), np.zeros((1, 0, 2)), kind="quiet", gravity=self.chain.gravity)
         for effect in self.effects:
             if effect.in_simulators:
-                still = effect.true_inputs(still)
-        chain = replace(self.chain, gravity=still.gravity)
+                quiet = effect.true_inputs(quiet)
+        chain = replace(self.chain, gravity=quiet.gravity)
         return simulator_file(chain, simulator, urdf, self._friction, markers, self.not_in_simulators)
 
     @property
@@ -218,6 +220,6 @@ class Arm:
         return [slice(stop - count, stop) for stop, count in zip(stops, self.states, strict=True)]
 
     def _hooks(self, hook: Callable[[Effect], T | None]) -> list[tuple[T, slice]]:
-        """Results of a hook, with the internal states of their effects; None is left out."""
+        """Return the results of a hook, with the internal states of their effects; None is left out."""
         results = [(hook(effect), part) for effect, part in zip(self.effects, self._state_slices, strict=True)]
         return [(result, part) for result, part in results if result is not None]

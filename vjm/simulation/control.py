@@ -31,13 +31,17 @@ class _Feedback(Effect):
 
     def force(self, chain: Chain, payload: float) -> Motion:
         """Return the function that gives the law's torque as a force on the joints."""
-        return lambda time, q, v, z: np.stack([self._forces(chain, *one) for one in zip(time, q, v, strict=True)])
+        return lambda time, q, v, z: np.stack([self._forces(chain, *state) for state in zip(time, q, v, strict=True)])
 
     def _forces(self, chain: Chain, time: float, q: Array, v: Array) -> Array:
-        """Forces (nv,) at a time [s], angles (nv,) and rates (nv,)."""
+        """Return forces (nv,) at a time [s], angles (nv,) and rates (nv,)."""
         forces, active = np.zeros(chain.size), chain.active
-        asked = _shaped("torque", self.law(float(time), q[active], v[active]), (active.size,), "N m, of active joints")
-        forces[active] = _through_actuators(self.effects, np.array([time, time + 1.0]), np.stack([asked, asked]))[0]
+        commanded = _shaped(
+            "torque", self.law(float(time), q[active], v[active]), (active.size,), "N m, of active joints"
+        )
+        forces[active] = _through_actuators(
+            self.effects, np.array([time, time + 1.0]), np.stack([commanded, commanded])
+        )[0]
         return forces
 
 
@@ -96,14 +100,14 @@ def simulate_motion(
     step = min(default_step(chain, payload), duration / 20)
     if torque is None or callable(torque):
         time = np.linspace(0.0, duration, 1 + int(np.ceil(duration / step)))
-        given = np.zeros((time.size, count))
+        torques = np.zeros((time.size, count))
     else:
         samples = np.asarray(torque, dtype=float)
         if samples.ndim == 0 or samples.shape[0] < 2:
             raise ShapeError("torque", samples.shape, f"(T, {count}) at T >= 2 instants [N m]")
         time = np.linspace(0.0, duration, samples.shape[0])
-        given = _shaped("torque", samples, (time.size, count), "N m")
-    recording = _recording(time, given, rig.gravity, payload, sum(len(link.markers) for link in rig.links))
+        torques = _shaped("torque", samples, (time.size, count), "N m")
+    recording = _recording(time, torques, rig.gravity, payload, sum(len(link.markers) for link in rig.links))
     q, v = _initial_state(arm, recording, initial)
 
     def simulated(arm: Arm, step: float | None) -> Simulation:
@@ -114,32 +118,32 @@ def simulate_motion(
         return simulated(arm, None)
     _check_memory(arm.effects, count)
     arm = Arm(chain, (*arm.effects, _Feedback(torque, arm.effects)))
-    before = None
+    previous = None
     for _ in range(_HALVINGS):
         try:
             motion = simulated(arm, step)
         except SimulationDivergedError:  # the law may be stiff
             motion = None
-        if motion and before and np.abs(motion.markers - before.markers).max(initial=0.0) < 0.1 * noise:
+        if motion and previous and np.abs(motion.markers - previous.markers).max(initial=0.0) < 0.1 * noise:
             return motion
-        before, step = motion, step / 2
+        previous, step = motion, step / 2
     remedy = "the control law is unstable, jumps, or does not depend on its arguments alone"
     raise SimulationDivergedError(0.0, 2 * step, remedy)
 
 
 def _initial_state(arm: Arm, recording: Recording, initial: ArrayLike | None) -> tuple[Array, Array]:
-    """Angles and rates (nv,), (nv,) from those given of all joints or of active ones, passive ones at rest."""
+    """Return angles and rates (nv,), (nv,) from those of all joints, or of active ones with passive ones at rest."""
     chain = arm.chain
     n, count = chain.size, chain.active.size
-    given = np.zeros((2, count)) if initial is None else np.asarray(initial, dtype=float)
-    if given.shape == (2, n) and np.isfinite(given).all():
-        return given[0], given[1]
-    if given.shape != (2, count) or not np.isfinite(given).all():
+    state = np.zeros((2, count)) if initial is None else np.asarray(initial, dtype=float)
+    if state.shape == (2, n) and np.isfinite(state).all():
+        return state[0], state[1]
+    if state.shape != (2, count) or not np.isfinite(state).all():
         expected = f"(2, {n}) angles and rates of all joints, or (2, {count}) of active ones [rad, rad/s]"
-        raise ShapeError("initial", given.shape if np.isfinite(given).all() else "a value that is not finite", expected)
+        raise ShapeError("initial", state.shape if np.isfinite(state).all() else "a value that is not finite", expected)
     inputs, v = arm.inputs(recording), np.zeros(n)
-    _, _, _, q = linearise(chain, recording.payload, inputs.gravity, given[0])
-    v[chain.active] = given[1]
+    _, _, _, q = linearise(chain, recording.payload, inputs.gravity, state[0])
+    v[chain.active] = state[1]
     return q, v
 
 

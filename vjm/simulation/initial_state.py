@@ -133,8 +133,8 @@ def _continue_search(runs: Sequence[Run], step_multiple: float) -> list[Run]:
     """Continue the search for each run's initial state for a few steps; return the better of old and new runs."""
     searches = [_InitialStateSearch(run) for run in runs]
     minimise(searches, lambda running: _trial_runs(running, step_multiple), _FEW_STEPS, linearize_by_states)
-    found = [search.point.with_prior_scale(run.prior.scale) for search, run in zip(searches, runs, strict=True)]
-    return [min(pair, key=lambda run: run.cost) for pair in zip(runs, found, strict=True)]
+    new_runs = [search.point.with_prior_scale(run.prior.scale) for search, run in zip(searches, runs, strict=True)]
+    return [min(pair, key=lambda run: run.cost) for pair in zip(runs, new_runs, strict=True)]
 
 
 def _simulate_again(runs: Sequence[Run], states: Sequence[Array], step_multiple: float) -> list[Run]:
@@ -204,8 +204,8 @@ def fit_initial_states(
     if step_multiple < _COARSE_STEP_MULTIPLE and arms[0].chain.elbows.size:
         states, max_trials = _states_by_long_steps(arms, observed, states, max_trials)
     priors = [InitialStatePrior.of(arm, values.recording) for arm, values in zip(arms, observed, strict=True)]
-    given = [None] * len(priors) if states is None else states
-    starts = [prior.rest if state is None else state for prior, state in zip(priors, given, strict=True)]
+    initial = [None] * len(priors) if states is None else states
+    starts = [prior.rest if state is None else state for prior, state in zip(priors, initial, strict=True)]
     runs = simulate_runs(arms, observed, priors, starts, step_multiple)
     searches = [_InitialStateSearch(run.with_scaled_prior()) for run in runs]
     minimise(searches, lambda running: _trial_runs(running, step_multiple), max_trials, linearize_by_states)
@@ -220,19 +220,19 @@ def _states_by_long_steps(
     Also return the number of simulations that the search with short steps then needs at most: a quarter, as it only
     refines what the first one found.
     """
-    found: list[Array | None] = [None] * len(arms) if states is None else [*states]
-    unknown = [k for k, state in enumerate(found) if state is None]
+    filled: list[Array | None] = [None] * len(arms) if states is None else [*states]
+    unknown = [k for k, state in enumerate(filled) if state is None]
     if not unknown:
-        return found, max_trials
+        return filled, max_trials
     try:
         fits = fit_initial_states(
             [arms[k] for k in unknown], [observed[k] for k in unknown], None, _COARSE_STEP_MULTIPLE, max_trials
         )
     except SimulationDivergedError:  # the steps are too long
-        return found, max_trials
+        return filled, max_trials
     for k, (run, _) in zip(unknown, fits, strict=True):
-        found[k] = run.state
-    return found, max(1, max_trials // 4)
+        filled[k] = run.state
+    return filled, max(1, max_trials // 4)
 
 
 def _trial_runs(

@@ -78,15 +78,15 @@ def simulate_trajectories(
         angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
         states = np.stack([arms[k].initial_states(np.asarray(q[k])) if z is None else z[k] for k in group])
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is noticed, and raised
-            together = _integrate(system, angles, rates, states, drive)
+            batch = _integrate(system, angles, rates, states, drive)
         for c, (k, count) in enumerate(zip(group, counts, strict=True)):
-            motion = (values[: count + 1, c] for values in together.motion)
-            trajectories[k] = Trajectory(driven[k].time[0] + together.time[: count + 1], *motion, start=starts[k])
+            motion = (values[: count + 1, c] for values in batch.motion)
+            trajectories[k] = Trajectory(driven[k].time[0] + batch.time[: count + 1], *motion, start=starts[k])
     return [trajectories[k] for k in range(len(arms))]
 
 
 def _similar(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[int]]:
-    """Indices of runs that can be advanced together: as many unknowns, the same gravity, about equally long."""
+    """Return the indices of runs that can be advanced together: as many unknowns, same gravity, similar durations."""
     kinds = [
         (recording.gravity, arm.chain.size, sum(arm.states)) for arm, recording in zip(arms, recordings, strict=True)
     ]
@@ -154,7 +154,7 @@ def _step_count(chain: Chain, recording: Recording, step: float) -> int:
 
 
 def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
-    """Trajectory from time zero of copies by exponential Runge-Kutta steps of stiff order four, of five stages.
+    """Return the copies' trajectory from time zero by exponential Runge-Kutta steps of stiff order 4 in 5 stages.
 
     The linear part (M at zero passive angles, D, K) is advanced exactly whatever the step; the steps only have to
     resolve what the bending itself changes. Where an active joint further out bends the arm, the linear part is taken
@@ -223,14 +223,14 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
 
 
 def _of_all_joints(system: System, active: Array) -> Array:
-    """Torques of all joints (S, C, nv) from those of the active ones (S, C, n_a)."""
+    """Return torques of all joints (S, C, nv) from those of the active ones (S, C, n_a)."""
     torques = np.zeros((len(active), *system.stiffness.shape))
     torques[:, :, system.active] = active
     return torques
 
 
 def _multiply(states: Array, matrices: Array) -> Array:
-    """States (C, m) times the transposed matrix of each copy, or that all copies share."""
+    """Return states (C, m) times the transposed matrix of each copy, or that all copies share."""
     return np.asarray(states @ matrices[0] if len(matrices) == 1 else np.matmul(states[:, None, :], matrices)[:, 0, :])
 
 
@@ -262,8 +262,8 @@ class _LinearPropagator:
         self.known: dict[tuple[int, ...], _Weights] = {}
         self.gathered: tuple[list[tuple[int, ...]], _Weights] | None = None  # keys of the copies' own matrices
         self.current: tuple[bytes, _Weights] | None = None
-        everyone = np.arange(len(system.arms))
-        straight = self._inertia(np.zeros((everyone.size, self.elbows.size)), everyone)
+        all_copies = np.arange(len(system.arms))
+        straight = self._inertia(np.zeros((all_copies.size, self.elbows.size)), all_copies)
         parts = (straight, system.stiffness, system.damping)
         self.equal = all((part == part[0]).all() for part in parts)
 
@@ -288,27 +288,27 @@ class _LinearPropagator:
         if self.gathered is None:
             chosen = zip(*(self.known[key] for key in keys), strict=True)
             self.gathered = keys, _Weights(*(np.stack(parts) for parts in chosen))
-        before, weights = self.gathered
+        current_keys, weights = self.gathered
         for c, key in enumerate(keys):
-            if key != before[c]:
-                before[c] = key
-                for part, own in zip(weights, self.known[key], strict=True):
-                    part[c] = own
+            if key != current_keys[c]:
+                current_keys[c] = key
+                for part, matrix in zip(weights, self.known[key], strict=True):
+                    part[c] = matrix
         return weights
 
     def _inertia(self, places: Array, copies: Indices) -> Array:
-        """(c, nv, nv) mass matrices of some copies at zero angles, but for the elbows', at places (c, elbows)."""
+        """Return mass matrices (c, nv, nv) of copies at zero angles, except the elbows', at places (c, elbows)."""
         q = np.zeros((copies.size, self.system.stiffness.shape[1]))
         q[:, self.elbows] = _ELBOW_GRID * places
         inertia = np.empty((*q.shape, q.shape[1]))
         for group, mechanism in self.system.mechanisms:
-            own = np.isin(copies, np.arange(len(self.system.arms))[group])
-            if own.any():
-                inertia[own] = mechanism.mass_matrix(q[own])
+            selected = np.isin(copies, np.arange(len(self.system.arms))[group])
+            if selected.any():
+                inertia[selected] = mechanism.mass_matrix(q[selected])
         return inertia
 
     def _weights(self, inertia: Array, copies: Indices) -> _Weights:
-        """Matrices of some copies, from their mass matrices (c, nv, nv)."""
+        """Return the matrices of some copies, from their mass matrices (c, nv, nv)."""
         n, step = inertia.shape[1], self.step
         try:
             inverse: Array = np.asarray(np.linalg.inv(inertia), dtype=float)
@@ -357,14 +357,14 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
     halvings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / 0.5))))
     X = W / 2.0**halvings
     X2 = X @ X
-    one, X3 = np.eye(W.shape[-1]), X2 @ X
+    identity, X3 = np.eye(W.shape[-1]), X2 @ X
     c = 1 / np.cumprod(np.arange(1.0, 12.0))[2:]  # 1 / (k + 3)!, enough for norms of up to a half
-    phi3 = c[6] * one + c[7] * X + c[8] * X2
-    phi3 = c[3] * one + c[4] * X + c[5] * X2 + X3 @ phi3
-    phi3 = c[0] * one + c[1] * X + c[2] * X2 + X3 @ phi3
-    phi2 = one / 2 + X @ phi3
-    phi1 = one + X @ phi2
-    flow = one + X @ phi1
+    phi3 = c[6] * identity + c[7] * X + c[8] * X2
+    phi3 = c[3] * identity + c[4] * X + c[5] * X2 + X3 @ phi3
+    phi3 = c[0] * identity + c[1] * X + c[2] * X2 + X3 @ phi3
+    phi2 = identity / 2 + X @ phi3
+    phi1 = identity + X @ phi2
+    flow = identity + X @ phi1
     for _ in range(halvings):
         flow, phi1, phi2, phi3 = _of_twice_the_step(flow, phi1, phi2, phi3)
     back = units[:, None] / units
@@ -372,7 +372,7 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
 
 
 def _of_twice_the_step(flow: Array, phi1: Array, phi2: Array, phi3: Array) -> tuple[Array, Array, Array, Array]:
-    """Exp, phi_1, phi_2, phi_3 of 2 z from those of z (Hochbruck and Ostermann 2010)."""
+    """Return exp, phi_1, phi_2, phi_3 of 2 z from those of z (Hochbruck and Ostermann 2010)."""
     return (
         flow @ flow,
         (flow @ phi1 + phi1) / 2,

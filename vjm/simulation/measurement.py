@@ -55,8 +55,10 @@ class MarkerArcs:
             time: (F,) or (k, F) when the arm is seen at these, since the recording's start [s].
         """
         if q.ndim == 3:
-            each = [self.measured_positions(arm, *own)[:, k] for k, own in enumerate(zip(q, time, strict=True))]
-            return np.stack(each, axis=1)
+            by_marker = [
+                self.measured_positions(arm, *exposure)[:, k] for k, exposure in enumerate(zip(q, time, strict=True))
+            ]
+            return np.stack(by_marker, axis=1)
         positions, headings = marker_poses(arm.chain, q, self.lengths, self.in_link_frame)
         for effect in arm.sensors:
             positions = effect.marker_positions(positions, headings, time)
@@ -74,7 +76,7 @@ class MarkerArcs:
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
         seen = time
-        shifting = [one for one in arm.sensors if type(one).camera_instants is not Effect.camera_instants]
+        shifting = [effect for effect in arm.sensors if type(effect).camera_instants is not Effect.camera_instants]
         if shifting:
             stamps = trajectory.elapsed(time)
             positions = self.positions(arm.chain, trajectory.angles(time))
@@ -106,9 +108,9 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
 
 
 def _given_acceleration(recording: Recording, noise: float) -> Array:
-    """Accelerations (T, n_a) of joints that turn as their encoders say, with a 1-sigma noise [rad] [rad/s^2].
+    """Return accelerations (T, n_a) [rad/s^2] of joints that turn as their encoders say; noise is these' 1-sigma [rad].
 
-    Those of the smoothest cubic spline whose residuals are as large as the noise (discrepancy principle: Reinsch,
+    They are of the smoothest cubic spline whose residuals are as large as the noise (discrepancy principle: Reinsch,
     Numerische Mathematik 10, 1967). Linear from one measured angle to the next, they integrate to the spline exactly.
     """
     acceleration = np.empty(recording.theta.shape)
@@ -120,7 +122,7 @@ def _given_acceleration(recording: Recording, noise: float) -> Array:
 
 
 def _smoothest(time: Array, values: Array, noise: float) -> BSpline:
-    """The smoothest cubic spline through values (T,) at instants (T,) [s] that misses them by their noise, RMS."""
+    """Return the smoothest cubic spline that misses values (T,) at instants (T,) [s] by their noise (RMS)."""
 
     def spline(exponent: float) -> BSpline:
         return make_smoothing_spline(time, values, lam=np.exp(exponent))
@@ -161,7 +163,7 @@ class PrecedingMotion:
         return arm.update_states(angles, states, q)
 
     def _along(self, arm: Arm) -> tuple[Array, Array]:
-        """Angles (I, nv) of an arm and internal states (I, nz) of its effects, which depend on no stiffness."""
+        """Return angles (I, nv) of an arm and internal states (I, nz) of its effects, which depend on no stiffness."""
         counts = zip(arm.effects, arm.states, strict=True)
         key = arm.chain.size, tuple(effect for effect, count in counts if count)
         if key not in self._known:
@@ -236,8 +238,8 @@ class Observations:
     @cached_property
     def motion(self) -> float:
         """Sum of the squared weighted values about each sensor's mean."""
-        grids = [each[:, np.isfinite(each).any(axis=0)] for each in self.on_grid(self.weights * self.values)]
-        return float(sum(np.nansum((each - np.nanmean(each, axis=0)) ** 2) for each in grids))
+        grids = [grid[:, np.isfinite(grid).any(axis=0)] for grid in self.on_grid(self.weights * self.values)]
+        return float(sum(np.nansum((grid - np.nanmean(grid, axis=0)) ** 2) for grid in grids))
 
     def predicted(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return the (N_m + N_t,) values predicted by a trajectory of one copy [m, rad]."""
@@ -325,7 +327,7 @@ class Observations:
         )
 
     def _only(self, kept: NDArray[np.bool_]) -> Self:
-        """Part of the values, by a mask (N_m + N_t,)."""
+        """Return part of the values, by a mask (N_m + N_t,)."""
         offset, (markers, angles) = self.discretization_offset, np.split(kept, [self.markers.size])
         return replace(
             self,

@@ -82,7 +82,7 @@ class Model(Record):
         Args:
             rig: the arm, with its nominal values.
             virtual_joints: number n of every link's, where the rig does not say.
-            kelvin_voigt: time by which the links' damping moment is ahead [s]; 0: undamped.
+            kelvin_voigt: damping over stiffness of the links [s]; 0: undamped.
 
         Raises:
             ShapeError: a number of joints below one, or a time below zero.

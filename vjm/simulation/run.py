@@ -171,7 +171,7 @@ class Run:
         trajectory = self.trajectory
         if kept.size < trajectory.z.shape[1]:
             trajectory = replace(trajectory, z=trajectory.z[:, kept])
-        smooth = [PerturbedArm(other.smooth[0], step) for other, step in perturbed]
+        smooth = [PerturbedArm(perturbed_arm.smooth[0], step) for perturbed_arm, step in perturbed]
         return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride)
 
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
@@ -182,9 +182,9 @@ class Run:
             return
         rows, slopes = zip(*parts, strict=True)
         measured = np.concatenate(rows)
-        whole = np.empty((measured.size, slopes[0].shape[1]))
-        whole[measured] = np.concatenate(slopes)
-        yield np.arange(measured.size), self._whiten_timing(self.observed.whitened(whole))
+        all_slopes = np.empty((measured.size, slopes[0].shape[1]))
+        all_slopes[measured] = np.concatenate(slopes)
+        yield np.arange(measured.size), self._whiten_timing(self.observed.whitened(all_slopes))
 
     def weighted_jacobian(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
         """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the robust loss."""
@@ -227,8 +227,10 @@ class Run:
             likelihood_ratio: True for a row that predicts the likelihood ratio at the best variance, however large that
                 is; False for the score at the present one.
         """
-        before = self.arm.timing_variance
-        by_parameters = [(other.timing_variance - before) / step for other, step in linearization.perturbed]
+        variance = self.arm.timing_variance
+        by_parameters = [
+            (perturbed_arm.timing_variance - variance) / step for perturbed_arm, step in linearization.perturbed
+        ]
         columns = 2 * self.basis.slow_count + len(by_parameters)
         if not any(by_parameters):
             return np.zeros((0, columns)), np.zeros(0)
@@ -279,8 +281,8 @@ def is_followed(runs: Sequence[Run]) -> bool:
 
 def earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
     """Return the runs of the same recording that begin before a segment of it."""
-    own = [run for run in runs if run.observed.recording.file == observed.recording.file]
-    return [run for run in own if run.trajectory.time[0] < observed.recording.time[0]]
+    same_recording = [run for run in runs if run.observed.recording.file == observed.recording.file]
+    return [run for run in same_recording if run.trajectory.time[0] < observed.recording.time[0]]
 
 
 def state_at(runs: Sequence[Run], observed: Observations) -> Array:
@@ -294,7 +296,7 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
 
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
     """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
-    return with_coefficients([run.linearization(own) for run, own in zip(runs, perturbed, strict=True)])
+    return with_coefficients([run.linearization(arms) for run, arms in zip(runs, perturbed, strict=True)])
 
 
 def linearize_by_states(runs: Sequence[Run]) -> None:

@@ -91,7 +91,7 @@ def torque_at(recording: Recording, time: Array) -> Array:
 
 
 def _fit_quadratics(recording: Recording, step: float, count: int) -> tuple[Array, Array, Array, Array]:
-    """Quadratics' values (S, n_a) at starts, middles and ends, and the torque at the steps' ends (S + 1, n_a)."""
+    """Return quadratics' values (S, n_a) at starts, middles and ends, and torques at the steps' ends (S + 1, n_a)."""
     knots, _ = measured_torque(recording)
     edges = np.asarray(recording.time[0] + step * np.arange(count + 1))
     # Pieces on which the torque is a line: between neighbouring knots and steps' ends.
@@ -200,7 +200,7 @@ class System:
 def _mechanisms(
     chains: Sequence[Chain], payloads: Sequence[float], gravity: tuple[float, float]
 ) -> tuple[tuple[Indices | slice, Mechanism], ...]:
-    """Copies of the same chain with the same payload together."""
+    """Return the mechanisms; copies of the same chain with the same payload share one."""
     groups: dict[tuple[int, float], list[int]] = {}
     for k, (chain, payload) in enumerate(zip(chains, payloads, strict=True)):
         groups.setdefault((id(chain), payload), []).append(k)
@@ -211,7 +211,7 @@ def _mechanisms(
 
 
 def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Acting, ...]:
-    """Effects that act on the copies, those of copies with the same effects and payload together."""
+    """Return the effects that act on the copies, those of copies with the same effects and payload together."""
     groups: dict[tuple[int, int, float], list[int]] = {}
     for k, (arm, payload) in enumerate(zip(arms, payloads, strict=True)):
         groups.setdefault((id(arm.chain), id(arm.effects), payload), []).append(k)

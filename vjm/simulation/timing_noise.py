@@ -103,7 +103,7 @@ class TimingNoise:
         return decrease / best, decrease
 
     def _mean_square_across(self, residual: Array) -> float:
-        """Mean square of white residuals (N,) of moving frames across their velocities; one if there are none."""
+        """Return the mean square of white residuals (N,) of moving frames across their velocities; one without any."""
         moving, v = self._squares > 0, self.velocities
         ones = sparse.csr_array((np.ones(v.nnz), v.indices, v.indptr), shape=v.shape)
         freedom = float((np.diff(v.indptr) - 1)[moving].sum())
@@ -111,7 +111,7 @@ class TimingNoise:
         return squares / freedom if freedom > 0 and squares > 0 else 1.0
 
     def _errors(self, residual: Array) -> tuple[Array, Array]:
-        """Squared lengths of the moving frames' directions in white residuals (N,), and of these along them."""
+        """Return squared lengths of moving frames' directions in white residuals (N,), and squares of these along."""
         moving = self._squares > 0
         squares = self._squares[moving]
         along = (self.velocities @ residual)[moving] ** 2 / squares
@@ -119,7 +119,7 @@ class TimingNoise:
 
 
 def _score(squares: Array, along: Array) -> tuple[float, float]:
-    """Slope and residual of the variance's row, from what `TimingNoise._errors` returns."""
+    """Return slope and residual of the variance's row, from what `TimingNoise._errors` returns."""
     if not squares.size:
         return 0.0, 0.0
     slope = float(np.linalg.norm(squares) / np.sqrt(2))

@@ -23,21 +23,21 @@ from vjm.records import Experiment
 def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     """Look for mistakes that explain the recordings far better than the experiment file does.
 
-    What rests on something that is wrong is not looked at: first the geometry, then the rest. Nothing is changed.
+    Checks that rest on something found wrong are skipped: first the geometry, then the rest. Nothing is changed.
     """
     with np.errstate(all="ignore"), catch_warnings():  # of absurd numbers, which are what is looked for
         simplefilter("ignore", RuntimeWarning)
-        lengths = [one for link in experiment.rig.links if (one := length_mistake(link))]
-        found = [*lengths, *distance_mistakes(experiment), *sideways_mistakes(experiment)]
-        wrong = {file for mistake in found for file in mistake.files}
-        if lengths or len(wrong) == len({recording.file for recording in experiment.recordings}):
-            return tuple(found)
-        moments = [] if wrong else balances(experiment)
+        lengths = [mistake for link in experiment.rig.links if (mistake := length_mistake(link))]
+        geometric = [*lengths, *distance_mistakes(experiment), *sideways_mistakes(experiment)]
+        wrong_files = {file for mistake in geometric for file in mistake.files}
+        if lengths or len(wrong_files) == len({recording.file for recording in experiment.recordings}):
+            return tuple(geometric)
+        moments = [] if wrong_files else balances(experiment)
         gains = torque_gains(experiment, moments)
-        turned = heading_mistakes(experiment, tuple(wrong), torque_sign(gains))
-        moved = origin_mistakes(experiment, tuple(wrong))
-        if turned or moved or wrong:
-            return (*found, *turned, *moved, *noise_mistakes(experiment))
+        turned = heading_mistakes(experiment, tuple(wrong_files), torque_sign(gains))
+        moved = origin_mistakes(experiment, tuple(wrong_files))
+        if turned or moved or wrong_files:
+            return (*geometric, *turned, *moved, *noise_mistakes(experiment))
         numbers = rig_mistakes(experiment)
         if not any(mistake.certain for mistake in numbers):
             torques = torque_mistakes(experiment, moments, gains)

@@ -42,12 +42,12 @@ class Mistake:
 
 
 def negated(column: str) -> str:
-    """Return the remedy of a wrong sign: no key of an experiment file turns one, an axis' apart."""
+    """Return the remedy of a wrong sign; an experiment file has a key for the sign of an axis only."""
     return f"multiply the column '{column}' by -1"
 
 
 def unit_factors(quantity: str, current: str) -> dict[str, float]:
-    """Return by unit what numbers read in the current unit are to be multiplied with if they are in that one."""
+    """Return, by unit, the factor that mends numbers which were read in the current unit but are in that one."""
     return {unit: size / FACTORS[quantity][current] for unit, size in FACTORS[quantity].items() if unit != current}
 
 
@@ -59,16 +59,16 @@ def chosen_frames(recording: Recording) -> Indices:
 
 
 def swings(signal: Array) -> int:
-    """Return how often a signal (N,) crosses its mean: so many independent pieces of evidence it holds at least."""
+    """Return how often a signal (N,) crosses its mean: at least so many independent pieces of evidence it holds."""
     return int(np.count_nonzero(np.diff(np.sign(signal - signal.mean()))))
 
 
 def root_headings(rig: Rig, markers: Array, based: bool = False) -> tuple[Array, Array | None, float] | None:
     """Return the heading (F,) of the first link at its base, what of it was extrapolated (F,) and its noise [rad].
 
-    It is extrapolated from the directions between the three markers nearest to the base, for wherever the origin of
-    coordinates is they are the same; if `based`, from the base itself and the two nearest. From fewer points it holds
-    the link's bending, which then is not known (None); from a single marker always the base's place too. None where too
+    It is extrapolated from the directions between the three markers nearest to the base, which do not depend on the
+    origin of coordinates; if `based`, from the base itself and the two nearest markers. With fewer points it includes
+    the link's bending, which then is not known (None); a single marker is always taken with the base. None where too
     few markers are seen.
     """
     arcs, points = seen_markers(rig, markers)

@@ -36,7 +36,7 @@ class _Hypothesis(NamedTuple):
 
     order: tuple[int, ...] = ()  # two markers that are exchanged, or all of them in reverse, numbered from 1
     unit: str = ""  # that numbers are in
-    what: str = ""  # is in that unit: `recordings` or `rig`
+    source: str = ""  # of the numbers in that unit: `recordings` or `rig`
 
 
 def distance_mistakes(experiment: Experiment) -> list[Mistake]:
@@ -45,15 +45,15 @@ def distance_mistakes(experiment: Experiment) -> list[Mistake]:
     Each hypothesis, a unit and an order, predicts the distances between a link's markers and, of the first link, to the
     base, unless that is elsewhere; they are compared by their likelihoods.
     """
-    found: dict[tuple[int, _Hypothesis], list[tuple[str, float, float]]] = {}
+    evidence: dict[tuple[int, _Hypothesis], list[tuple[str, float, float]]] = {}
     for recording in experiment.recordings:
         rows = chosen_frames(recording)
-        for index, own in enumerate(experiment.rig.marker_slices):
-            key, gain, scale = _best_hypothesis(experiment, index, recording.markers[rows, own])
+        for index, marker_slice in enumerate(experiment.rig.marker_slices):
+            key, gain, scale = _best_hypothesis(experiment, index, recording.markers[rows, marker_slice])
             if gain > LIKELY:
-                found.setdefault((index, key), []).append((recording.file, gain, scale))
+                evidence.setdefault((index, key), []).append((recording.file, gain, scale))
     mistakes = []
-    for (index, key), group in found.items():
+    for (index, key), group in evidence.items():
         files, gains, scales = zip(*group, strict=True)
         text = _distance_text(experiment.rig.links[index], key, float(np.median(scales)))
         mistakes.append(Mistake(text, sum(gains), files))
@@ -80,7 +80,7 @@ def _best_hypothesis(experiment: Experiment, index: int, markers: Array) -> tupl
     orders: list[tuple[int, ...]] = [(), *combinations(range(1, count + 1), 2)]
     orders += [tuple(range(count, 0, -1))] if count > 2 else []
     results: dict[_Hypothesis, float] = {}
-    for ((unit, what), factor), order in product(scales.items(), orders):
+    for ((unit, source), factor), order in product(scales.items(), orders):
         places = np.arange(arcs.size)
         if len(order) == 2:
             places[list(order)] = order[::-1]
@@ -88,21 +88,21 @@ def _best_hypothesis(experiment: Experiment, index: int, markers: Array) -> tupl
             places[1:] = order
         along = np.abs(arcs[places][first] - arcs[places][second])
         deviation = np.log(median * factor / along) / np.hypot(_RELATIVE, _SHARE * link.length / along)
-        fits = [_fit(deviation, usable, first, second)] if based else []
+        fits = [_log_likelihood(deviation, usable, first, second)] if based else []
         if not based or (inner.any() and link.markers_frame == "base"):
             elsewhere = 2 * np.log(1 / _ORIGIN) if based else 0.0  # two numbers that would have to be found
-            fits.append(_fit(deviation, inner, first, second) - elsewhere)
+            fits.append(_log_likelihood(deviation, inner, first, second) - elsewhere)
         # A mistake has to make up for the number of those that were looked for.
         cost = np.log(len(scales)) * bool(unit) + np.log(len(orders)) * bool(order)
-        prior = _size_prior(arcs[-1], unit if what == "rig" else "")
-        results[_Hypothesis(order, unit, what)] = max(fits) - cost + prior
+        prior = _size_prior(arcs[-1], unit if source == "rig" else "")
+        results[_Hypothesis(order, unit, source)] = max(fits) - cost + prior
     best = max(results, key=lambda key: results[key])
     shown = inner if inner.any() else usable
     scale = float(np.median(median[shown] / np.abs(arcs[first] - arcs[second])[shown]))
     return best, results[best] - results[_Hypothesis()], scale
 
 
-def _fit(deviation: Array, chosen: Mask, first: Indices, second: Indices) -> float:
+def _log_likelihood(deviation: Array, chosen: Mask, first: Indices, second: Indices) -> float:
     """Return the log-likelihood of distances between pairs of points, which hold one distance a point."""
     independent = np.unique([*first[chosen], *second[chosen]]).size - 1
     return -0.5 * independent * float(np.mean(deviation[chosen] ** 2))
@@ -115,23 +115,23 @@ def _size_prior(length: float, unit: str) -> float:
 
 
 def _distance_text(link: Link, key: _Hypothesis, scale: float) -> str:
-    order, unit, what = key
+    order, unit, source = key
     parts, remedies = [], []
     if unit:
         far = f"distances between the markers of {link.name} are {scale:.4g} times those of its key 'markers'"
         names = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "m": "metres"}
         parts.append(
-            f"{far}: {'the coordinates look' if what == 'recordings' else 'its lengths look'} like {names[unit]}"
+            f"{far}: {'the coordinates look' if source == 'recordings' else 'its lengths look'} like {names[unit]}"
         )
         remedies.append(
             f'set [units] length = "{unit}"'
-            if what == "recordings"
+            if source == "recordings"
             else f"give 'markers' and all other lengths of [[link]] {link.name} in metres"
         )
     if len(order) == 2:
-        one, other = (f"{link.name}.m{k}" for k in order)
-        parts.append(f"distances fit 'markers' only with {one} and {other} exchanged: the two are swapped")
-        remedies.append(f'exchange them in the file or in [columns] ("{one}.x" and "{other}.x", and so on)')
+        first, second = (f"{link.name}.m{k}" for k in order)
+        parts.append(f"distances fit 'markers' only with {first} and {second} exchanged: the two are swapped")
+        remedies.append(f'exchange them in the file or in [columns] ("{first}.x" and "{second}.x", and so on)')
     elif order:
         parts.append(f"distances fit 'markers' only with those of {link.name} counted from the tip: they are reversed")
         remedies.append("number them from the base outwards, in the file or in [columns]")
@@ -140,11 +140,11 @@ def _distance_text(link: Link, key: _Hypothesis, scale: float) -> str:
 
 def sideways_mistakes(experiment: Experiment) -> Iterator[Mistake]:
     """Yield links whose markers, in the link's own frame and of y alone, are farther to the side than they can be."""
-    for link, own in zip(experiment.rig.links, experiment.rig.marker_slices, strict=True):
+    for link, marker_slice in zip(experiment.rig.links, experiment.rig.marker_slices, strict=True):
         if link.markers_frame == "base":
             continue
         for recording in experiment.recordings:
-            markers = recording.markers[:, own]
+            markers = recording.markers[:, marker_slice]
             if np.isfinite(markers[..., 0]).any() or not np.isfinite(markers[..., 1]).any():
                 continue
             reach = float(np.nanmax(np.abs(markers[..., 1]) / np.array(link.markers)))
@@ -170,7 +170,7 @@ def heading_mistakes(experiment: Experiment, skipped: Sequence[str], torque_sign
     based, bent = link.markers_frame == "base", _UNSEEN_SAG if len(link.markers) == 1 else 0.0
     groups: dict[int | None, list[tuple[str, float, float]]] = {}
     for file, offset in offsets:
-        quarter, gain = _quarter(offset, float(np.hypot(_OFFSET, bent))) if based else (0, 0.0)
+        quarter, gain = _quarter_turns(offset, float(np.hypot(_OFFSET, bent))) if based else (0, 0.0)
         if slope_gain:
             quarter, gain = quarter if slope in (1.0, -1.0) else 0, slope_gain
         if gain > LIKELY:
@@ -187,10 +187,10 @@ def heading_mistakes(experiment: Experiment, skipped: Sequence[str], torque_sign
 def _headings(experiment: Experiment, skipped: Sequence[str]) -> tuple[float | None, float, list[tuple[str, float]]]:
     """Compare the heading of the first link's markers at the base with the joint's angle.
 
-    The slope of the one over the other is one that a mistake can make: of the other sign, of another unit, or none
-    where coordinates are in the link's frame. It is the sensor's, and so the same in all recordings. A stiff drive
-    bends the link as it turns it, and a heading extrapolated to the base is off by about what bending it supposes; but
-    bending looks different from the markers alone and from the base on, and a mistake does not: it shows both ways.
+    The slope of heading over angle is one of those that a mistake makes: of the other sign, of another unit, or zero
+    where coordinates are in the link's frame. It is the sensor's, so the same in all recordings. A stiff drive bends
+    the link as it turns it, and a heading extrapolated to the base is off by about the bending that it assumes. But
+    bending looks different from the markers alone and from the base on, while a mistake shows both ways.
 
     Returns:
         The slope (None without an active joint); the logarithm of how much likelier it is than the one expected, zero
@@ -211,16 +211,18 @@ def _headings(experiment: Experiment, skipped: Sequence[str]) -> tuple[float | N
         if seen[0] is not None:
             measured.append((recording.file, theta, seen[0][0]))
             likelihoods = [
-                _slope_likelihoods(np.array(slopes), theta, *each, len(chosen)) for each in seen[-ways:] if each
+                _slope_likelihoods(np.array(slopes), theta, *estimate, len(chosen))
+                for estimate in seen[-ways:]
+                if estimate
             ]
-            gains += [own - own[0] for own in likelihoods]
+            gains += [likelihood - likelihood[0] for likelihood in likelihoods]
     best = int(np.argmax(gains.min(axis=0)))
     gain = float(gains[:, best].min())
     slope: float | None = slopes[best] if gain > LIKELY else slopes[0]
     if link.joint != "revolute":
         slope = None
-    turned = [(file, np.exp(1j * (heading - (slope or 0.0) * theta))) for file, theta, heading in measured]
-    offsets = [(file, float(np.angle(np.nanmean(each)))) for file, each in turned]
+    phasors = [(file, np.exp(1j * (heading - (slope or 0.0) * theta))) for file, theta, heading in measured]
+    offsets = [(file, float(np.angle(np.nanmean(phasor)))) for file, phasor in phasors]
     return slope, gain if slope not in (None, slopes[0]) else 0.0, offsets
 
 
@@ -248,10 +250,10 @@ def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mist
 
     The marker nearest to the base is its own arc length away from there, in the link's direction: it bends least.
     """
-    link, own = experiment.rig.links[0], experiment.rig.marker_slices[0]
+    link, marker_slice = experiment.rig.links[0], experiment.rig.marker_slices[0]
     group = []
     for recording in experiment.recordings:
-        markers = recording.markers[chosen_frames(recording)][:, own]
+        markers = recording.markers[chosen_frames(recording)][:, marker_slice]
         seen = root_headings(experiment.rig, markers)
         if recording.file in skipped or link.markers_frame == "link" or len(link.markers) < 2 or seen is None:
             continue
@@ -277,7 +279,7 @@ def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mist
     return [Mistake(text, max(gains), files)]
 
 
-def _quarter(offset: float, std: float) -> tuple[int | None, float]:
+def _quarter_turns(offset: float, std: float) -> tuple[int | None, float]:
     """Return how many quarter turns explain an offset best (None: another angle), and the gain over no turn."""
     deviations = np.angle(np.exp(1j * (offset - np.arange(4) * np.pi / 2)))
     fits = -0.5 * (deviations / std) ** 2 - np.array([0.0, 1.0, 1.0, 1.0]) * np.log(3.0)
@@ -329,10 +331,10 @@ def _heading_text(
         turned = f"the markers of {link.name} are {abs(np.rad2deg(offset)):.3g} degrees {side} where "
         turned += f"{theta} has them" if slope is not None else "a link along x has them"
         unit = conventions.units.angle
-        other = f", or add {offset / FACTORS['angle'][unit]:.3g} {unit} to {theta}" if slope is not None else ""
+        alternative = f", or add {offset / FACTORS['angle'][unit]:.3g} {unit} to {theta}" if slope is not None else ""
         return (
             f"{turned}: the camera's frame is turned; set [camera] rotation = "
-            f"{conventions.camera.rotation - offset:.3g}{other}"
+            f"{conventions.camera.rotation - offset:.3g}{alternative}"
         )
     direction = {1: "along +y", 2: "along -x", 3: "along -y"}[quarter] if quarter else "along +x"
     likely = {1: "x and y look swapped", 2: "x looks as if it pointed the other way", 3: "x and y look swapped"}

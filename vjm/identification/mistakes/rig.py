@@ -49,44 +49,44 @@ class _Numbers:
 
 
 def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
-    table, found = f"[[link]] {link.name}", []
+    table, hypotheses = f"[[link]] {link.name}", []
     given = {"width": link.width, "thickness": link.thickness}
     for key, value in given.items():
         for unit, factor in unit_factors("length", "m").items():
             if value is not None and unit != "in":
                 text, remedy = f"'{key}' looks like {unit}", f"give '{key}' of {table} in metres, {value * factor:.4g}"
-                found.append(_Numbers(key, text, remedy, **{key: factor}))
+                hypotheses.append(_Numbers(key, text, remedy, **{key: factor}))
     if link.youngs_modulus is not None:
         for unit, factor in (("GPa", 1e9), ("MPa", 1e6)):
             value = link.youngs_modulus * factor
             remedy = f"give 'youngs_modulus' of {table} in Pa, {value:.4g}"
-            found.append(_Numbers("modulus", f"'youngs_modulus' looks like {unit}", remedy, modulus=factor))
+            hypotheses.append(_Numbers("modulus", f"'youngs_modulus' looks like {unit}", remedy, modulus=factor))
     else:
         remedy = f"give 'bending_stiffness' of {table} in N m^2, {link.bending_stiffness * 1e-6:.4g}"
-        found.append(_Numbers("modulus", "'bending_stiffness' looks like N mm^2", remedy, stiffness=1e-6))
+        hypotheses.append(_Numbers("modulus", "'bending_stiffness' looks like N mm^2", remedy, stiffness=1e-6))
     remedy = f"give 'mass' of {table} in kg, {link.mass * 1e-3:.4g}"
-    found.append(_Numbers("mass", "'mass' looks like grams", remedy, mass=1e-3))
+    hypotheses.append(_Numbers("mass", "'mass' looks like grams", remedy, mass=1e-3))
     words = {"s": "seconds", "ms": "milliseconds", "us": "microseconds"}
     for unit, factor in unit_factors("time", experiment.conventions.units.time).items():
         text, remedy = f"times look like {words[unit]}", f'set [units] time = "{unit}"'
-        found.append(_Numbers("time", text, remedy, time=factor))
-    return found
+        hypotheses.append(_Numbers("time", text, remedy, time=factor))
+    return hypotheses
 
 
 def rig_mistakes(experiment: Experiment) -> list[Mistake]:
     """Return the numbers of the first link, or the unit of time, that are in the wrong unit."""
     link = experiment.rig.links[0]
-    moving = [each for each in experiment.recordings if each.kind in ("driven", "decay")]
+    moving = [recording for recording in experiment.recordings if recording.kind in ("driven", "decay")]
     filmed = moving or experiment.recordings
-    rates = [1 / float(np.median(np.diff(each.time[each.frames]))) for each in filmed]
+    rates = [1 / float(np.median(np.diff(recording.time[recording.frames]))) for recording in filmed]
     rate = float(np.median(rates))
     measured, nominal, file = _frequencies(experiment)
     single = _hypotheses(experiment, link)
-    pairs = [(one, other) for one, other in combinations(single, 2) if one.name != other.name]
+    pairs = [(first, second) for first, second in combinations(single, 2) if first.name != second.name]
 
     def likelihood(*assumed: _Numbers) -> float:
         factors = {
-            key: float(np.prod([getattr(each, key) for each in assumed]))
+            key: float(np.prod([getattr(hypothesis, key) for hypothesis in assumed]))
             for key in ("width", "thickness", "modulus", "stiffness", "mass", "time")
         }
         fit = -np.log(100.0) * len(assumed)  # one number in a hundred is in the wrong unit
@@ -105,7 +105,9 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
             fit += float(np.max(-0.5 * (seen / _FREQUENCY) ** 2 - costs))
         return float(fit)
 
-    results: dict[tuple[_Numbers, ...], float] = {(): likelihood()} | {(each,): likelihood(each) for each in single}
+    results: dict[tuple[_Numbers, ...], float] = {(): likelihood()} | {
+        (hypothesis,): likelihood(hypothesis) for hypothesis in single
+    }
     results |= {pair: likelihood(*pair) for pair in pairs}
     best = max(results, key=lambda key: results[key])
     gain = results[best] - results[()]
@@ -118,7 +120,7 @@ def _rig_text(
     link: Link, best: Sequence[_Numbers], rate: float, measured: float | None, nominal: Array, file: str
 ) -> str:
     seen = []
-    if any(each.name == "time" for each in best):
+    if any(hypothesis.name == "time" for hypothesis in best):
         arm = (
             f" of an arm that swings at {nominal[0]:.3g} Hz, its joints held"
             if measured is None and nominal.size
@@ -130,8 +132,8 @@ def _rig_text(
         seen.append(f"{link.name} would have {link.mass / volume:.3g} kg/m^3")
     if measured is not None:
         seen.append(f"its first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz")
-    what = " and ".join(each.text for each in best)
-    return f"{', '.join(seen) or link.name}: {what}; {'; '.join(each.remedy for each in best)}"
+    causes = " and ".join(hypothesis.text for hypothesis in best)
+    return f"{', '.join(seen) or link.name}: {causes}; {'; '.join(hypothesis.remedy for hypothesis in best)}"
 
 
 def _normal(value: float, median: float, std: float) -> float:
@@ -160,17 +162,21 @@ def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
     Without such a frequency, and of more links, the nominal ones are those of the arm with its joints locked.
     """
     rig = experiment.rig
-    moving = [each for each in experiment.recordings if each.kind in ("driven", "decay") and each.input == "torque"]
+    moving = [
+        recording
+        for recording in experiment.recordings
+        if recording.kind in ("driven", "decay") and recording.input == "torque"
+    ]
     if not moving:
         return None, np.zeros(0), ""
     chain = nominal_chain(rig, rig_layouts(rig, [6] * len(rig.links)))
-    order = sorted(moving, key=lambda each: (each.kind != "decay", each.role != "train"))
+    order = sorted(moving, key=lambda recording: (recording.kind != "decay", recording.role != "train"))
     try:
         for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
             if (seen := seen_modes(rig, recording, 1)).size:
                 M, D, K, _ = linearise(chain, recording.payload)
-                if (found := modes_of(M, D, K).frequencies[:4]).size:
-                    return float(seen[0]), found, recording.file
+                if (nominal := modes_of(M, D, K).frequencies[:4]).size:
+                    return float(seen[0]), nominal, recording.file
         return None, np.array(locked_joint_frequencies(chain, order[0].payload)[:1]), ""
     except VjmError:  # a link that buckles under its weight
         return None, np.zeros(0), ""
@@ -181,22 +187,24 @@ def noise_mistakes(experiment: Experiment) -> list[Mistake]:
     rig, mistakes = experiment.rig, []
     declared = {"marker_noise": (rig.marker_noise, "m"), "encoder_noise": (rig.encoder_noise, "rad")}
     measured = sensor_noise(replace(rig, marker_noise=None, encoder_noise=None), experiment.recordings)
-    for (key, (value, unit)), found in zip(declared.items(), measured, strict=True):
+    for (key, (value, unit)), estimate in zip(declared.items(), measured, strict=True):
         if value is None or (key == "encoder_noise" and not rig.active_links):
             continue
-        ratio = np.log(found / value)
+        ratio = np.log(estimate / value)
         fits = {factor: -0.5 * ((ratio - np.log(factor)) / _NOISE) ** 2 for factor in (1.0, 1e3, 1e-3)}
         best = max(fits, key=lambda factor: fits[factor])
         gain = float(fits[best] - fits[1.0])
         if gain > LIKELY:
             words = "small" if best > 1 else "large"
             text = (
-                f"'{key}' of [sensors] is {value:.3g} {unit}, and the recordings' own noise is {found:.2g} {unit}: it "
-                f"is about 1000 times too {words}; give it in {unit}, or leave it out"
+                f"'{key}' of [sensors] is {value:.3g} {unit}, and the recordings' own noise is {estimate:.2g} {unit}: "
+                f"it is about 1000 times too {words}; give it in {unit}, or leave it out"
             )
             # Recordings that somebody smoothed have less noise than their sensor, which is no mistake of the file; but
             # what hides every motion, or neighbouring markers from each other, has to go.
-            signals = [each.markers if key == "marker_noise" else each.theta for each in experiment.recordings]
+            signals = [
+                recording.markers if key == "marker_noise" else recording.theta for recording in experiment.recordings
+            ]
             hidden = all(np.nanstd(signal, axis=0).max() < value for signal in signals)
             arcs = np.array([0.0, *rig.links[0].markers])
             hidden = hidden or (key == "marker_noise" and value > np.diff(arcs).min(initial=np.inf))
@@ -208,13 +216,19 @@ def sag_mistakes(experiment: Experiment) -> list[Mistake]:
     """Return that a clamped link rests as it would under its own weight, although no gravity is declared."""
     rig = experiment.rig
     link = rig.links[0]
-    chosen = [each for each in experiment.recordings if each.kind in ("quiet", "decay") and not any(each.gravity)]
+    chosen = [
+        recording
+        for recording in experiment.recordings
+        if recording.kind in ("quiet", "decay") and not any(recording.gravity)
+    ]
     if len(rig.links) > 1 or link.joint != "clamped" or link.markers_frame != "base" or not chosen or not link.markers:
         return []
     # Half of a decay is over by then; what is left of the motion is on both sides of the rest.
-    rest = [np.nanmedian(each.markers[each.frames[each.frames.size // 2 :], -1, 1]) for each in chosen]
+    rest_positions = [
+        np.nanmedian(recording.markers[recording.frames[recording.frames.size // 2 :], -1, 1]) for recording in chosen
+    ]
     sag = link.mass * 9.81 * link.length**3 / (8 * link.bending_stiffness)  # Euler-Bernoulli, uniform load
-    known = [value for value in rest if np.isfinite(value)]
+    known = [value for value in rest_positions if np.isfinite(value)]
     sag = min(sag, 0.5 * link.length)  # no longer proportional
     if not known or sag < _CURVED * link.length:
         return []
@@ -231,4 +245,4 @@ def sag_mistakes(experiment: Experiment) -> list[Mistake]:
         f"direction, about as far as its own weight would bend it, and no gravity is declared; if the plane is "
         f"vertical, set [base] gravity = [0.0, {down}]"
     )
-    return [Mistake(text, min(gain, CERTAIN), tuple(each.file for each in chosen))]
+    return [Mistake(text, min(gain, CERTAIN), tuple(recording.file for recording in chosen))]

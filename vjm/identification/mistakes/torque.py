@@ -54,11 +54,11 @@ def balances(experiment: Experiment) -> list[list[_Balance]]:
     rig = experiment.rig
     if len(rig.links) > 1 or rig.links[0].joint != "revolute" or not rig.links[0].markers:
         return []
-    found = []
+    result = []
     for recording in experiment.cleaned_recordings:
         if recording.input == "torque" and recording.kind != "static":
-            found.append(_balances(rig, recording))
-    return [each for each in found if each]
+            result.append(_balances(rig, recording))
+    return [recording_balances for recording_balances in result if recording_balances]
 
 
 def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
@@ -90,7 +90,7 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
     markers_noise = coordinate * np.sqrt(np.sum((squares[1:] / arcs) ** 2))
     bases = np.array([squares[0], squares[0] - rig.links[0].hub_inertia, 1.0])  # inertias that turn with the base
     noises = np.hypot(bases * heading_noise, markers_noise * np.array([1.0, 1.0, 0.0]))
-    found, size = [], _SHORTEST
+    result, size = [], _SHORTEST
     while 2 * size <= even.size:
         phase = np.pi * (np.arange(size) + 0.5) / size
         window = np.sin(phase) ** 4
@@ -102,7 +102,7 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
         def project(signal: Array, kernel: Array, hop: slice = hop) -> Array:
             return np.asarray(np.convolve(signal, kernel, "valid")[hop] * step)
 
-        found.append(
+        result.append(
             _Balance(
                 recording.file,
                 recording.kind == "driven",
@@ -118,7 +118,7 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
             )
         )
         size *= 2
-    return found
+    return result
 
 
 def _mass_moments(rig: Rig, payload: float, arcs: Array) -> tuple[Array, Array]:
@@ -138,20 +138,22 @@ def _mass_moments(rig: Rig, payload: float, arcs: Array) -> tuple[Array, Array]:
     return squares, firsts
 
 
-def torque_gains(experiment: Experiment, found: list[list[_Balance]]) -> dict[_Scales, float]:
+def torque_gains(experiment: Experiment, recordings: list[list[_Balance]]) -> dict[_Scales, float]:
     """Return the log-likelihood of each hypothesis over that of none, by how well torque and motion then balance."""
     current = FACTORS["torque"][experiment.conventions.units.torque]
     sizes = [size / current for size in FACTORS["torque"].values()]
     scales = [_Scales(), _Scales(-1.0), *(_Scales(sign * size) for size in sizes if size != 1.0 for sign in (1, -1))]
     scales += [_Scales(mass=_GRAM), *(_Scales(hub=size) for size in _HUB_UNITS)]
     link = experiment.rig.links[0]
-    gains = np.sum([_gains(link, recording, scales) for recording in _driven(found, silent=False)], axis=0)
+    gains = np.sum([_gains(link, recording, scales) for recording in _driven(recordings, silent=False)], axis=0)
     return dict(zip(scales, np.broadcast_to(gains, len(scales)).tolist(), strict=True))
 
 
-def _driven(found: list[list[_Balance]], silent: bool) -> list[list[_Balance]]:
+def _driven(recordings: list[list[_Balance]], silent: bool) -> list[list[_Balance]]:
     """Return driven recordings in which the torque is zero throughout, or those in which it is not."""
-    return [each for each in found if each[0].driven and (not np.any(each[0].torque)) is silent]
+    return [
+        recording for recording in recordings if recording[0].driven and (not np.any(recording[0].torque)) is silent
+    ]
 
 
 def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Array:
@@ -159,34 +161,35 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
 
     Each may suppose another hub: its inertia is known roughly, if at all, and much may be the motor's behind a gear.
     """
-    told = [np.zeros(len(scales))]
-    own = link.length**2 * (link.mass / 3 + link.payload)
+    gains = [np.zeros(len(scales))]
+    link_inertia = link.length**2 * (link.mass / 3 + link.payload)
     hubs = [
-        one.hub * link.hub_inertia * _ROUGHLY if link.hub_inertia > 0 else one.mass * own * _UNKNOWN for one in scales
+        scale.hub * link.hub_inertia * _ROUGHLY if link.hub_inertia > 0 else scale.mass * link_inertia * _UNKNOWN
+        for scale in scales
     ]
-    for each in recording:
-        weight = each.lever @ np.array(each.gravity)
-        if np.median((each.momentum - weight) ** 2) > 9 * each.noise**2:
+    for balance in recording:
+        weight = balance.lever @ np.array(balance.gravity)
+        if np.median((balance.momentum - weight) ** 2) > 9 * balance.noise**2:
             misfits = []
-            for one, tried in zip(scales, hubs, strict=True):
-                torque = one.torque * each.torque
-                motion = one.mass * (each.momentum - link.hub_inertia * each.turning - weight)
-                motion = motion + tried[:, None] * each.turning
-                noise = (one.mass * each.link_noise) ** 2 + (tried * each.turning_noise) ** 2
+            for scale, hub in zip(scales, hubs, strict=True):
+                torque = scale.torque * balance.torque
+                motion = scale.mass * (balance.momentum - link.hub_inertia * balance.turning - weight)
+                motion = motion + hub[:, None] * balance.turning
+                noise = (scale.mass * balance.link_noise) ** 2 + (hub * balance.turning_noise) ** 2
                 # Relative, so that none is likelier for small numbers; medians, since a glitch spoils few windows.
                 error, torques, motions = (np.median(x**2, axis=-1) for x in (torque - motion, torque, motion))
                 misfits.append(np.min((error + noise) / (torques + motions + noise)))
-            told.append(-0.5 * each.independent * np.log(np.array(misfits) / misfits[0]))
-    return np.asarray(np.mean(told[1:] or told, axis=0))
+            gains.append(-0.5 * balance.independent * np.log(np.array(misfits) / misfits[0]))
+    return np.asarray(np.mean(gains[1:] or gains, axis=0))
 
 
 def _moving_gain(recording: list[_Balance]) -> float:
     """Return the log-likelihood of a motion over that of rest, in a recording whose torque is zero throughout."""
-    told = []
-    for each in recording:
-        motion = np.median((each.momentum - each.lever @ np.array(each.gravity)) ** 2)
-        told.append(0.5 * each.independent * float(np.log1p(0.5 * motion / each.noise**2)))
-    return float(np.mean(told))
+    gains = []
+    for balance in recording:
+        motion = np.median((balance.momentum - balance.lever @ np.array(balance.gravity)) ** 2)
+        gains.append(0.5 * balance.independent * float(np.log1p(0.5 * motion / balance.noise**2)))
+    return float(np.mean(gains))
 
 
 def torque_sign(gains: dict[_Scales, float]) -> float | None:
@@ -196,15 +199,17 @@ def torque_sign(gains: dict[_Scales, float]) -> float | None:
     return None if abs(positive - negative) < LIKELY else 1.0 if positive > negative else -1.0
 
 
-def torque_mistakes(experiment: Experiment, found: list[list[_Balance]], gains: dict[_Scales, float]) -> list[Mistake]:
+def torque_mistakes(
+    experiment: Experiment, recordings: list[list[_Balance]], gains: dict[_Scales, float]
+) -> list[Mistake]:
     """Return mistakes in sign, unit or presence of the torque or in inertias, else a gravity that was not declared."""
     link, conventions = experiment.rig.links[0], experiment.conventions
     best = max(gains, key=lambda scales: gains[scales])
-    loud = _driven(found, silent=False)
-    files = tuple(recording[0].file for recording in loud)
-    gravity = _gravity_mistake(experiment, found)
+    driven = _driven(recordings, silent=False)
+    files = tuple(recording[0].file for recording in driven)
+    gravity = _gravity_mistake(experiment, recordings)
     tau = conventions.name_in_files(f"{link.name}.tau")
-    silent = {each[0].file: _moving_gain(each) for each in _driven(found, silent=True)}
+    silent = {recording[0].file: _moving_gain(recording) for recording in _driven(recordings, silent=True)}
     unexplained = {file: gain for file, gain in silent.items() if gain > LIKELY}
     if unexplained and not gravity:
         text = (
@@ -226,40 +231,40 @@ def torque_mistakes(experiment: Experiment, found: list[list[_Balance]], gains: 
         )
     else:
         key, unit, value = "mass", "kg", link.mass * best.mass
-        what = "grams"
+        unit_name = "grams"
         if best.hub != 1.0:
-            key, unit, value, what = "hub_inertia", "kg m^2", link.hub_inertia * best.hub, _HUB_UNITS[best.hub]
+            key, unit, value, unit_name = "hub_inertia", "kg m^2", link.hub_inertia * best.hub, _HUB_UNITS[best.hub]
         text = (
             f"{tau} is far less than the torque that the motion takes with the inertias of [[link]] {link.name}: "
-            f"'{key}' looks like {what}; give it in {unit}, {value:.4g}"
+            f"'{key}' looks like {unit_name}; give it in {unit}, {value:.4g}"
         )
     return [Mistake(text, gains[best], files)]
 
 
-def _gravity_mistake(experiment: Experiment, found: list[list[_Balance]]) -> Mistake | None:
+def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -> Mistake | None:
     """Return that the balance needs the earth's gravity although none was declared; None if it does not."""
-    chosen = [recording for recording in found if not any(recording[0].gravity)]
+    chosen = [recording for recording in recordings if not any(recording[0].gravity)]
     if not chosen or experiment.rig.links[0].markers_frame == "link":
         return None
     rows, values, gain = [], [], 0.0
     for recording in chosen:
-        for each in recording:
-            weight = np.sqrt(each.independent / len(recording) / each.torque.size) / np.sqrt(
-                np.mean(each.torque**2) + np.mean(each.momentum**2) + each.noise**2
+        for balance in recording:
+            weight = np.sqrt(balance.independent / len(recording) / balance.torque.size) / np.sqrt(
+                np.mean(balance.torque**2) + np.mean(balance.momentum**2) + balance.noise**2
             )
-            rows.append(weight * each.lever)
-            values.append(weight * (each.momentum - each.torque))
+            rows.append(weight * balance.lever)
+            values.append(weight * (balance.momentum - balance.torque))
     if not rows:
         return None
-    found_gravity = np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0]
-    size = float(np.hypot(*found_gravity))
-    gravity = found_gravity / max(size, 1e-300) * 9.81  # a base that is tilted a little has less in its plane
+    fitted_gravity = np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0]
+    size = float(np.hypot(*fitted_gravity))
+    gravity = fitted_gravity / max(size, 1e-300) * 9.81  # a base that is tilted a little has less in its plane
     for recording in chosen:
-        for each in recording:
-            motion = each.momentum - each.torque
-            without, within = (np.median(error**2) for error in (motion, motion - each.lever @ gravity))
-            ratio = (without + each.noise**2) / (within + each.noise**2)
-            gain += 0.5 * each.independent / len(recording) * float(np.log(ratio))
+        for balance in recording:
+            motion = balance.momentum - balance.torque
+            without, within = (np.median(error**2) for error in (motion, motion - balance.lever @ gravity))
+            ratio = (without + balance.noise**2) / (within + balance.noise**2)
+            gain += 0.5 * balance.independent / len(recording) * float(np.log(ratio))
     if gain < LIKELY:
         return None
     text = (

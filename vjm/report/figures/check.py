@@ -45,8 +45,8 @@ def _draw(check: Check) -> Figure:
     axes.set(xlabel="x of the base frame [m]", ylabel="y of the base frame [m]")
     if link.markers_frame == "link":
         axes.set(xlabel=f"x of {link.name}'s own frame [m]", ylabel=f"y of {link.name}'s own frame [m]")
-    shown = max(check.overviews, key=lambda item: item.motion)
-    still = next((item for item in check.overviews if item.recording.kind == "quiet"), shown)
+    shown = max(check.overviews, key=lambda overview: overview.motion)
+    still = next((overview for overview in check.overviews if overview.recording.kind == "quiet"), shown)
     markers = _filled(link, shown.recording.markers[shown.recording.frames][:, rig.marker_slices[0]])
     colors = colormaps["viridis"](np.linspace(0.0, 0.85, len(link.markers)))
     _draw_paths(axes, markers, colors, shown)
@@ -81,31 +81,37 @@ def _draw_link(
     """Draw the straight link where the encoder has it, at rest and at the ends of its travel; return those [rad]."""
     link = rig.links[0]
     arcs, theta = np.array(link.markers), shown.recording.theta
-    rest = low = high = 0.0
+    rest_angle = low = high = 0.0
     if link.joint == "revolute" and link.markers_frame == "base":
         low, high = float(np.nanmin(theta[:, 0])), float(np.nanmax(theta[:, 0]))
-        rest = float(still.recording.initial_theta[0])
+        rest_angle = float(still.recording.initial_theta[0])
     # An end at which the link rests is not drawn again.
-    ends = [angle for angle in (low, high) if abs(angle - rest) > 0.05 * (high - low) > 0]
+    ends = [angle for angle in (low, high) if abs(angle - rest_angle) > 0.05 * (high - low) > 0]
     for k, angle in enumerate(ends):
         x, y = link.length * np.cos(angle), link.length * np.sin(angle)
         label = "described: ends of the encoder's travel" if k == 0 else None
         axes.plot([0, x], [0, y], color=Color.MEASURED, linestyle=(0, (5, 3)), linewidth=1.2, label=label)
         text = f"{link.name}.theta = {number(angle, 3)} rad ({number(np.rad2deg(angle), 3)}°)"
-        away: dict[str, Any] = {"xytext": (0, 7), "va": "bottom"} if y > 0 else {"xytext": (0, -7), "va": "top"}
+        label_style: dict[str, Any] = {"xytext": (0, 7), "va": "bottom"} if y > 0 else {"xytext": (0, -7), "va": "top"}
         if labelled:
-            away |= {"ha": "center", "fontsize": 9, "path_effects": _HALO, "zorder": 8}
-            axes.annotate(text, (x, y), textcoords="offset points", **away)
+            label_style |= {"ha": "center", "fontsize": 9, "path_effects": _HALO, "zorder": 8}
+            axes.annotate(text, (x, y), textcoords="offset points", **label_style)
             axes.update_datalim([(1.2 * x, 1.15 * y)])  # room for it
-    direction = np.array([np.cos(rest), np.sin(rest)])
+    direction = np.array([np.cos(rest_angle), np.sin(rest_angle)])
     axes.plot(*np.outer(direction, [0, link.length]), color=_LINK, linewidth=9, solid_capstyle="butt", zorder=1)
     places = np.outer(arcs, direction)
     ring: dict[str, Any] = {"markersize": 19, "markerfacecolor": "none", "markeredgecolor": Color.AXIS, "zorder": 4}
     axes.plot(*places.T, "o", **ring, linestyle="none", label="described: markers at rest")
     for k, place in enumerate(places if labelled else (), start=1):
-        below: dict[str, Any] = {"ha": "center", "color": Color.AXIS, "fontsize": 9, "path_effects": _HALO, "zorder": 8}
-        axes.annotate(str(k), place, (0, -19), textcoords="offset points", **below)
-    return rest, low, high
+        number_style: dict[str, Any] = {
+            "ha": "center",
+            "color": Color.AXIS,
+            "fontsize": 9,
+            "path_effects": _HALO,
+            "zorder": 8,
+        }
+        axes.annotate(str(k), place, (0, -19), textcoords="offset points", **number_style)
+    return rest_angle, low, high
 
 
 def _draw_frame(axes: Axes, rig: Rig, angles: tuple[float, float, float], labelled: bool) -> None:
@@ -132,8 +138,10 @@ def _draw_frame(axes: Axes, rig: Rig, angles: tuple[float, float, float], labell
         end, before = np.deg2rad(first + span), np.deg2rad(first + span - 4)
         tip, tail = ((radius * float(np.cos(a)), radius * float(np.sin(a))) for a in (end, before))
         axes.annotate("", tip, tail, arrowprops={**arrow, "color": "black", "shrinkA": 0, "shrinkB": 0}, zorder=6)
-        beyond = (1.06 * tip[0], 1.06 * tip[1])
-        axes.annotate(f"{link.name}.theta > 0", beyond, fontsize=10, fontweight="bold", path_effects=_HALO, zorder=8)
+        label_place = (1.06 * tip[0], 1.06 * tip[1])
+        axes.annotate(
+            f"{link.name}.theta > 0", label_place, fontsize=10, fontweight="bold", path_effects=_HALO, zorder=8
+        )
     strength = float(np.hypot(*rig.gravity))
     if strength:
         step = np.array(rig.gravity) / strength * size

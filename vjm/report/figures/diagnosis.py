@@ -28,8 +28,8 @@ _WITHOUT_AND_WITH = ("without this cause", "with it")
 
 def diagnosis_pictures(diagnosis: Diagnosis) -> list[Picture]:
     """Return all pictures of a diagnosis: symptoms, evidence, gain."""
-    wrong = [] if diagnosis.symptoms is None else symptom_pictures(diagnosis.symptoms)
-    return [*wrong, *_cause_pictures(diagnosis), *_gain_pictures(diagnosis)]
+    symptoms = [] if diagnosis.symptoms is None else symptom_pictures(diagnosis.symptoms)
+    return [*symptoms, *_cause_pictures(diagnosis), *_gain_pictures(diagnosis)]
 
 
 def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -37,7 +37,7 @@ def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     if first is None:
         return
     for k, cause in enumerate(diagnosis.causes[:4]):
-        shown = [first, *(each for each in diagnosis.recordings if each is not first)]
+        shown = [first, *(comparison for comparison in diagnosis.recordings if comparison is not first)]
         beside = "the model fitted without it"
         if len(diagnosis.causes) > 1:
             shown = [first if cause.without is None else replace(first, reference=cause.without)]
@@ -51,8 +51,8 @@ def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
-    shown = [each for each in diagnosis.recordings if each.reference is not None]
-    shown.sort(key=lambda each: each.recording.role != "holdout")  # these are what counts
+    shown = [comparison for comparison in diagnosis.recordings if comparison.reference is not None]
+    shown.sort(key=lambda comparison: comparison.recording.role != "holdout")  # these are what counts
     if shown:
         gain, title = diagnosis.gain, "Residual of the model without effects"
         labels = _LABELS if diagnosis.causes else {"reference": "model"}
@@ -69,7 +69,7 @@ def _gain_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _held_out(diagnosis: Diagnosis) -> list[tuple[RecordingComparison, Signal]]:
-    usable = [each for each in diagnosis.recordings if each.simulated is not None]
+    usable = [comparison for comparison in diagnosis.recordings if comparison.simulated is not None]
     ordered = moving_recordings(diagnosis.model.rig, usable, "reference")
     held_out = [pair for pair in ordered if pair[0].recording.role == "holdout"]
     changed = [pair for pair in held_out if pair[0].recording.condition != REFERENCE]
@@ -96,9 +96,11 @@ def _evidence(cause: Cause, model: Model, comparisons: Sequence[RecordingCompari
     left, right = page.axes[0]
     before, after = comparisons[0].reference, comparisons[0].simulated
     if before is not None and after is not None:
-        without, with_it = Spectrum.of(before), Spectrum.of(after)
-        if cause.effect.abscissa == "frequency" and without and with_it:
-            labelled = zip((without, with_it), _WITHOUT_AND_WITH, (Color.NOMINAL, Color.IDENTIFIED), strict=True)
+        spectrum_without, spectrum_with = Spectrum.of(before), Spectrum.of(after)
+        if cause.effect.abscissa == "frequency" and spectrum_without and spectrum_with:
+            labelled = zip(
+                (spectrum_without, spectrum_with), _WITHOUT_AND_WITH, (Color.NOMINAL, Color.IDENTIFIED), strict=True
+            )
             Spectrum.draw(left, [*labelled])
             left.set_title("Spectrum of the residual")
         elif points := _missing_torques(cause.effect, model, comparisons):
@@ -115,7 +117,7 @@ def _draw_marker_residuals(axes: Axes, effect: Effect, before: SimulatedRecordin
     """Draw the markers' residuals against the abscissa of an effect; against time where that is no marker's."""
     frames, kind = after.recording.frames, effect.abscissa
     time, shown = after.recording.time[frames], after.simulation.markers[frames]
-    residuals = [each.marker_residual[frames] for each in (before, after)]
+    residuals = [simulated.marker_residual[frames] for simulated in (before, after)]
     rms = kind not in ("velocity", "position", "radial", "tangential")
     if kind == "velocity":
         x, label = np.gradient(shown, time, axis=0), "velocity of the marker [m/s]"
@@ -125,7 +127,7 @@ def _draw_marker_residuals(axes: Axes, effect: Effect, before: SimulatedRecordin
         x, label = np.linalg.norm(shown, axis=-1), "distance from the base [m]"
         outwards = shown / np.maximum(x, 1e-12)[..., None]
         across = np.stack([-outwards[..., 1], outwards[..., 0]], axis=-1)
-        residuals = [np.sum(each * (outwards if kind == "radial" else across), axis=-1) for each in residuals]
+        residuals = [np.sum(residual * (outwards if kind == "radial" else across), axis=-1) for residual in residuals]
     elif kind == "marker":
         x, label = np.arange(1.0, shown.shape[1] + 1)[None, :, None], "marker, from the base outwards [1]"
     elif kind == "amplitude":
@@ -136,7 +138,7 @@ def _draw_marker_residuals(axes: Axes, effect: Effect, before: SimulatedRecordin
         x, label = (time - time[0])[:, None, None], "time since the start [s]"
     x = np.broadcast_to(x, residuals[0].shape)
     known = np.isfinite(x) & np.isfinite(residuals[0]) & np.isfinite(residuals[1])
-    _draw_points(axes, [(x[known], 1e3 * each[known]) for each in residuals], 1e3 * before.noise[0], rms)
+    _draw_points(axes, [(x[known], 1e3 * residual[known]) for residual in residuals], 1e3 * before.noise[0], rms)
     axes.set(xlabel=label, ylabel="residual, RMS [mm]" if rms else "residual [mm]", title="Residual")
     if kind == "marker":
         axes.set_xticks(np.unique(x[known]))
@@ -148,7 +150,7 @@ def _missing_torques(effect: Effect, model: Model, comparisons: Sequence[Recordi
         return []
     by_angle, points = effect.abscissa == "joint_angle", []
     for role in ("reference", "simulated"):
-        simulated = [getattr(each, role) for each in comparisons if getattr(each, role) is not None]
+        simulated = [getattr(comparison, role) for comparison in comparisons if getattr(comparison, role) is not None]
         profile = missing_torque(model.rig, simulated, f"{place(effect, model)}.theta")
         if profile is None:
             return []

@@ -84,11 +84,11 @@ def _first_of(comparisons: Sequence[RecordingComparison], most: int) -> str:
 
 
 def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[str, str]) -> str:
-    simulated = [each for each in comparisons if each.simulated is not None]
-    held_out = [each for each in simulated if each.recording.role == "holdout"]
+    simulated = [comparison for comparison in comparisons if comparison.simulated is not None]
+    held_out = [comparison for comparison in simulated if comparison.recording.role == "holdout"]
     parts = []
     for role in reversed(labels):
-        pairs = [(getattr(each, role), each.noise[0]) for each in held_out or simulated]
+        pairs = [(getattr(comparison, role), comparison.noise[0]) for comparison in held_out or simulated]
         ratios = [simulation.marker_rms / noise for simulation, noise in pairs if simulation is not None]
         if ratios:
             ends = dict.fromkeys([number(min(ratios), 2), number(max(ratios), 2)])
@@ -109,11 +109,11 @@ def _shown_tips(rig: Rig, comparisons: Sequence[RecordingComparison]) -> list[tu
 
 def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[str, str]) -> Figure:
     simulated = simulations(comparison, labels)
-    rms = {role: signal.rms(one) for role, one in simulated.items()}
+    rms = {role: signal.rms(simulation) for role, simulation in simulated.items()}
     # A second residual is drawn where it is neither hidden by the first one nor hides it.
     least: tuple[tuple[str, float], ...] = (("alternative", 1.05), ("reference", 0.0))
-    own = rms["simulated"]  # zero where nothing moves
-    second = [role for role, low in least if low * own < rms.get(role, np.nan) <= 4 * own][:1]
+    judged_rms = rms["simulated"]  # zero where nothing moves
+    second = [role for role, low in least if low * judged_rms < rms.get(role, np.nan) <= 4 * judged_rms][:1]
     sizes = [f"{labels[role]} {signal.rms_text(simulated[role])}" for role in reversed(simulated)]
     title = f"{recording_label(comparison.recording)}: residual of {signal.name} alone, RMS: {', '.join(sizes)}"
     hidden = {"alternative", "reference"} - {*second}
@@ -121,7 +121,11 @@ def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[st
 
 
 def _residual_pictures(fit: Identification) -> Iterator[Picture]:
-    replayed = [each for each in fit.recordings if each.simulated is not None and each.recording.frames.size]
+    replayed = [
+        comparison
+        for comparison in fit.recordings
+        if comparison.simulated is not None and comparison.recording.frames.size
+    ]
     if not replayed:
         return
     caption = (
@@ -130,8 +134,12 @@ def _residual_pictures(fit: Identification) -> Iterator[Picture]:
         f"{_first_of(replayed, _MOST_MAP_ROWS)}"
     )
     yield Picture("residual_map", caption, partial(_residual_map, fit.model.rig, replayed[:_MOST_MAP_ROWS]))
-    shown = [(each, Spectrum.of(each.simulated)) for each, _ in _shown_tips(fit.model.rig, replayed) if each.simulated]
-    spectra = [(each, spectrum) for each, spectrum in shown if spectrum is not None]
+    shown = [
+        (comparison, Spectrum.of(comparison.simulated))
+        for comparison, _ in _shown_tips(fit.model.rig, replayed)
+        if comparison.simulated
+    ]
+    spectra = [(comparison, spectrum) for comparison, spectrum in shown if spectrum is not None]
     if spectra:
         caption = (
             "Amplitude of the residual, RMS over all marker coordinates. A peak above the dashed line at a natural "
@@ -153,10 +161,10 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
     page = PanelFigure.of(title, [(0.65 + 0.28 * max(len(comparisons), 2), 1)])
     axes = page.axes[0][0]
     scales = ((1.0, 1.5, 3.0, 10.0), (1.0, 3.0, 10.0, 100.0), (1.0, 10.0, 100.0, 1000.0))
-    levels = next((each for each in scales if np.nanmax(table) <= each[-1]), scales[-1])
+    levels = next((scale for scale in scales if np.nanmax(table) <= scale[-1]), scales[-1])
     colors = LinearSegmentedColormap.from_list("residual", ["#ffffff", "#f5c38a", "#c2541a", "#3d0f04"])
     norm = LogNorm(1.0, levels[-1], clip=True)
-    rows = [recording_label(each.recording, 24) for each in comparisons]
+    rows = [recording_label(comparison.recording, 24) for comparison in comparisons]
     heads = [name.partition(".")[2] if len(rig.links) == 1 else name.replace(".", " ", 1) for name in names]
     roomy = len(names) <= _MOST_MAP_COLUMNS
     text = (lambda value: f"{value:.0f}" if value >= 10 else f"{value:.2f}") if len(names) <= 28 else None
@@ -169,7 +177,11 @@ def _residual_map(rig: Rig, comparisons: Sequence[RecordingComparison]) -> Figur
 
 def _residual_table(rig: Rig, comparisons: Sequence[RecordingComparison]) -> tuple[list[str], Array, Array]:
     """Return coordinates (C), pooled by marker if too many, RMS residuals over noise and numbers of values (R, C)."""
-    residuals = [each.simulated.marker_residual / each.noise[0] for each in comparisons if each.simulated is not None]
+    residuals = [
+        comparison.simulated.marker_residual / comparison.noise[0]
+        for comparison in comparisons
+        if comparison.simulated is not None
+    ]
     squares = np.stack([np.nansum(residual**2, axis=0) for residual in residuals])  # (R, k, 2)
     counts = np.stack([np.isfinite(residual).sum(axis=0) for residual in residuals])
     measured = np.argwhere(counts.any(axis=0))
@@ -194,8 +206,8 @@ def _residual_spectra(
         title = f"Residual spectrum: largest {where} in {short(comparison.recording.file)}, {times}"
     page = PanelFigure.grid(title, len(spectra), (2.8, 2.3))
     for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
-        other = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
-        drawn = [(other, "torque method", Color.TORQUE)] if other is not None else []
+        torque_spectrum = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
+        drawn = [(torque_spectrum, "torque method", Color.TORQUE)] if torque_spectrum is not None else []
         modes = model.modes(comparison.recording.payload).frequencies
         Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
         where = _peak(model, comparison, spectrum, white)
@@ -206,15 +218,15 @@ def _residual_spectra(
 
 
 def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum, white: Collection[str]) -> str | None:
-    """Tell the frequency of the largest residual, and its mode; None where nothing is above the limit of noise.
+    """Return the frequency of the largest residual in words, with its mode; None where noise would be as large.
 
     Residuals of the files in `white` are noise by the test of their correlation.
     """
-    at = int(np.argmax(spectrum.amplitude))
-    if spectrum.amplitude[at] <= spectrum.limit or comparison.recording.file in white:
+    index = int(np.argmax(spectrum.amplitude))
+    if spectrum.amplitude[index] <= spectrum.limit or comparison.recording.file in white:
         return None
-    peak, line = float(spectrum.frequency[at]), float(spectrum.frequency[0])
-    if at < 2:  # not even two periods in the recording
+    peak, line = float(spectrum.frequency[index]), float(spectrum.frequency[0])
+    if index < 2:  # not even two periods in the recording
         return f"below {number(float(spectrum.frequency[2]), 2)} Hz (drift)"
     modes = model.modes(comparison.recording.payload).frequencies
     nearest = int(np.argmin(np.abs(modes - peak)))
@@ -223,7 +235,7 @@ def _peak(model: Model, comparison: RecordingComparison, spectrum: Spectrum, whi
 
 
 def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> Iterator[Picture]:
-    names = [each.name for each in estimates if each.std is not None]
+    names = [estimate.name for estimate in estimates if estimate.std is not None]
     if covariance.shape != (len(names), len(names)):
         return
     variance = np.diag(covariance)

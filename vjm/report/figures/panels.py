@@ -123,15 +123,15 @@ class PanelFigure:
         columns = min(columns, count)
         rows = math.ceil(count / columns)
         page = cls.of(title, [(heights[rows > 1], columns)] * rows)
-        every = [axes for row in page.axes for axes in row]
-        for unused in every[count:]:
+        all_axes = [axes for row in page.axes for axes in row]
+        for unused in all_axes[count:]:
             unused.remove()
-        return cls(page.figure, [every[:count]])
+        return cls(page.figure, [all_axes[:count]])
 
     def finish(self, areas: Mapping[str, Any] | None = None) -> Figure:
         """Return the figure, laid out, with one legend above the panels.
 
-        It tells the colours of `areas`, by label; without any, all that has a label in the panels, areas last.
+        The legend explains the colours of `areas`, by label; without any, all labelled lines and areas of the panels.
         """
         labelled: dict[str, Artist] = {}
         for axes in self.figure.axes:
@@ -204,7 +204,7 @@ def binned_means(x: Array, values: Array, most: int, std: Array | float = np.inf
         bins[np.argsort(x)] = np.arange(x.size) * max(most, 1) // x.size
     weights = np.where(np.isfinite(std), np.broadcast_to(std, x.shape) ** -2.0, 1.0)
     sizes, total = np.bincount(bins), np.bincount(bins, weights)
-    centres, means = (np.bincount(bins, weights * each) / total for each in (x, values))
+    centres, means = (np.bincount(bins, weights * quantity) / total for quantity in (x, values))
     scatter = np.bincount(bins, weights * (values - means[bins]) ** 2) / total / np.maximum(sizes - 1, 1)
     known = np.where(np.isfinite(std).any(), 1 / total, 0.0)  # variance that the given errors leave at least
     return centres, means, np.sqrt(np.maximum(scatter, known))
@@ -298,20 +298,22 @@ def rms_figure(
 ) -> Figure:
     """Draw each recording's RMS marker residual by several models in units of the noise, or else in millimetres."""
     page = PanelFigure.of(title, [(0.7 + 0.28 * max(len(comparisons), 2), 1)])
-    axes, noise = page.axes[0][0], np.array([each.noise[0] for each in comparisons])
+    axes, noise = page.axes[0][0], np.array([comparison.noise[0] for comparison in comparisons])
     units = noise if in_noise else np.full(noise.shape, 1e-3)
     marks, names = [("noise", noise / units, None, MARKS["noise"])], []
     for role in [role for role in LINES if role in labels]:
-        simulations = [getattr(each, role) for each in comparisons]
-        rms = np.array([np.nan if one is None else one.marker_rms for one in simulations]) / units
+        simulations = [getattr(comparison, role) for comparison in comparisons]
+        rms = np.array([np.nan if simulation is None else simulation.marker_rms for simulation in simulations]) / units
         marks.append((labels[role], rms, None, MARKS[role]))
-    every = np.stack([values for _, values, *_ in marks])
-    for each, known in zip(comparisons, np.isfinite(every[1:]).any(axis=0), strict=True):
-        label = recording_label(each.recording, 24)
+    all_values = np.stack([values for _, values, *_ in marks])
+    for comparison, known in zip(comparisons, np.isfinite(all_values[1:]).any(axis=0), strict=True):
+        label = recording_label(comparison.recording, 24)
         names.append(label if known else f"{label[:-1]}, not simulated)")
-    axes.hlines(range(len(names)), np.fmin.reduce(every[1:]), np.fmax.reduce(every[1:]), color="#bbbbbb", zorder=1)
+    axes.hlines(
+        range(len(names)), np.fmin.reduce(all_values[1:]), np.fmax.reduce(all_values[1:]), color="#bbbbbb", zorder=1
+    )
     draw_marks(axes, names, marks)
-    log_axis(axes.xaxis, np.nanmin(every) / 1.15, np.nanmax(every) * 1.15)
+    log_axis(axes.xaxis, np.nanmin(all_values) / 1.15, np.nanmax(all_values) * 1.15)
     unit_name = "× noise" if in_noise else "mm"
     axes.set(xlabel=f"RMS residual of all markers, open loop [{unit_name}]", ylabel="recording")
     return page.finish()

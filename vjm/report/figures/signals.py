@@ -42,8 +42,8 @@ class Signal:
         """
         signals = {signal.index: signal for signal in measured_signals(rig, recording) if signal.rows.size >= 2}
         channels: list[tuple[int, ...]] = []
-        for link, own in reversed([*zip(rig.links, rig.marker_slices, strict=True)]):
-            outwards = np.argsort(link.markers)[::-1] + own.start
+        for link, marker_slice in reversed([*zip(rig.links, rig.marker_slices, strict=True)]):
+            outwards = np.argsort(link.markers)[::-1] + marker_slice.start
             channels += [(marker, moving_axis(recording.markers[:, [marker]])) for marker in outwards.tolist()]
         channels += [(joint,) for joint in reversed(range(len(rig.active_links)))]
         return next((signals[index] for index in channels if index in signals), None)
@@ -119,8 +119,8 @@ def _channel(source: Recording | Simulation, index: tuple[int, ...]) -> Array:
 
 def moving_axis(markers: Array) -> int:
     """Return 0 where markers (F, k, 2) move 1.5 times as far along x as along y, or only x was measured; else 1."""
-    columns = [[own[np.isfinite(own)] for own in markers[..., axis].T] for axis in (0, 1)]
-    along_x, along_y = (max((np.ptp(own) for own in axis if own.size), default=-1.0) for axis in columns)
+    columns = [[column[np.isfinite(column)] for column in markers[..., axis].T] for axis in (0, 1)]
+    along_x, along_y = (max((np.ptp(column) for column in axis if column.size), default=-1.0) for axis in columns)
     return 0 if along_x > 1.5 * max(along_y, 0.0) else 1
 
 
@@ -151,13 +151,21 @@ def moving_recordings(
     rig: Rig, comparisons: Sequence[RecordingComparison], role: str
 ) -> list[tuple[RecordingComparison, Signal]]:
     """Return recordings in motion that one of the models can simulate, with their signals, by falling RMS residual."""
-    pairs = [(each, Signal.of(rig, each.recording)) for each in comparisons if each.recording.kind != "quiet"]
-    usable = [(each, signal) for each, signal in pairs if signal is not None and getattr(each, role) is not None]
+    pairs = [
+        (comparison, Signal.of(rig, comparison.recording))
+        for comparison in comparisons
+        if comparison.recording.kind != "quiet"
+    ]
+    usable = [
+        (comparison, signal)
+        for comparison, signal in pairs
+        if signal is not None and getattr(comparison, role) is not None
+    ]
     return sorted(usable, key=lambda pair: -getattr(pair[0], role).marker_rms / pair[0].noise[0])
 
 
 def ranked_recordings(comparisons: Sequence[RecordingComparison], roles: Collection[str]) -> list[RecordingComparison]:
-    """Return recordings that a model of these roles can simulate, those first that tell a reader most.
+    """Return recordings that a model of these roles can simulate, the most informative first.
 
     Held-out ones come first; of these the ones that may show what has changed; then the largest residual of the model
     that is compared with, or of the one that is judged.
@@ -168,7 +176,7 @@ def ranked_recordings(comparisons: Sequence[RecordingComparison], roles: Collect
         recording = comparison.recording
         return recording.role != "holdout", recording.condition == REFERENCE, -first.marker_rms / comparison.noise[0]
 
-    return sorted((each for each in comparisons if simulations(each, roles)), key=rank)
+    return sorted((comparison for comparison in comparisons if simulations(comparison, roles)), key=rank)
 
 
 def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Recording]) -> list[_Item]:
@@ -258,12 +266,14 @@ def plot_recordings(
     The other arguments, the result and the errors are those of `SimulatedResult.plot_fit`.
     """
     name = recording.file if isinstance(recording, Recording) else recording
-    files = [item.recording.file for item in comparisons]
+    files = [comparison.recording.file for comparison in comparisons]
     if name is not None and name not in files:
         raise ChoiceError("recording", name, files)
-    asked = [item for item in comparisons if name in (None, item.recording.file)]
-    pairs = [(item, Signal.of(rig, item.recording)) for item in asked if item.simulated is not None]
-    chosen = [(item, signal) for item, signal in pairs if signal is not None]
+    asked = [comparison for comparison in comparisons if name in (None, comparison.recording.file)]
+    pairs = [
+        (comparison, Signal.of(rig, comparison.recording)) for comparison in asked if comparison.simulated is not None
+    ]
+    chosen = [(comparison, signal) for comparison, signal in pairs if signal is not None]
     if not chosen:
         reason = (asked[0].problem if asked else "") or "nothing was measured"
         raise InsufficientDataError("plot", f"no recording could be simulated: {reason}", "choose another recording")
@@ -272,8 +282,8 @@ def plot_recordings(
         size = (8, 2.5 * len(chosen))
         _, grid = pyplot.subplots(len(chosen), figsize=size, squeeze=False, layout="constrained")
         plotted = grid[:, 0]
-    for axes, (item, signal) in zip(plotted, chosen, strict=False):
-        (_residual_panel if residual else _motion_panel)(axes, signal, item, {"simulated": "simulated"})
-        axes.set_title(recording_label(item.recording))
+    for axes, (comparison, signal) in zip(plotted, chosen, strict=False):
+        (_residual_panel if residual else _motion_panel)(axes, signal, comparison, {"simulated": "simulated"})
+        axes.set_title(recording_label(comparison.recording))
         axes.legend(loc="upper right")
     return plotted

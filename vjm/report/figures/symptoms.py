@@ -35,16 +35,18 @@ _DOTS, _POOLED = "#cfcfcf", "#c9d6e6"
 _UNITS = {"m": (1e3, "mm"), "rad": (float(np.degrees(1.0)), "deg"), "N m": (1e3, "mN m")}
 
 
-def symptom_pictures(found: Symptoms) -> list[Picture]:
+def symptom_pictures(symptoms: Symptoms) -> list[Picture]:
     """Return all pictures that the recordings have something for; each has a title of its own."""
-    headlines, told, pictures = found.headlines(len(found.found)), set[str](), []
-    moving = sorted((one for one in found.recordings if one.modes.remaining), key=_times_noise, reverse=True)
-    worst = one_of_each_repeat(moving, lambda one: one.simulated.recording)[:3]
+    headlines, used_titles, pictures = symptoms.headlines(len(symptoms.found)), set[str](), []
+    moving = sorted(
+        (recording for recording in symptoms.recordings if recording.modes.remaining), key=_times_noise, reverse=True
+    )
+    worst = one_of_each_repeat(moving, lambda recording: recording.simulated.recording)[:3]
     overview = "The model follows every recording to within noise"
     if worst and headlines:
         size = number(_times_noise(worst[0]), 2)
         overview = f"Largest residual: {size} × noise over all sensors, in {_file(worst[0], 36)}"
-    lag = number(1e3 * (abs(found.lag.value) + 2 * found.lag.std), 2)  # it may differ from zero by so much
+    lag = number(1e3 * (abs(symptoms.lag.value) + 2 * symptoms.lag.std), 2)  # it may differ from zero by so much
     # Name, kinds of symptoms it shows, title without any, caption, function and content.
     table: list[tuple[str, Sequence[str], str, str, Callable[..., Figure], Any]] = [
         ("overview", (), overview,
@@ -54,50 +56,52 @@ def symptom_pictures(found: Symptoms) -> list[Picture]:
          "Frequency, damping, amplitude and phase of all modes agree with the model",
          "Modes, measured minus model; colours by significance. A column of one colour: off in every recording; a row: "
          "specific to that recording.",
-         _modes, [one for one in found.recordings if one.modes.modes][:_MOST_ROWS]),
+         _modes, [recording for recording in symptoms.recordings if recording.modes.modes][:_MOST_ROWS]),
         ("amplitude", ("frequency", "damping", "frequency_with_amplitude", "damping_with_amplitude"),
          "Frequency and damping against amplitude agree with the model",
          "Frequency and damping in free motion, one curve for each condition. Marks beside their line: offset from the "
-         "model; another slope: amplitude dependence that the model lacks.", _with_amplitude, _free_motion(found)),
+         "model; another slope: amplitude dependence that the model lacks.", _with_amplitude, _free_motion(symptoms)),
         ("profiles", ("against_angle", "against_velocity", "against_sign"),
          "Residual does not depend on position, velocity or direction",
          "Residual against position, velocity and direction, each corrected for the other two. Slope: spring or "
-         "damper; step: dry friction.", _profiles, _profiles_shown(found)),
+         "damper; step: dry friction.", _profiles, _profiles_shown(symptoms)),
         ("lag", ("camera_lag",), f"Camera and encoders are synchronous to within {lag} ms",
          "Delay of each sensor relative to the model. Dark marks off zero: camera and encoder clocks disagree.",
-         _lags, _with_lag(found)),
+         _lags, _with_lag(symptoms)),
         ("quiet", ("quiet_tone", "noise_size", "noise_correlation"),
          "At rest, the sensors show white noise of the assumed size",
          "Sensors at rest. A line above the dashed one: a disturbance; a slope: coloured noise.",
-         _quiet, _at_rest(found)),
+         _quiet, _at_rest(symptoms)),
     ]  # fmt: skip
-    for name, kinds, nothing, caption, draw, shown in table:
+    for name, kinds, default_title, caption, draw, shown in table:
         if not shown:
             continue
-        own = [one.sentence.removesuffix(".") for one in headlines if one.kind in kinds]
+        sentences = [symptom.sentence.removesuffix(".") for symptom in headlines if symptom.kind in kinds]
         subject = caption.partition(":")[0]  # where another figure has told all of them
-        title = next((sentence for sentence in own if sentence not in told), subject if own else nothing)
-        told.add(title)
-        pictures.append(Picture(f"symptom_{name}", caption, partial(draw, title, found, shown)))
+        title = next(
+            (sentence for sentence in sentences if sentence not in used_titles), subject if sentences else default_title
+        )
+        used_titles.add(title)
+        pictures.append(Picture(f"symptom_{name}", caption, partial(draw, title, symptoms, shown)))
     return pictures
 
 
-def _times_noise(one: RecordingSymptoms) -> float:
-    return float(np.sqrt(one.misfit / max(sum(int(sensor.known.sum()) for sensor in one.sensors), 1)))
+def _times_noise(recording: RecordingSymptoms) -> float:
+    return float(np.sqrt(recording.misfit / max(sum(int(sensor.known.sum()) for sensor in recording.sensors), 1)))
 
 
-def _file(one: RecordingSymptoms, most: int) -> str:
-    return short(one.simulated.recording.file, most)
+def _file(recording: RecordingSymptoms, most: int) -> str:
+    return short(recording.simulated.recording.file, most)
 
 
-def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
+def _overview(title: str, symptoms: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
     drawn, headings = [], []
-    for one in shown:
-        simulated = one.simulated
-        signal = Signal.of(found.rig, simulated.recording)
+    for recording in shown:
+        simulated = recording.simulated
+        signal = Signal.of(symptoms.rig, simulated.recording)
         assert signal is not None  # a recording that moves was measured
         window = liveliest_window(signal.time, np.nan_to_num(signal.residual(simulated)))
-        heading = f"{_file(one, 18)}{'' if signal.is_whole(window) else ', largest residual'}"
+        heading = f"{_file(recording, 18)}{'' if signal.is_whole(window) else ', largest residual'}"
         comparison = RecordingComparison(simulated.recording, simulated.noise, simulated)
         drawn.append((signal, comparison, [(window, heading)]))
         size = signal.rms(simulated) / simulated.noise[0 if signal.is_marker else 1]
@@ -105,8 +109,8 @@ def _overview(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -
     return motion_figure(title, drawn, {"simulated": "model"}, headings=headings)
 
 
-def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
-    modes = sorted({mode.mode for one in rows for mode in one.modes.modes})[:3]
+def _modes(title: str, symptoms: Symptoms, rows: Sequence[RecordingSymptoms]) -> Figure:
+    modes = sorted({mode.mode for recording in rows for mode in recording.modes.modes})[:3]
     page, colors = PanelFigure.of(title, [(0.85 + 0.28 * max(len(rows), 2), 4)]), DIVERGING
     kinds: Sequence[tuple[str, Callable[[ModeDifference], Coefficient], Callable[[float], float]]] = (
         ("frequency [%]", lambda mode: mode.frequency, lambda value: 100 * value),
@@ -115,31 +119,35 @@ def _modes(title: str, found: Symptoms, rows: Sequence[RecordingSymptoms]) -> Fi
         ("phase [°]", lambda mode: mode.phase, lambda value: float(np.degrees(value))),
     )
     for k, (axes, (heading, estimate, scaled)) in enumerate(zip(page.axes[0], kinds, strict=True)):
-        rest = ["rest"] if heading.startswith("amplitude") else []  # the motion outside the modes
-        table = np.full((len(rows), len(modes) + len(rest)), np.nan)
+        rest_column = ["rest"] if heading.startswith("amplitude") else []  # the motion outside the modes
+        table = np.full((len(rows), len(modes) + len(rest_column)), np.nan)
         levels = table.copy()
-        for r, one in enumerate(rows):
-            cells = {modes.index(mode.mode): estimate(mode) for mode in one.modes.modes if mode.mode in modes}
-            if rest and one.modes.slow_gain.known:
-                cells[len(modes)] = one.modes.slow_gain
+        for r, recording in enumerate(rows):
+            cells = {modes.index(mode.mode): estimate(mode) for mode in recording.modes.modes if mode.mode in modes}
+            if rest_column and recording.modes.slow_gain.known:
+                cells[len(modes)] = recording.modes.slow_gain
             for column, value in cells.items():
                 table[r, column] = (100 * _sure(value)) if column == len(modes) else scaled(_sure(value))
                 levels[r, column] = _significance(value)
-        names = [_frequency(found, mode, 2) for mode in modes] + rest
-        files = [_file(one, 22) for one in rows]
+        names = [_frequency(symptoms, mode, 2) for mode in modes] + rest_column
+        files = [_file(recording, 22) for recording in rows]
         heatmap(axes, table, (colors, Normalize(-1.0, 1.0)), (files, names), _signed, 8.0, levels)
         axes.tick_params(labelleft=k == 0)
-        axes.set(title=heading, xlabel="mode, or rest of motion [Hz]" if rest else "mode [Hz]")
+        axes.set(title=heading, xlabel="mode, or rest of motion [Hz]" if rest_column else "mode [Hz]")
     page.axes[0][0].set_ylabel("recording")
     same = "0: within three standard errors"
     areas = {"above the model": colors(0.99), same: colors(0.5), "below": colors(0.01), "no motion": Color.BAND}
     return page.finish(areas=areas)
 
 
-def _frequency(found: Symptoms, mode: int, digits: int) -> str:
+def _frequency(symptoms: Symptoms, mode: int, digits: int) -> str:
     """Write the frequency of a mode in the simulated motion, that of most recordings where it differs."""
-    values = [each.simulated for one in found.recordings for each in one.modes.modes if each.mode == mode]
-    values = values or [float(f) for one in found.recordings for each in one.modes.free for f in each.rates[:, 1, 0]]
+    values = [
+        motion.simulated for recording in symptoms.recordings for motion in recording.modes.modes if motion.mode == mode
+    ]
+    values = values or [
+        float(f) for recording in symptoms.recordings for motion in recording.modes.free for f in motion.rates[:, 1, 0]
+    ]
     return number(float(np.median(values)), digits)
 
 
@@ -163,20 +171,20 @@ def _signed(value: float) -> str:
 _FreeMotions = dict[int, dict[str, list[FreeMotion]]]
 
 
-def _free_motion(found: Symptoms) -> _FreeMotions:
+def _free_motion(symptoms: Symptoms) -> _FreeMotions:
     """Return free motion in one unit, by mode and condition; of the modes with most points, at most three."""
     modes: _FreeMotions = {}
-    for one in found.recordings:
-        for free in one.modes.free:
+    for recording in symptoms.recordings:
+        for free in recording.modes.free:
             groups = modes.setdefault(free.mode, {})
-            if all(other[0].unit == free.unit for other in groups.values()):
+            if all(group[0].unit == free.unit for group in groups.values()):
                 groups.setdefault(free.condition, []).append(free)
-    counts = {mode: sum(f.time.size for own in groups.values() for f in own) for mode, groups in modes.items()}
+    counts = {mode: sum(f.time.size for group in groups.values() for f in group) for mode, groups in modes.items()}
     kept = sorted(sorted(modes, key=lambda mode: -counts[mode])[:3])
     return {mode: modes[mode] for mode in kept}
 
 
-def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
+def _with_amplitude(title: str, symptoms: Symptoms, modes: _FreeMotions) -> Figure:
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
     looks: dict[str, Any] = {}
     for k, (condition, marker) in enumerate(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)):
@@ -185,20 +193,20 @@ def _with_amplitude(title: str, found: Symptoms, modes: _FreeMotions) -> Figure:
     page = PanelFigure.of(title, [(2.1, len(modes)), (2.35, len(modes))])
     for upper, lower, (mode, groups) in zip(*page.axes, modes.items(), strict=True):
         scale, unit = _UNITS[next(iter(groups.values()))[0].unit]
-        for condition, own in groups.items():
-            amplitude, look = scale * np.concatenate([f.amplitude for f in own]), looks[condition]
-            rates, std = np.concatenate([f.rates for f in own]), np.concatenate([f.std for f in own])
+        for condition, group in groups.items():
+            amplitude, look = scale * np.concatenate([f.amplitude for f in group]), looks[condition]
+            rates, std = np.concatenate([f.rates for f in group]), np.concatenate([f.std for f in group])
             first = rates[np.argmin(amplitude), 1, 0]  # relative to the model's there, conditions lie on one axis
             _draw_trend(upper, amplitude, 100 * (rates[..., 0] / first - 1), 100 * std[:, 0] / first, 2, look)
             _draw_trend(lower, amplitude, rates[..., 1], std[:, 1], 1, look)
-        every = scale * np.concatenate([f.amplitude for own in groups.values() for f in own])
+        all_amplitudes = scale * np.concatenate([f.amplitude for group in groups.values() for f in group])
         for axes, least in ((upper, 0.05), (lower, 2e-5)):  # per cent, and a ratio: or nothing but noise is magnified
             low, high = axes.get_ylim()
             margin = max(least - (high - low), 0.0) / 2
             axes.set_ylim(low - margin, high + margin)
-            log_axis(axes.xaxis, float(every.min()) / 1.15, float(every.max()) * 1.15)
+            log_axis(axes.xaxis, float(all_amplitudes.min()) / 1.15, float(all_amplitudes.max()) * 1.15)
             axes.ticklabel_format(axis="y", useOffset=False)
-        upper.set(ylabel="frequency, relative [%]", title=f"mode at {_frequency(found, mode, 3)} Hz")
+        upper.set(ylabel="frequency, relative [%]", title=f"mode at {_frequency(symptoms, mode, 3)} Hz")
         upper.tick_params(labelbottom=False)
         lower.set(ylabel="damping ratio [1]", xlabel=f"amplitude [{unit}]")
     marks: Any = {"linestyle": "", "marker": "o"}
@@ -224,23 +232,23 @@ def _draw_trend(axes: Axes, amplitude: Array, pairs: Array, std: Array, power: i
     axes.errorbar(place[clear], shown[clear], yerr=errors[clear], elinewidth=1.1, **bars)
 
 
-def _profiles_shown(found: Symptoms) -> list[JointProfile]:
+def _profiles_shown(symptoms: Symptoms) -> list[JointProfile]:
     """Return the missing torque or acceleration in all recordings, and the residual that goes most with a motion."""
 
     def surest(profiles: Sequence[JointProfile]) -> list[JointProfile]:
-        return sorted(profiles, key=lambda profile: min(one.p_value for one in profile.fit.changes))[:1]
+        return sorted(profiles, key=lambda profile: min(change.p_value for change in profile.fit.changes))[:1]
 
-    every = [profile for one in found.recordings for profile in one.profiles]
-    torques = found.profiles or [profile for profile in every if profile.quantity != "residual"]
-    return surest(torques) + surest([profile for profile in every if profile.quantity == "residual"])
+    all_profiles = [profile for recording in symptoms.recordings for profile in recording.profiles]
+    torques = symptoms.profiles or [profile for profile in all_profiles if profile.quantity != "residual"]
+    return surest(torques) + surest([profile for profile in all_profiles if profile.quantity == "residual"])
 
 
-def _profiles(title: str, found: Symptoms, shown: Sequence[JointProfile]) -> Figure:
+def _profiles(title: str, symptoms: Symptoms, shown: Sequence[JointProfile]) -> Figure:
     page = PanelFigure.of(title, [(2.35, 3)] * len(shown))
     for row, profile in zip(page.axes, shown, strict=True):
         _draw_profile(row, profile)
         several = np.unique(profile.recording).size > 1
-        where = "all recordings" if several else _file(found.recordings[int(profile.recording[0])], 16)
+        where = "all recordings" if several else _file(symptoms.recordings[int(profile.recording[0])], 16)
         row[0].set_title(f"{short(profile.sensor, 18)}, {where}")
     return page.finish()
 
@@ -287,47 +295,47 @@ def _draw_means(axes: Axes, x: Array, values: Array, spread: float = 0.0) -> Non
     axes.set_ylim(-largest, largest)
 
 
-def _with_lag(found: Symptoms) -> list[RecordingSymptoms]:
-    known = [one for one in found.recordings if one.modes.camera_lag.known]
-    known = [one for one in known if all(sensor.delay.known for sensor in one.sensors)]
-    return sorted(known, key=lambda one: one.modes.camera_lag.std)[:_MOST_ROWS]
+def _with_lag(symptoms: Symptoms) -> list[RecordingSymptoms]:
+    known = [recording for recording in symptoms.recordings if recording.modes.camera_lag.known]
+    known = [recording for recording in known if all(sensor.delay.known for sensor in recording.sensors)]
+    return sorted(known, key=lambda recording: recording.modes.camera_lag.std)[:_MOST_ROWS]
 
 
-def _lags(title: str, found: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
-    page, lag = PanelFigure.of(title, [(0.6 + 0.34 * max(len(shown), 2), 1)]), found.lag
+def _lags(title: str, symptoms: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
+    page, lag = PanelFigure.of(title, [(0.6 + 0.34 * max(len(shown), 2), 1)]), symptoms.lag
     axes = page.axes[0][0]
     interval = 1e3 * (lag.value - 2 * lag.std), 1e3 * (lag.value + 2 * lag.std)
     axes.axvspan(*interval, color=_POOLED, linewidth=0, label="all recordings together")
     axes.axvline(0.0, color=Color.AXIS, linewidth=0.8)
     marks = []
     for label, delays, color, marker, face in (
-        ("camera against model", [one.sensors[0].delay for one in shown], Color.MEASURED, "o", "white"),
-        ("camera against encoder", [one.modes.camera_lag for one in shown], Color.IDENTIFIED, "D", Color.IDENTIFIED),
-        ("encoder against model", [one.sensors[1].delay for one in shown], Color.TORQUE, "s", "white"),
+        ("camera against model", [r.sensors[0].delay for r in shown], Color.MEASURED, "o", "white"),
+        ("camera against encoder", [r.modes.camera_lag for r in shown], Color.IDENTIFIED, "D", Color.IDENTIFIED),
+        ("encoder against model", [r.sensors[1].delay for r in shown], Color.TORQUE, "s", "white"),
     ):
         values, errors = (np.array([1e3 * getattr(delay, name) for delay in delays]) for name in ("value", "std"))
         look = {"color": color, "marker": marker, "markersize": 4.5, "markerfacecolor": face}
         marks.append((label, values, 2 * errors, look))
-    draw_marks(axes, [_file(one, 22) for one in shown], marks, apart=0.22)
+    draw_marks(axes, [_file(recording, 22) for recording in shown], marks, apart=0.22)
     axes.set(xlabel="delay, two standard errors [ms]", ylabel="recording")
     return page.finish()
 
 
-def _at_rest(found: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]:
-    sensors = [(one, rest) for one in found.recordings for rest in one.at_rest][:4]
-    spectra = [Spectrum.of(one.simulated, rest.channels.sensor == "encoder") for one, rest in sensors]
+def _at_rest(symptoms: Symptoms) -> list[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]:
+    sensors = [(recording, sensor) for recording in symptoms.recordings for sensor in recording.at_rest][:4]
+    spectra = [Spectrum.of(recording.simulated, sensor.channels.sensor == "encoder") for recording, sensor in sensors]
     return [(*pair, spectrum) for pair, spectrum in zip(sensors, spectra, strict=True) if spectrum is not None]
 
 
 def _quiet(title: str, _: Symptoms, shown: Sequence[tuple[RecordingSymptoms, SensorAtRest, Spectrum]]) -> Figure:
     page = PanelFigure.grid(title, len(shown), (2.5, 2.5))
-    for axes, (one, rest, spectrum) in zip(page.axes[0], shown, strict=True):
-        unit = "µm" if rest.channels.unit == "m" else "µrad"
+    for axes, (recording, sensor, spectrum) in zip(page.axes[0], shown, strict=True):
+        unit = "µm" if sensor.channels.unit == "m" else "µrad"
         Spectrum.draw(axes, [(spectrum, "residual at rest", Color.IDENTIFIED)], unit=unit)
-        if rest.tone is not None:
-            peak = 1.25e6 * float(np.interp(rest.tone.frequency, spectrum.frequency, spectrum.amplitude))
-            axes.plot(rest.tone.frequency, peak, "v", color=Color.NOMINAL, label="a tone")
-        size = f"{ratio(1 + rest.size.value)} × noise"
-        tone = "" if rest.tone is None else f", tone at {number(rest.tone.frequency, 3)} Hz"
-        axes.set_title(f"{_file(one, 18)}, {rest.channels.sensor}: {size}{tone}")
+        if sensor.tone is not None:
+            peak = 1.25e6 * float(np.interp(sensor.tone.frequency, spectrum.frequency, spectrum.amplitude))
+            axes.plot(sensor.tone.frequency, peak, "v", color=Color.NOMINAL, label="a tone")
+        size = f"{ratio(1 + sensor.size.value)} × noise"
+        tone = "" if sensor.tone is None else f", tone at {number(sensor.tone.frequency, 3)} Hz"
+        axes.set_title(f"{_file(recording, 18)}, {sensor.channels.sensor}: {size}{tone}")
     return page.finish()
