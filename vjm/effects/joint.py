@@ -455,8 +455,9 @@ class Backlash(JointEffect):
         """Depth to which a flank is pressed [rad] at angles beyond it [rad], and its share in contact."""
         if not self.smooth:
             return np.maximum(beyond, 0.0), (beyond > 0).astype(float)
-        soft = 2 * _GRADUAL_CONTACT * self.gap  # a sigmoid, whose integral is a logarithm, instead of a corner
-        return soft / 2 * np.logaddexp(0.0, 2 * beyond / soft), (1 + np.tanh(beyond / soft)) / 2
+        width = _GRADUAL_CONTACT * self.gap
+        share = np.clip((beyond / width + 1) / 2, 0.0, 1.0)
+        return np.where(beyond > width, beyond, width * share**2), share
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that resolves an impact."""

@@ -484,24 +484,37 @@ def _with_refined_states(point: Point, step: _TrajectoryStep, trial: Point) -> P
     The linear model is often wrong for the initial state of one among many segments. Damping the whole step would hold
     back the coordinates of all for its sake; instead this state alone is searched for, the coordinates being as the
     step has them (variable projection: Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). With stick-slip
-    or play, where gradients mislead, the search only backtracks towards the state before.
+    or play, which begin and end at other instants after the step, the search first backtracks towards the state before.
     """
-    nonsmooth, smooth, targets = list[int](), list[int](), list[float]()
-    falls_short = point.cost - trial.cost < step.predicted / 2
-    for k, (before, run, predicted) in enumerate(zip(point.runs, trial.runs, step.predicted_decreases, strict=True)):
-        decrease = before.cost - run.cost
-        if decrease < predicted - abs(predicted) / 2:
-            if is_nonsmooth(run.arm.effects):
-                nonsmooth.append(k)
-            # By a standard error of the state or more, where gradients can be trusted.
-            elif falls_short and predicted - decrease > 1.0 and is_followed([before]):
-                smooth.append(k)
-                targets.append(before.cost - predicted / 2)
-    if 2 * len(smooth) > len(point.runs):  # where most fall short, the coordinates' step is wrong
-        smooth, targets = [], []
-    runs, multiple = list(trial.runs), point.problem.step_multiple
-    backtracked = backtrack([runs[k] for k in nonsmooth], [step.own_changes[k] for k in nonsmooth], multiple)
-    refined = refine_initial_states([runs[k] for k in smooth], targets, point.runs, multiple)
-    for k, run in zip([*nonsmooth, *smooth], [*backtracked, *refined], strict=True):
-        runs[k] = run
-    return replace(trial, runs=tuple(runs))
+    multiple, predicted = point.problem.step_multiple, step.predicted_decreases
+    nonsmooth = [k for k in _falling_short(point, step, trial) if is_nonsmooth(trial.runs[k].arm.effects)]
+    runs = backtrack([trial.runs[k] for k in nonsmooth], [step.own_changes[k] for k in nonsmooth], multiple)
+    trial = _with_runs(trial, nonsmooth, runs)
+    if point.cost - trial.cost >= step.predicted / 2:
+        return trial
+    # By a standard error of the state or more, where derivatives lead to the minimum.
+    poor = [
+        k
+        for k in _falling_short(point, step, trial)
+        if predicted[k] - (point.runs[k].cost - trial.runs[k].cost) > 1.0 and is_followed([point.runs[k]])
+    ]
+    # Where most fall short, the coordinates' step is wrong; but play's impacts upset the states of all recordings.
+    if 2 * len(poor) > len(trial.runs) and not is_nonsmooth(point.problem.effects):
+        return trial
+    targets = [point.runs[k].cost - predicted[k] / 2 for k in poor]
+    return _with_runs(
+        trial, poor, refine_initial_states([trial.runs[k] for k in poor], targets, point.runs, multiple)
+    )
+
+
+def _falling_short(point: Point, step: _TrajectoryStep, trial: Point) -> list[int]:
+    """Return the recordings whose cost falls by less than half of the predicted decrease."""
+    decreases = [before.cost - run.cost for before, run in zip(point.runs, trial.runs, strict=True)]
+    pairs = zip(decreases, step.predicted_decreases, strict=True)
+    return [k for k, (decrease, predicted) in enumerate(pairs) if decrease < predicted - abs(predicted) / 2]
+
+
+def _with_runs(point: Point, indices: Sequence[int], runs: Sequence[Run]) -> Point:
+    """Return the point with the runs of some recordings replaced."""
+    replaced = dict(zip(indices, runs, strict=True))
+    return replace(point, runs=tuple(replaced.get(k, run) for k, run in enumerate(point.runs)))

@@ -10,6 +10,7 @@ import numpy as np
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
+from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
@@ -144,8 +145,8 @@ class Run:
     @cached_property
     def basis(self) -> ModalBasis:
         """The m modes in which derivatives are expressed."""
-        driven = self.arm.inputs(self.observed.recording)
-        return ModalBasis.of(self.chain, driven, 2 * self.stride * self.trajectory.step)
+        driven, interval = self.arm.inputs(self.observed.recording), 2 * self.stride * self.trajectory.step
+        return ModalBasis.of(self.chain, driven, interval, is_nonsmooth(self.arm.effects))
 
     def transferred_state(self, arm: Arm) -> Array:
         """Transfer the initial state (2 nv,) to an arm with other virtual joints, keeping the active joints' momentum.

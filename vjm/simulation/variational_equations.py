@@ -59,10 +59,11 @@ class ModalBasis:
     slow_count: int
 
     @classmethod
-    def of(cls, chain: Chain, recording: Recording, interval: float) -> ModalBasis:
+    def of(cls, chain: Chain, recording: Recording, interval: float, nonsmooth: bool = False) -> ModalBasis:
         """Return the modes of an arm with free active joints; slow ones turn by less than 3.2 rad in an interval [s].
 
-        Fast modes respond quasi-statically, and are omitted where they add nothing to a static deflection.
+        Fast modes respond quasi-statically, and are omitted where they add nothing to a static deflection. Where the
+        arm is nonsmooth, a joint that is stiff in contact turns freely apart from it, and none is omitted.
         """
         M, _, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         squares, shapes = linalg.eigh(K, M)
@@ -72,7 +73,8 @@ class ModalBasis:
         compliance = 1 / np.maximum(squares[chain.active.size :], (2 * np.pi * slowest) ** 2)
         needed = np.count_nonzero(np.cumsum(compliance[::-1]) > _OMITTED_COMPLIANCE * np.sum(compliance))
         slow_count = min(max(slow_count, chain.active.size + 1), chain.size, _MAX_MODES)
-        return cls(shapes[:, : min(max(slow_count, chain.active.size + int(needed)), _MAX_MODES)], slow_count)
+        count = chain.size if nonsmooth else max(slow_count, chain.active.size + int(needed))
+        return cls(shapes[:, : min(count, _MAX_MODES)], slow_count)
 
     @property
     def states(self) -> Array:
