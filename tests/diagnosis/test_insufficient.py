@@ -23,7 +23,7 @@ def changed(change: Callable[[Sequence[Recording]], Sequence[Recording]]) -> Exp
     return replace(experiment, recordings=tuple(change(experiment.recordings)))
 
 
-def short(recording: Recording, duration: float = 4.0) -> Recording:
+def short(recording: Recording, duration: float = 2.0) -> Recording:
     rows = recording.time <= duration
     names = ("time", "theta", "tau", "markers")
     return replace(recording, **{name: getattr(recording, name)[rows] for name in names})

@@ -53,16 +53,17 @@ Array = NDArray[np.float64]
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-@pytest.mark.parametrize("time_constant", [0.02, 1.0])
-def test_a_time_constant_does_not_run_away(seed: int, time_constant: float) -> None:
+def test_a_time_constant_does_not_run_away(seed: int) -> None:
     truth = ViscoelasticCreep(link=0, ratio=0.04, time_constant=0.12)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
     point = point_of(chain_of(), (), recordings)
     problem = replace(point.problem, effects=(truth,))
-    starts = [np.r_[point.x, each.coordinates] for each in (truth, replace(truth, time_constant=time_constant))]
-    near, far = (fit_trajectory(problem, x).point for x in starts)
+    near, *far = (
+        fit_trajectory(problem, np.r_[point.x, replace(truth, time_constant=constant).coordinates]).point
+        for constant in (0.12, 0.02, 1.0)
+    )
     assert near.misfit == pytest.approx(1.0, abs=0.03)
-    assert far.chi2 == pytest.approx(near.chi2, abs=0.5)
+    assert [each.chi2 for each in far] == pytest.approx([near.chi2, near.chi2], abs=0.5)
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
@@ -235,8 +236,8 @@ def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
     point = point_of(chain_of(), [truth], recorded(Arm.of(chain_of(), (truth,)), 1))
     problem = replace(point.problem, effects=(truth,))
     right, wrong = (
-        TrajectoryFit(problem.point(np.concatenate([point.x, effect.coordinates])))
-        for effect in (truth, replace(truth, torque=0.02))
+        TrajectoryFit(problem.point(np.concatenate([point.x, effect.coordinates]), point.states))  # it begins at rest
+        for effect in (truth, replace(truth, torque=0.009))
     )
     search = selection.Search(RIG, right, [], selection.SearchOptions(), lambda text: None)
     search._decreases = {truth.key: 1e6}

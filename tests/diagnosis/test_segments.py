@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import vjm
+from tests.diagnosis.rigs import first_seconds
 from vjm.diagnosis.candidate_fit import StoppingRule, fit_segments, segments
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.simulation.run import state_at
@@ -21,6 +22,8 @@ def test_wrong_initial_states_of_an_elbows_segments_do_not_hold_back_its_paramet
 
     write_two_link_experiment(tmp_path, seed=1)
     experiment = vjm.load_experiment(tmp_path / "experiment.toml")
+    training = first_seconds(next(each for each in experiment.recordings if each.file == "swing_2.csv"), 2.0)
+    experiment = replace(experiment, recordings=(training,))
     fit = vjm.identify(experiment, virtual_joints=3, baselines=False).trajectory
     assert fit is not None
     whole, x, n = [run.observed for run in fit.point.runs], fit.point.x, fit.point.chain.size

@@ -120,8 +120,7 @@ def test_repeats_are_one_motion_and_quiet_recordings_are_quiet(rig: Rig) -> None
         np.testing.assert_array_equal(shown["drive_small_1.csv"].markers, shown["drive_small_2.csv"].markers)
 
 
-@pytest.mark.parametrize("rig", ["arm", "clamped_arm"])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("rig", "seed"), [("arm", 1), ("clamped_arm", 2)])
 def test_an_arm_of_any_size_is_written_in_its_own_units(
     rig: Rig, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

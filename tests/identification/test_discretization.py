@@ -24,7 +24,7 @@ def identified(rig: Rig, seed: int) -> Identification:
         write_hidden(Path(folder), rig, (), seed)
         experiment = vjm.load_experiment(Path(folder) / "experiment.toml")
     moving = [one for one in experiment.recordings if one.role == "train" and one.kind != "quiet"]
-    return vjm.identify(Experiment(experiment.rig, tuple(moving[:3])))
+    return vjm.identify(Experiment(experiment.rig, tuple(moving[:3])), baselines=False)
 
 
 def off(rig: Rig, seed: int) -> list[float]:

@@ -41,7 +41,7 @@ def fit_changed(hub_folder: Path, tmp_path: Path, change: Change, file: str = "d
     shutil.copytree(hub_folder, folder)
     table = pd.read_csv(folder / file)
     change(table).to_csv(folder / file, index=False)
-    return identify(vjm.load_experiment(folder / "experiment.toml"), virtual_joints=4)
+    return identify(vjm.load_experiment(folder / "experiment.toml"), virtual_joints=4, baselines=False)
 
 
 def assert_sane(fit: Identification, within: float = 2e-3) -> None:
@@ -83,7 +83,7 @@ def test_a_coordinate_that_clips(tmp_path: Path) -> None:
     table = pd.read_csv(folder / "first_mode.csv")
     table["beam.m5.y"] = table["beam.m5.y"].clip(upper=0.6 * table["beam.m5.y"].max())
     table.to_csv(folder / "first_mode.csv", index=False)
-    fit = identify(vjm.load_experiment(folder / "experiment.toml"), virtual_joints=4)
+    fit = identify(vjm.load_experiment(folder / "experiment.toml"), virtual_joints=4, baselines=False)
     assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
     assert any("clipped" in text for text in fit.warnings)
     assert any("left out" in text for text in fit.warnings)
@@ -113,14 +113,14 @@ def test_every_second_frame_lost(hub_folder: Path, tmp_path: Path) -> None:
 def test_a_camera_of_five_frames_a_second(tmp_path: Path) -> None:
     """Too slow for the second mode; what moves the arm is known, so its frames say enough."""
     experiment = vjm.load_experiment(write_hub_experiment(tmp_path, 1, Camera(5.0, NOISE)))
-    fit = identify(experiment, virtual_joints=4)
+    fit = identify(experiment, virtual_joints=4, baselines=False)
     assert_sane(fit, within=5e-3)
     assert any("frames/s" in text or "rate" in text for text in fit.warnings)
 
 
 def test_occluded_markers_and_dropped_frames_are_ordinary(tmp_path: Path) -> None:
     camera = Camera(100.0, NOISE, dropped_frames=0.1, occluded=0.2)
-    fit = identify(vjm.load_experiment(write_hub_experiment(tmp_path, 2, camera)), virtual_joints=4)
+    fit = identify(vjm.load_experiment(write_hub_experiment(tmp_path, 2, camera)), virtual_joints=4, baselines=False)
     assert_sane(fit)
 
 
@@ -132,7 +132,7 @@ def test_torque_missing_in_one_recording(hub_folder: Path, tmp_path: Path) -> No
         replace(r, kind="decay", tau=np.full_like(r.tau, np.nan)) if r.file == "drive_large.csv" else r
         for r in experiment.recordings
     )
-    fit = identify(replace(experiment, recordings=silent), virtual_joints=4)
+    fit = identify(replace(experiment, recordings=silent), virtual_joints=4, baselines=False)
     assert_sane(fit, within=5e-3)
     assert any("drive_large.csv" in text and "torque" in text for text in fit.warnings)
 
@@ -155,7 +155,7 @@ def test_a_recording_in_which_nothing_moves(hub_folder: Path) -> None:
         theta = np.where(np.isfinite(recording.theta), 1e-4 * rng.standard_normal(recording.theta.shape), np.nan)
         still.append(replace(recording, markers=markers, theta=theta, tau=0 * recording.tau))
     mixed = (still[0], *experiment.recordings[1:])
-    assert_sane(identify(replace(experiment, recordings=mixed), virtual_joints=4))
+    assert_sane(identify(replace(experiment, recordings=mixed), virtual_joints=4, baselines=False))
     with pytest.raises(InsufficientDataError, match="noise"):
         identify(replace(experiment, recordings=tuple(still)))
 
@@ -163,11 +163,12 @@ def test_a_recording_in_which_nothing_moves(hub_folder: Path) -> None:
 def test_repeats_that_are_none(hub_folder: Path) -> None:
     experiment = vjm.load_experiment(hub_folder / "experiment.toml")
     labelled = tuple(replace(r, repeat="drive") if r.role == "train" else r for r in experiment.recordings)
-    fit = identify(replace(experiment, recordings=labelled), virtual_joints=4)
+    fit = identify(replace(experiment, recordings=labelled), virtual_joints=4, baselines=False)
     (text,) = (each for each in fit.warnings if "are labelled repeats" in each)
     assert "drive_small.csv and drive_large.csv" in text
     twice = (replace(labelled[1], file="again.csv"), *labelled[1:])
-    assert not any("are labelled repeats" in each for each in identify(replace(experiment, recordings=twice)).warnings)
+    fit = identify(replace(experiment, recordings=twice), virtual_joints=4, baselines=False)
+    assert not any("are labelled repeats" in each for each in fit.warnings)
 
 
 def softened(link: Link, factor: float) -> Link:
@@ -181,7 +182,7 @@ def test_a_wrong_nominal_stiffness_does_not_matter() -> None:
     for factor in (0.5, 2.0):
         (link,) = experiment.rig.links
         rig = replace(experiment.rig, links=(softened(link, factor),))
-        fit = identify(replace(experiment, rig=rig), virtual_joints=4)
+        fit = identify(replace(experiment, rig=rig), virtual_joints=4, baselines=False)
         assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
 
 
@@ -196,7 +197,7 @@ def test_without_torque_errors_other_stiffnesses_are_tried() -> None:
         markers[::2, :4] = np.nan
         markers[1::2, [0, 1, 2, 4]] = np.nan
         halves.append(replace(recording, markers=markers))
-    fit = identify(replace(experiment, rig=rig, recordings=tuple(halves)), virtual_joints=4)
+    fit = identify(replace(experiment, rig=rig, recordings=tuple(halves)), virtual_joints=4, baselines=False)
     assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
 
 

@@ -38,7 +38,7 @@ def demo_fit(method: str, parameters: str) -> Identification:
     """The fit without its replays' cost: only the training recordings."""
     experiment = demo()
     kept = tuple(r for r in experiment.recordings if r.kind == "decay" and r.role == "train")
-    return identify(replace(experiment, recordings=kept), method, parameters=parameters)
+    return identify(replace(experiment, recordings=kept), method, parameters=parameters, baselines=False)
 
 
 def chain_recordings(joint: str, n: int, seed: int, free: bool = False) -> tuple[Experiment, Chain]:
@@ -164,7 +164,7 @@ def test_errors_name_what_is_wrong() -> None:
 def test_hub_rig_is_followed_to_its_noise_on_held_out_recordings() -> None:
     experiment = load_experiment(SHARED / "hub_rig" / "experiment.toml")
     kept = tuple(r for r in experiment.recordings if r.file in {"drive_small_1.csv", "drive_large.csv", "slew.csv"})
-    fit = identify(replace(experiment, recordings=kept))
+    fit = identify(replace(experiment, recordings=kept), baselines=False)
     held_out = next(one for one in fit.recordings if one.recording.role == "holdout")
     assert held_out.simulated is not None
     assert held_out.simulated.marker_rms < 1.1 * 3e-4
@@ -179,7 +179,7 @@ def test_hub_rig_is_followed_to_its_noise_on_held_out_recordings() -> None:
 def test_silicone_beam_shows_one_mode_and_says_so() -> None:
     experiment = load_experiment(SHARED / "silicone_beam" / "experiment.toml")
     unloaded = tuple(r for r in experiment.recordings if r.condition == "reference")
-    fit = identify(replace(experiment, recordings=unloaded), "torque+frequency")
+    fit = identify(replace(experiment, recordings=unloaded), "torque+frequency", baselines=False)
     assert any("1 shape function," in text for text in (*fit.notes, *fit.warnings))
     assert fit.model.chain.links[0].virtual_joints <= 3
     assert fit.modes[0].frequency_measured == pytest.approx(7.74, abs=0.03)

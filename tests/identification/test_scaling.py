@@ -21,14 +21,14 @@ def demo() -> Experiment:
     return vjm.load_experiment(Path(vjm.__file__).parent / "demo" / "experiment.toml")
 
 
-@cache
 def identified(length: float, mass: float, time: float) -> Identification:
-    return vjm.identify(scaled(demo(), length, mass, time))
+    return vjm.identify(scaled(demo(), length, mass, time), baselines=False)
 
 
-@pytest.mark.parametrize("factors", [BOOM, ODD])
-def test_an_arm_of_another_size_is_identified_alike(factors: tuple[float, float, float]) -> None:
-    here, there, (length, mass, time) = identified(1.0, 1.0, 1.0), identified(*factors), factors
+def test_an_arm_of_another_size_is_identified_alike() -> None:
+    """A boom and a hair, a hundred times smaller."""
+    here, there = identified(*BOOM), identified(*ODD)
+    length, mass, time = (odd / boom for odd, boom in zip(ODD, BOOM, strict=True))
     units = {"N m^2": mass * length**3 / time**2, "s": time, "kg m^2": mass * length**2}
     assert there.status == here.status
     assert there.model.chain.size == here.model.chain.size
