@@ -24,7 +24,7 @@ from tests.simulation.setups import (
 )
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
-from vjm.effects import BaseCompliance, ClampCompliance, GearElasticity
+from vjm.effects import Backlash, BaseCompliance, ClampCompliance, CoulombFriction, Effect, GearElasticity
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import phi_functions, simulate_trajectories
@@ -188,6 +188,39 @@ def state_of(values: Array, chain: Chain, own: Arm, share: float) -> Array:
     """Of the coordinates of an arm, those that the chain lacks times a share."""
     added = [name not in chain.joint_names for name in own.chain.joint_names]
     return np.where(added, share * values, values)
+
+
+def nonsmooth_run(chain: Chain, effect: Effect, seen: Observations) -> Run:
+    arm = Arm.of(chain, (effect,))
+    return simulate_runs(
+        [arm], [seen], [InitialStatePrior.of(arm, seen.recording)], [np.zeros(2 * arm.chain.size)], 1.0
+    )[0]
+
+
+@pytest.mark.parametrize(
+    ("effect", "name", "change"),
+    [
+        (Backlash(link=0, gap=0.004, motor_share=0.4), "gap", 4e-5),
+        (Backlash(link=0, gap=0.004, motor_share=0.4), "motor_share", 1e-2),
+        (CoulombFriction(link=0, torque=0.01), "torque", 1e-4),
+    ],
+)
+def test_derivatives_across_impacts_and_stiction_lead_to_the_truth(effect: Effect, name: str, change: float) -> None:
+    """Motions with impacts are chaotic: of a dozen most must agree, in direction and in length."""
+    chain = arm_of(steel_link(3, "revolute"))
+    ahead, behind = (replace(effect, **{name: getattr(effect, name) + sign * change}) for sign in (1, -1))
+    step = 1e-3 * change
+    perturbed = PerturbedArm(Arm.of(chain, (replace(effect, **{name: getattr(effect, name) + step}),)), step)
+    cosines, lengths = [], []
+    for seed in range(12):
+        seen = seen_by(chain, recording_of(chain, np.arange(101) / 100.0, jerky_torque(1, seed)))
+        found = of_one_stretch(nonsmooth_run(chain, effect, seen), [perturbed])[:, -1]
+        residuals = [nonsmooth_run(chain, each, seen).residual for each in (behind, ahead)]
+        expected = (residuals[0] - residuals[1]) / (2 * change)
+        cosines.append(found @ expected / (np.linalg.norm(found) * np.linalg.norm(expected)))
+        lengths.append(found @ expected / (found @ found))
+    assert np.median(cosines) > 0.7
+    assert np.median(lengths) == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_motor_that_moves_nothing_has_no_derivative() -> None:

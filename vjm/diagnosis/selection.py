@@ -17,6 +17,7 @@ from functools import partial
 from time import monotonic
 
 import numpy as np
+from scipy.stats import norm
 
 from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
@@ -320,13 +321,15 @@ class Search:
         """Return the decrease of chi^2 from which a further effect matters beside a model.
 
         It is what is negligible; less beside stick-slip and play, if that is more than would be left beyond noise. What
-        their fits leave must not be taken for another effect, but an effect that explains most of it is one.
+        their fits leave must not be taken for another effect, but an effect that explains most of it is one. What is
+        left is known to the scatter sqrt(2 n) of chi^2: its upper limit counts, at a confidence of 95 %.
 
         Args:
             fit: the model.
             gained: (...) decreases of chi^2 by the effect that are not in the model yet.
         """
-        left = np.maximum(fit.chi2 - fit.point.expected_chi2 - gained, 0.0)
+        scatter = norm.ppf(0.95) * np.sqrt(2 * fit.point.count)
+        left = np.maximum(fit.chi2 + scatter - fit.point.expected_chi2 - gained, 0.0)
         least = self.options.least_decrease(fit.chi2)
         return np.clip(left, least, max(least, self.negligible(fit)))
 

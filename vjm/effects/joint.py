@@ -220,7 +220,8 @@ class TorqueOffset(ColumnEffect):
 # Flanks of teeth in contact, in the link's own units l, m, T: a stiffness in EI / l, which turns by a thousandth of
 # what the link bends; a damping in EI T / l, with which a hub of 0.05 m l^2 rebounds with a third of its speed; a step,
 # a ninth of the period of a light hub of 0.012 m l^2 on its flank, which is no part of the chain's linear springs while
-# the gap is open; and the part of the gap over which flanks come into contact where derivatives are taken.
+# the gap is open; and the part of the gap, to either side of a flank, over which contact begins where derivatives are
+# taken: about the hub's way from one of their instants to the next.
 _FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP, _GRADUAL_CONTACT = 1000.0, 2.2, 1 / 800, 0.15
 
 
