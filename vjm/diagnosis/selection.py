@@ -331,7 +331,7 @@ class Search:
         scatter = norm.ppf(0.95) * np.sqrt(2 * fit.point.count)
         left = np.maximum(fit.chi2 + scatter - fit.point.expected_chi2 - gained, 0.0)
         least = self.options.least_decrease(fit.chi2)
-        return np.clip(left, least, max(least, self.negligible(fit)))
+        return np.asarray(np.clip(left, least, max(least, self.negligible(fit))))
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
