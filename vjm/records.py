@@ -220,6 +220,11 @@ class Simulation(Record):
     theta: Array
     markers: Array
 
+    @property
+    def initial_state(self) -> Array:
+        """(2 nv,) joint angles [rad] and rates [rad/s] at the first instant."""
+        return np.concatenate([self.q[0], self.v[0]])
+
 
 @dataclass(frozen=True, repr=False)
 class SimulatedRecording(Record):

@@ -162,11 +162,16 @@ def test_the_model_without_causes_is_recommended_where_they_make_predictions_wor
 
 @pytest.mark.parametrize(
     ("duration", "rate", "one", "two"),
-    [(5.0, 100, 240.0, 120.0), (10.0, 25, 2400.0 / 7, 1200.0 / 7), (5.0, 280, 480.0, 240.0)],
-    ids=["usual", "long", "fast camera"],
+    [
+        (5.0, 100, 240.0, 120.0),
+        (10.0, 25, 2400.0 / 7, 1200.0 / 7),
+        (5.0, 210, 360.0, 180.0),
+        (10.0, 250, 480.0, 240.0),
+    ],
+    ids=["usual", "long", "fast camera", "both"],
 )
 def test_the_usual_budget_grows_with_time_and_frames(duration: float, rate: int, one: float, two: float) -> None:
-    """From 35 s and 3,500 frames on, whichever is more beyond it."""
+    """From 35 s and 3,500 frames on, whichever is more beyond it, up to twice the usual one."""
     time = np.linspace(0.0, duration, int(duration * rate))
     recording = Recording(time, np.zeros((time.size, 1, 2)), kind="decay", role="train")
     experiment = SimpleNamespace(with_role=lambda role: [recording] * 5)

@@ -20,9 +20,11 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
     assert first is not None
     without = _simulate_without_each_cause(replace(diagnosis, model=model)).causes[0].without
     assert without is not None
-    expected = replace(model, effects=(friction, causes[1])).replay(first.recording)
+    assert first.simulated is not None
+    near = first.simulated.simulation
+    expected = replace(model, effects=(friction, causes[1])).replay(first.recording, near)
     np.testing.assert_allclose(without.simulation.markers, expected.simulation.markers, rtol=0, atol=1e-12)
-    frictionless = replace(model, effects=(causes[1],), reference_effects=0).replay(first.recording)
+    frictionless = replace(model, effects=(causes[1],), reference_effects=0).replay(first.recording, near)
     assert np.abs(without.simulation.markers - frictionless.simulation.markers).max() > 1e-4
 
 

@@ -28,9 +28,11 @@ from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.load import load_experiment
 from vjm.records import Experiment, Recording, Rig, SimulatedRecording
+from vjm.simulation import initial_state
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import MarkerArcs, Observations
+from vjm.simulation.run import simulate_runs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -129,6 +131,29 @@ def test_no_neighbouring_state_fits_better(seed: int) -> None:
     ahead, behind = np.split(chi2[1:], 2)
     to_gain = (ahead - behind) ** 2 / (8 * (ahead + behind - 2 * chi2[0]))  # at the parabola's bottom
     assert (to_gain < 0.1).all()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_few_steps_lead_from_the_state_of_a_similar_model(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the state that a search from rest finds, in no more simulations than are allowed."""
+    chain, recording, q, v = fit_open_loop()
+    noisy = seen(chain, recording, q, v, NOISE, seed)
+    model = vjm.Model(chain, rig_of(chain), NOISE, ENCODER_NOISE)
+    (link,) = chain.links
+    softer = replace(model, chain=replace(chain, links=(replace(link, stiffness=0.97 * link.stiffness),)))
+    near, expected = softer.replay(noisy).simulation, model.replay(noisy)
+    starts: list[Array] = []
+
+    def counted(arms: list[Arm], observed: object, priors: object, states: list[Array], step_multiple: float) -> object:
+        starts.extend(states)
+        return simulate_runs(arms, observed, priors, states, step_multiple)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(initial_state, "simulate_runs", counted)
+    result = model.replay(noisy, near)
+    assert result.chi2 == pytest.approx(expected.chi2, abs=0.1)
+    np.testing.assert_allclose(result.simulation.initial_state[: chain.size], expected.simulation.q[0], atol=1e-4)
+    assert len(starts) <= 1 + initial_state.FEW_TRIALS
+    assert np.array_equal(starts[0], near.initial_state)
 
 
 def test_lost_frames_and_hidden_markers_do_not_matter() -> None:

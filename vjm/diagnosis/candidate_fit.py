@@ -24,7 +24,7 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.identification.trajectory_method import search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
-from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
 from vjm.simulation.run import Run, earlier_runs, is_followed, state_at
@@ -34,7 +34,6 @@ INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly 
 # Bounds of the starting values of effects' sizes, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear estimate beyond that is far outside the range where the effect is linear
 LEAST_START = 0.5  # for friction, play and joint compliance, whose derivatives vanish or are misleading near zero
-_STATE_TRIALS = 4  # simulations by which initial states come near enough for a fit of all parameters
 _STEPS_BETWEEN_MULTISTARTS = 3  # where stick-slip or play gives initial states many maxima
 
 
@@ -245,7 +244,7 @@ def _multistart(point: Point) -> tuple[Run, ...]:
             [observed[k] for k in indices],
             states,
             point.problem.step_multiple,
-            max_trials=_STATE_TRIALS,
+            max_trials=FEW_TRIALS,
         )
     except SimulationDivergedError:
         return point.runs
@@ -293,9 +292,7 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     Where that has drifted too far from the recording for the search to follow it, start from rest as well.
     """
     arms, observed = problem.arms(x), problem.observed
-    runs = [
-        run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, max_trials=_STATE_TRIALS)
-    ]
+    runs = [run for run, _ in fit_initial_states(arms, observed, states, problem.step_multiple, max_trials=FEW_TRIALS)]
     poor = [k for k, run in enumerate(runs) if not is_followed([run])]
     if poor:
         resting = fit_initial_states(
@@ -303,7 +300,7 @@ def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array
             [observed[k] for k in poor],
             None,
             problem.step_multiple,
-            max_trials=2 * _STATE_TRIALS,
+            max_trials=2 * FEW_TRIALS,
         )
         for k, (run, _) in zip(poor, resting, strict=True):
             runs[k] = min(runs[k], run, key=lambda run: run.cost)

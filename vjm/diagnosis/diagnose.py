@@ -58,7 +58,7 @@ def diagnose(
         seed: of all random numbers.
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
             infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings or
-            3,500 frames, in proportion more for more of either, and twice as much for one process.
+            3,500 frames, in proportion more for more of either, but at most 240 s; twice as much for one process.
         progress: called with (text, done, total) while it runs.
 
     Returns:
@@ -84,7 +84,7 @@ def diagnose(
     report("fitting the reference model")
     baseline = fit_baseline(experiment, report.inside)
     with Workers.start(jobs) as workers:
-        # A quarter is kept for what follows the search: alternatives, simulations, tests of the residuals.
+        # An eighth is kept for alternatives, and another for simulations and tests of the residuals.
         deadline = began + 0.75 * seconds
         fit, warning = find_preexisting_effects(baseline, chosen, experiment.rig, report, workers, deadline)
         reference, reference_misfit = add_changed_recordings(baseline, fit)
@@ -97,7 +97,7 @@ def diagnose(
         search = Search(experiment.rig, reference, chosen, options, report, workers)
         result = search.without_effects() if insufficient else search.run()
         exhausted = options.exhausted and not insufficient
-        search.options = replace(options, deadline=began + seconds)
+        search.options = replace(options, deadline=began + 0.875 * seconds)
         # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
         # recordings, and otherwise in these, which show more.
         tested = result.first_tests if result.best.effects else result.last_tests
@@ -144,8 +144,9 @@ def _default_budget(experiment: Experiment, jobs: int) -> float:
     recorded = sum(float(np.ptp(recording.time)) for recording in train)
     frames = sum(recording.frames.size for recording in train)
     # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings at 100 frames/s.
-    # What is simulated grows with both: a fast camera sees fast modes, which take short steps.
-    return 240.0 / min(jobs, 2) * max(1.0, recorded / 35.0, frames / 3500.0)
+    # What is simulated grows with both: a fast camera sees fast modes, which take short steps. Whoever waits for an
+    # answer waits for five minutes at most, with what starts and ends it.
+    return 240.0 / min(jobs, 2) * min(max(1.0, recorded / 35.0, frames / 3500.0), 2.0)
 
 
 def _findings(
@@ -242,15 +243,17 @@ def _with_holdout_gains(
     tested = held_out(recordings)
     if not tested:
         return tuple(causes)
-    after = _marker_rms([comparison.simulated for comparison in tested])
+    simulated = [comparison.simulated for comparison in tested]
+    after = _marker_rms(simulated)
     if len(causes) == 1:
         return (replace(causes[0], holdout_gain=_marker_rms([comparison.reference for comparison in tested]) - after),)
     rig, gained = search.rig, []
+    states = [None if run is None else run.simulation.initial_state for run in simulated]
     for cause in causes:
         without = result.fits.get(result.best.effect_keys - {cause.effect.key})
         try:
             observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
-            runs = [] if without is None else _simulate(without, observed)
+            runs = [] if without is None else _simulate(without, observed, states)
         except SimulationDivergedError:
             runs = []
         before = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) if runs else None
@@ -275,7 +278,7 @@ def _simulate(
 def _simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
     """Simulate the most improved recording without each cause: by the reference model where there is only one."""
     comparison = findings.most_improved
-    if comparison is None:
+    if comparison is None or comparison.simulated is None:
         return findings
     causes = []
     for cause in findings.causes:
@@ -283,7 +286,8 @@ def _simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
         without = comparison.reference
         if len(findings.causes) > 1:
             try:
-                without = replace(findings.model, effects=others).replay(comparison.recording)
+                model, near = replace(findings.model, effects=others), comparison.simulated.simulation
+                without = model.replay(comparison.recording, near)
             except (InsufficientDataError, SimulationDivergedError):
                 without = None
         causes.append(replace(cause, without=without))

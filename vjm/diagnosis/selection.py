@@ -520,8 +520,10 @@ class Search:
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
         """Fit a model to longer segments; None where it fits them much worse than the shorter ones.
 
-        With stick-slip or play also None where more than noise is left.
+        With stick-slip or play also None where more than noise is left, and after the deadline always.
         """
+        if self.options.exhausted:
+            return None
         self.report("lengthening segments")
         try:
             longer = fit_segments(fit, self.whole, duration, self.options.stop())
@@ -546,7 +548,7 @@ class Search:
         self, longer: TrajectoryFit, second: TrajectoryFit | None, duration: float
     ) -> tuple[TrajectoryFit, Fits]:
         """Fit the close second, if there is one, to longer segments as well; return the better model, and both."""
-        other = None if second is None or self.options.exhausted else self._lengthened(second, duration)
+        other = None if second is None else self._lengthened(second, duration)
         fits = {fit.effect_keys: fit for fit in (longer, other) if fit is not None}
         best = min(fits.values(), key=self.options.criterion)
         replaced = max((self._decreases.get(key, 0.0) for key in longer.effect_keys - best.effect_keys), default=0.0)

@@ -20,6 +20,7 @@ from vjm.simulation.system import Trajectory
 # Multiple of the integrator's default step for a first search where an arm has elbows. Markers are then right to a
 # tenth of a millimetre: enough for steps towards the most likely initial state.
 _COARSE_STEP_MULTIPLE = 4.0
+FEW_TRIALS = 4  # simulations by which a state comes near the most likely one, if it starts from near there
 _FEW_STEPS = 3  # a search that starts near its minimum arrives in so many, or shows that it hardly gains
 _RELATIVE_TOLERANCE = 1e-4  # relative decrease of chi^2 below which the search ends
 

@@ -23,7 +23,7 @@ from vjm.model.urdf import SIMULATORS
 from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.control import ControlLaw, simulate_motion
-from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
 from vjm.simulation.measurement import MarkerArcs, Observations
 
 if TYPE_CHECKING:
@@ -146,10 +146,17 @@ class Model(Record):
             raise ShapeError("simulate", "a recording and a torque of one's own", "one of them")
         return self.replay(recording).simulation
 
-    def replay(self, recording: Recording) -> SimulatedRecording:
-        """Simulate a recording as `simulate` does, and keep it with its residuals."""
+    def replay(self, recording: Recording, near: Simulation | None = None) -> SimulatedRecording:
+        """Simulate a recording as `simulate` does, and keep it with its residuals.
+
+        From the initial state of a similar model's simulation, `near`, a few steps are taken towards the most likely.
+        """
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
-        ((run, converged),) = fit_initial_states([self.arm_in(recording)], [observed])
+        arm = self.arm_in(recording)
+        if near is None:
+            ((run, converged),) = fit_initial_states([arm], [observed])
+        else:
+            ((run, converged),) = fit_initial_states([arm], [observed], [near.initial_state], max_trials=FEW_TRIALS)
         return run.simulated_recording(converged)
 
     def modes(self, payload: float = 0.0) -> Modes:
