@@ -233,6 +233,20 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
     assert len(found.problem.observed) == 1
 
 
+def test_a_fit_that_was_given_up_is_shown_from_its_most_likely_states() -> None:
+    """One that follows its recordings is shown as it is."""
+    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
+    fit = TrajectoryFit(point)
+    search = selection.Search(RIG, fit, [], selection.SearchOptions(), lambda text: None)
+    assert search.open_loop(fit) is fit
+    drifting = np.eye(2 * point.chain.size)[point.chain.size]  # rad/s of the hub
+    lost = TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
+    assert lost.misfit > 100
+    shown = search.open_loop(lost)
+    assert shown.misfit == pytest.approx(1.0, abs=0.05)
+    assert np.array_equal(shown.point.x, point.x)
+
+
 def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
     truth = CoulombFriction(link=0, torque=0.008)
     point = point_of(chain_of(), [truth], recorded(Arm.of(chain_of(), (truth,)), 1))

@@ -160,7 +160,7 @@ def _findings(
     causes = estimate_causes(result, search, alternatives, reference_misfit, information_of(best).covariance)
     search.report("simulating the recordings")
     next_best = search.next_best(result)
-    recordings = _compare_recordings(experiment, noise, search.start, open_loop, next_best)
+    recordings = _compare_recordings(experiment, noise, search.open_loop(search.start), open_loop, next_best)
     model, reference = model_of(best, rig, noise), model_of(search.start, rig, noise)
     causes = _with_holdout_gains(causes, recordings, result, search)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]

@@ -257,20 +257,26 @@ class Search:
         return min(base, other, key=lambda fit: fit.chi2)
 
     def open_loop(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Return a model in whole recordings, from their most likely initial states where it was not fitted to them.
+        """Return a model in whole recordings, from their most likely initial states.
 
-        Recordings that it cannot be simulated over are left out.
+        These are known where it was fitted to whole recordings and follows them: a fit that does not is given up for
+        one in segments, wherever its states are then. Recordings that it cannot be simulated over are left out.
         """
-        if len(fit.point.runs) == len(self.whole):
+        fitted = len(fit.point.runs) == len(self.whole)
+        if fitted and self.is_followed(fit):
             return fit
         problem = replace(fit.point.problem, observed=self.whole)
         arms = problem.arms(fit.point.x)
 
         def likely(chosen: Sequence[int]) -> list[Run]:
-            states = [state_at(fit.point.runs, self.whole[k]) for k in chosen]
+            states = None if fitted else [state_at(fit.point.runs, self.whole[k]) for k in chosen]
             observed = [self.whole[k] for k in chosen]
-            fitted = fit_initial_states([arms[k] for k in chosen], observed, states, problem.step_multiple)
-            return [run for run, _ in fitted]
+            results = fit_initial_states([arms[k] for k in chosen], observed, states, problem.step_multiple)
+            runs = [run for run, _ in results]
+            if not fitted:
+                return runs
+            known = [fit.point.runs[k] for k in chosen]
+            return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known, strict=True)]
 
         try:
             runs = likely(range(len(arms)))
