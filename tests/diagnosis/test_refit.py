@@ -32,6 +32,7 @@ from vjm.effects import (
     CubicStiffness,
     Effect,
     GearElasticity,
+    Stribeck,
     ViscoelasticCreep,
     ViscousFriction,
 )
@@ -193,7 +194,72 @@ def missing_step(effect: Effect) -> tuple[Point, _TrajectoryStep, Array]:
     point = replace(point, problem=problem, x=np.concatenate([point.x, effect.coordinates]))
     off = np.zeros(2 * arm.chain.size)
     off[arm.chain.size] = 0.1
-    return point, _TrajectoryStep(20.0, 1.0, np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0]), off
+    return point, _TrajectoryStep(20.0, 1.0, np.zeros(point.x.size), [off, off], [off, off], [10.0, 10.0], 0.0), off
+
+
+@pytest.mark.parametrize(
+    ("effect", "decrease", "promised", "ended"),
+    [
+        (CoulombFriction(link=0, torque=0.008), 9.0, 0.09, True),  # its states alone promise more, and do not keep it
+        (CoulombFriction(link=0, torque=0.008), 9.0, 0.11, False),
+        (CoulombFriction(link=0, torque=0.008), 11.0, 0.09, False),
+        (ViscousFriction(link=0, coefficient=0.01), 9.0, 0.09, False),  # derivatives lead on
+    ],
+)
+def test_a_fit_beside_sticking_ends_once_its_parameters_promise_little(
+    effect: Effect, decrease: float, promised: float, ended: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point, step, _ = missing_step(effect)
+    search = trajectory_fit._TrajectorySearch(point, True, None, lambda *_: None)
+    search.step, search.decreases = step, [decrease]
+    monkeypatch.setattr(search, "step_at", lambda damping: replace(step, coordinate_decrease=promised))
+    assert search.is_nonsmooth_minimum(point) is ended
+
+
+def test_friction_that_explains_all_is_fitted_before_a_slow_candidate() -> None:
+    truth = CoulombFriction(link=0, torque=0.008)
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1)))
+    steps: list[str] = []
+    effects = [BaseCompliance(), CoulombFriction()]
+    (found,) = selection.Search(RIG, start, effects, selection.SearchOptions(), steps.append).run().best.effects
+    assert found.values["torque"] == pytest.approx(0.008, rel=0.01)
+    assert [step for step in steps if step.startswith("fitting coulomb_friction")]
+    assert not [step for step in steps if "base_compliance" in step]
+
+
+@pytest.mark.parametrize(
+    ("misfit", "max_chi2", "again"),
+    [(1.1, np.inf, True), (0.9, np.inf, False), (1.1, 0.95, False)],  # of the model without it; a rival is better
+    ids=["worse", "better", "given up"],
+)
+def test_friction_that_explains_nothing_is_fitted_from_better_states(
+    misfit: float, max_chi2: float, again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)))
+    truth = Stribeck(link=0, torque=0.008, speed=0.05)
+    ways: list[bool] = []
+
+    def refitted(start: TrajectoryFit, effects: object, stop: object, states_first: bool = False) -> object:
+        ways.append(states_first)
+        return SimpleNamespace(new_effects=(truth,), chi2=(0.5 if states_first else misfit) * start.chi2)
+
+    monkeypatch.setattr(selection, "refit", refitted)
+    fit = selection._refit_within_bounds(start, selection.SearchOptions(), max_chi2 * start.chi2, [truth])
+    assert fit is not None
+    assert ways == ([False, True] if again else [False])
+    assert (fit.chi2 < start.chi2 / 1.9) is again
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_initial_states_may_be_estimated_before_all_parameters(seed: int) -> None:
+    truth = Stribeck(link=0, torque=0.008, speed=0.08)
+    start = in_segments(recorded(Arm.of(chain_of(), (truth,)), seed))
+    far = replace(truth, torque=0.004, speed=0.05)
+    fit = refit(start, [far], StoppingRule(max_steps=1), states_first=True)
+    plain = refit(start, [far], StoppingRule(max_steps=1))
+    assert fit is not None
+    assert plain is not None
+    assert fit.chi2 < plain.chi2
 
 
 @pytest.mark.parametrize("seed", [1, 2])

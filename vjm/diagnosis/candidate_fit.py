@@ -111,13 +111,16 @@ def starting_effect(effect: Effect, guess: Array, chain: Chain) -> Effect:
     return effect.at(np.clip(coordinates, *effect.bounds))
 
 
-def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | None = None) -> TrajectoryFit | None:
+def refit(
+    start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | None = None, states_first: bool = False
+) -> TrajectoryFit | None:
     """Refit a model with other effects to the same recordings, starting from a fit with some of them or none.
 
     Args:
         start: the fit to start from.
         effects: all effects of the model, with starting values of their parameters.
         stop: stopping rule; None: `StoppingRule()`.
+        states_first: True to estimate initial states at the starting values before all parameters are fitted.
 
     Returns:
         The fit; None if the model cannot be simulated, not even with new effects of an eighth of their size.
@@ -133,6 +136,8 @@ def refit(start: TrajectoryFit, effects: Sequence[Effect], stop: StoppingRule | 
             pairs = zip(start.point.runs, problem.arms(x), strict=True)
             states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
             try:
+                if states_first:
+                    states = _initial_states(problem, x, states)
                 return _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
             except (SimulationDivergedError, InsufficientDataError):
                 continue

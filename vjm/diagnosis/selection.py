@@ -392,21 +392,26 @@ class Search:
         """Fit models with one effect more, and return the best.
 
         Candidates are fitted in the order of their score statistics, the predicted decreases of chi^2, until the best
-        fit exceeds what the rest can gain; stick-slip and play, which are slow to fit, come last. All are fitted where
-        the model is too far from the recordings for a linear model; compliant joints always are, being nonlinear early.
+        fit exceeds what the rest can gain, or leaves nothing to them. Stick-slip and play, which are slow to fit, come
+        after all that may gain as much. All are fitted where the model is too far from the recordings for a linear
+        model; compliant joints always are, being nonlinear early.
         """
         screened, followed, base = family.screen, self.is_followed(best), fits.get(self.start.effect_keys)
         trial: TrajectoryFit | None = None
+
+        def largest_gain(k: int) -> float:
+            # No fit of a smooth effect has gained more than twice its score statistic.
+            return float(screened.statistics[k]) * (1.0 if screened.effects[k].nonsmooth else 2.0)
 
         def promises(k: int) -> bool:
             gained = 0.0 if trial is None else best.chi2 - trial.chi2
             effect = screened.effects[k]
             compliant = effect.adds_joint(best.point.chain) and not (effect.nonsmooth or effect.proportional)
             # Compliant joints are always fitted in the first segments only: longer ones have better linear predictions
-            # and slower fits. No fit of a smooth effect has gained more than twice its score statistic.
-            return not followed or (compliant and base is not None) or screened.statistics[k] > 0.5 * gained
+            # and slower fits.
+            return not followed or (compliant and base is not None) or 2 * screened.statistics[k] > gained
 
-        for batch in _batches(sorted(needed, key=lambda k: screened.effects[k].nonsmooth), self.workers.count):
+        for batch in _batches(sorted(needed, key=largest_gain, reverse=True), self.workers.count):
             promising = [self._with_candidates(best, family, [k]) for k in batch if promises(k)]
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
             if self._explains_all(trial, best):
@@ -581,8 +586,17 @@ class Search:
 def _refit_within_bounds(
     start: TrajectoryFit, options: SearchOptions, max_chi2: float, effects: Sequence[Effect]
 ) -> TrajectoryFit | None:
-    """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bound."""
+    """Fit a model with other effects; None where it cannot be simulated, or only with an effect at its bound.
+
+    A model with stick-slip or play as well that fits no better than the one without was thrown off by its first step,
+    which was to correct initial states that suit a motion without them: the states are then estimated first.
+    """
     fit = refit(start, effects, options.stop(max_chi2))
+    added = {effect.key: effect.nonsmooth for effect in effects if effect.key not in start.effect_keys}
+    nested = len(added) == len(effects) - len(start.effects)
+    worse = fit is None or fit.chi2 >= start.chi2
+    if worse and nested and any(added.values()) and max_chi2 > start.chi2 and not options.exhausted:
+        fit = refit(start, effects, options.stop(max_chi2), states_first=True)
     return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
 
 
