@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
-from vjm.diagnosis import selection
+from vjm.diagnosis import selection, simulations
 from vjm.diagnosis.alternatives import _with_errors
 from vjm.diagnosis.candidate_fit import (
     StoppingRule,
@@ -291,10 +291,9 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
             raise SimulationDivergedError(1.0, 0.005, "no remedy")
         return fit_initial_states(arms, observed, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(selection, "fit_initial_states", diverging)
-    search = selection.Search(RIG, TrajectoryFit(point), [], selection.SearchOptions(), lambda text: None)
+    monkeypatch.setattr(simulations, "fit_initial_states", diverging)
     in_parts = TrajectoryFit(replace(point, runs=(*point.runs, *point.runs)))
-    found = search.open_loop(in_parts).point
+    found = simulations.open_loop(in_parts, point.problem.observed).point
     assert [run.observed.recording.file for run in found.runs] == ["drive_0.csv"]
     assert len(found.problem.observed) == 1
 
@@ -302,13 +301,12 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
 def test_a_fit_that_was_given_up_is_shown_from_its_most_likely_states() -> None:
     """One that follows its recordings is shown as it is."""
     point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
-    fit = TrajectoryFit(point)
-    search = selection.Search(RIG, fit, [], selection.SearchOptions(), lambda text: None)
-    assert search.open_loop(fit) is fit
+    fit, whole = TrajectoryFit(point), point.problem.observed
+    assert simulations.open_loop(fit, whole) is fit
     drifting = np.eye(2 * point.chain.size)[point.chain.size]  # rad/s of the hub
     lost = TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
     assert lost.misfit > 100
-    shown = search.open_loop(lost)
+    shown = simulations.open_loop(lost, whole)
     assert shown.misfit == pytest.approx(1.0, abs=0.05)
     assert np.array_equal(shown.point.x, point.x)
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from time import monotonic
 
 import numpy as np
@@ -21,21 +20,24 @@ from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.reference import add_changed_recordings, find_preexisting_effects
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
 from vjm.diagnosis.selection import Search, SearchOptions, SearchResult
+from vjm.diagnosis.simulations import (
+    open_loop,
+    simulate_recordings,
+    simulate_without_each_cause,
+    with_holdout_gains,
+)
 from vjm.diagnosis.symptoms import Symptoms
-from vjm.diagnosis.verdict import conclude, held_out, is_unexplained, why_insufficient
+from vjm.diagnosis.verdict import conclude, is_unexplained, why_insufficient
 from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
 from vjm.effects.effect import is_nonsmooth
-from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.identification.comparison import replay_each, replay_without_outliers
+from vjm.errors import ChoiceError, ShapeError
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.identification.trajectory_method import VISIBLE_GAIN
-from vjm.records import REFERENCE, Array, Experiment, Progress, RecordingComparison, SimulatedRecording, Stages
-from vjm.simulation.initial_state import fit_initial_states
-from vjm.simulation.measurement import Observations
+from vjm.records import REFERENCE, Experiment, Progress, RecordingComparison, Stages
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run
+from vjm.simulation.run import all_followed
 from vjm.text import number
 
 
@@ -154,15 +156,15 @@ def _findings(
 ) -> Diagnosis:
     """Take the steps that follow the search, and collect what they and those before have found."""
     best, rig, noise = result.best, experiment.rig, baseline.fit.point.runs[0].observed.noise
-    open_loop, options = search.open_loop(best), search.options
+    after, before = (open_loop(fit, search.whole) for fit in (best, search.start))
     search.report("testing alternatives")
     alternatives = find_alternatives(result, search)
     causes = estimate_causes(result, search, alternatives, reference_misfit, information_of(best).covariance)
     search.report("simulating the recordings")
     next_best = search.next_best(result)
-    recordings = _compare_recordings(experiment, noise, search.open_loop(search.start), open_loop, next_best)
+    recordings = simulate_recordings(experiment, noise, before, after, next_best)
     model, reference = model_of(best, rig, noise), model_of(search.start, rig, noise)
-    causes = _with_holdout_gains(causes, recordings, result, search)
+    causes = with_holdout_gains(rig, causes, recordings, best, result.fits)
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.expected_chi2 for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)
@@ -181,13 +183,13 @@ def _findings(
         changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
         decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
         negligible=search.negligible(best),
-        proposals=propose_recordings(open_loop, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
+        proposals=propose_recordings(after, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
         noise=baseline.noise.source,
         notes=_notes(baseline, result, search),
-        seed=options.seed,
+        seed=search.options.seed,
     )
-    return _simulate_without_each_cause(findings)
+    return simulate_without_each_cause(findings)
 
 
 def _without_effects(result: SearchResult, search: Search) -> TrajectoryFit:
@@ -200,98 +202,7 @@ def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> li
     """Return the fits with alternatives in a cause's place, in whole recordings."""
     others = result.best.effect_keys - {cause.effect.key}
     models = [others | {alternative.effect.key} for alternative in cause.alternatives]
-    return [search.open_loop(result.fits[keys]) for keys in models if keys in result.fits]
-
-
-def _compare_recordings(
-    experiment: Experiment,
-    noise: tuple[float, float],
-    reference: TrajectoryFit,
-    best: TrajectoryFit,
-    next_best: TrajectoryFit | None,
-) -> tuple[RecordingComparison, ...]:
-    """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
-
-    Recordings that were fitted have been simulated.
-    """
-    known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
-    further = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
-    observed, by_best = replay_without_outliers(
-        partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
-    )
-    recordings = known | {observation.recording.file: observation.recording for observation in observed}
-
-    def by_file(model: TrajectoryFit | None) -> dict[str, SimulatedRecording]:
-        if model is None:
-            return {}
-        fitted = [(run, True) for run in model.point.runs]
-        others = by_best if model is best else replay_each(partial(_simulate, model), observed)
-        runs = [result for result in (*fitted, *others) if not isinstance(result, str)]
-        return {run.observed.recording.file: run.simulated_recording(converged) for run, converged in runs}
-
-    after, before, alternative = by_file(best), by_file(reference), by_file(next_best)
-    return tuple(
-        RecordingComparison(recordings[file], noise, after.get(file), before.get(file), alternative.get(file))
-        for file in (recording.file for recording in experiment.recordings)
-    )
-
-
-def _with_holdout_gains(
-    causes: Sequence[Cause], recordings: Sequence[RecordingComparison], result: SearchResult, search: Search
-) -> tuple[Cause, ...]:
-    """Simulate the held-out recordings without each cause, all else fitted again, and say what it gains there."""
-    tested = held_out(recordings)
-    if not tested:
-        return tuple(causes)
-    simulated = [comparison.simulated for comparison in tested]
-    after = _marker_rms(simulated)
-    if len(causes) == 1:
-        return (replace(causes[0], holdout_gain=_marker_rms([comparison.reference for comparison in tested]) - after),)
-    rig, gained = search.rig, []
-    states = [None if run is None else run.simulation.initial_state for run in simulated]
-    for cause in causes:
-        without = result.fits.get(result.best.effect_keys - {cause.effect.key})
-        try:
-            observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
-            runs = [] if without is None else _simulate(without, observed, states)
-        except SimulationDivergedError:
-            runs = []
-        before = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) if runs else None
-        gained.append(replace(cause, holdout_gain=None if before is None else before - after))
-    return tuple(gained)
-
-
-def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
-    """Return the RMS of the marker residuals of several recordings together [m]."""
-    residual = np.concatenate([run.marker_residual.ravel() for run in simulated if run is not None])
-    return float(np.sqrt(np.nanmean(residual**2)))
-
-
-def _simulate(
-    model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
-) -> list[tuple[Run, bool]]:
-    """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
-    arms = model.point.problem.arms(model.point.x, [observation.recording for observation in observed])
-    return fit_initial_states(arms, observed, states, model.point.problem.step_multiple)
-
-
-def _simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
-    """Simulate the most improved recording without each cause: by the reference model where there is only one."""
-    comparison = findings.most_improved
-    if comparison is None or comparison.simulated is None:
-        return findings
-    causes = []
-    for cause in findings.causes:
-        others = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
-        without = comparison.reference
-        if len(findings.causes) > 1:
-            try:
-                model, near = replace(findings.model, effects=others), comparison.simulated.simulation
-                without = model.replay(comparison.recording, near)
-            except (InsufficientDataError, SimulationDivergedError):
-                without = None
-        causes.append(replace(cause, without=without))
-    return replace(findings, causes=tuple(causes))
+    return [open_loop(result.fits[keys], search.whole) for keys in models if keys in result.fits]
 
 
 def _find_symptoms(reference: Model, recordings: Sequence[RecordingComparison]) -> Symptoms | None:
@@ -317,7 +228,7 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
             "residuals and parameters are of segments, simulated recordings and gain are open loop over whole "
             "recordings"
         )
-    if not search.is_followed(result.segment_fits.get(search.start.effect_keys, search.start)):
+    if not all_followed(result.segment_fits.get(search.start.effect_keys, search.start).point.runs):
         notes.append(
             "the model without effects diverges from the recordings even over segments, so the linearised candidate "
             "table is unreliable: each candidate was fitted"

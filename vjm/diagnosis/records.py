@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
 from vjm.effects.effect import Effect, Key
-from vjm.records import Estimate, Experiment, RecordingComparison, SimulatedRecording, SimulatedResult
+from vjm.records import REFERENCE, Estimate, Experiment, RecordingComparison, SimulatedRecording, SimulatedResult
 
 if TYPE_CHECKING:
     from vjm.diagnosis.symptoms import Symptoms
@@ -259,3 +259,10 @@ def _improvement(comparison: RecordingComparison) -> float:
     before, after = (0.0 if run is None else run.marker_rms for run in (comparison.reference, comparison.simulated))
     weight = 2.0 if comparison.recording.role == "holdout" else 1.0
     return weight * (before**2 - after**2) / comparison.noise[0] ** 2
+
+
+def held_out(recordings: Sequence[RecordingComparison]) -> list[RecordingComparison]:
+    """Return the held-out recordings that judge the causes: those in which something may have changed, if there are."""
+    usable = [pair for pair in recordings if pair.recording.role == "holdout" and pair.reference and pair.simulated]
+    usable = [pair for pair in usable if pair.recording.frames.size]
+    return [pair for pair in usable if pair.recording.condition != REFERENCE] or usable

@@ -4,13 +4,11 @@ Recordings are cut into segments so short that even an incomplete model stays in
 beside the best model, fits those that may explain most, adds the best if it is significant and large enough to matter,
 and drops effects that are no longer needed. The segments are then lengthened up to whole recordings. Small effects show
 best there and are searched for there, and on the way beside stick-slip or play and where longer segments no longer fit.
-Where the discretization
-error cannot be measured, the search ends with the longest segments in which it does not show.
+Where the discretization error cannot be measured, the search ends with the longest segments in which it does not show.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -31,14 +29,14 @@ from vjm.diagnosis.candidate_fit import (
 )
 from vjm.diagnosis.cross_validation import is_determined, predicts_better
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
+from vjm.diagnosis.simulations import open_loop
 from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.records import Array, Rig
-from vjm.simulation.initial_state import fit_initial_states
-from vjm.simulation.run import Run, is_followed, state_at
+from vjm.simulation.run import all_followed
 from vjm.text import ratio
 
 Report = Callable[[str], None]
@@ -244,7 +242,7 @@ class Search:
         self.report("fitting segments")
         problem, duration = self.start.point.problem, self._durations()[0]
         base = fit_segments(self.start, self.whole, duration, self.options.stop())
-        if self.is_followed(base):
+        if all_followed(base.point.runs):
             return base
         try:
             x = self.start.point.x.copy()
@@ -255,38 +253,6 @@ class Search:
         except (SimulationDivergedError, InsufficientDataError):
             return base
         return min(base, other, key=lambda fit: fit.chi2)
-
-    def open_loop(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Return a model in whole recordings, from their most likely initial states.
-
-        These are known where it was fitted to whole recordings and follows them: a fit that does not is given up for
-        one in segments, wherever its states are then. Recordings that it cannot be simulated over are left out.
-        """
-        fitted = len(fit.point.runs) == len(self.whole)
-        if fitted and self.is_followed(fit):
-            return fit
-        problem = replace(fit.point.problem, observed=self.whole)
-        arms = problem.arms(fit.point.x)
-
-        def likely(chosen: Sequence[int]) -> list[Run]:
-            states = None if fitted else [state_at(fit.point.runs, self.whole[k]) for k in chosen]
-            observed = [self.whole[k] for k in chosen]
-            results = fit_initial_states([arms[k] for k in chosen], observed, states, problem.step_multiple)
-            runs = [run for run, _ in results]
-            if not fitted:
-                return runs
-            known = [fit.point.runs[k] for k in chosen]
-            return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known, strict=True)]
-
-        try:
-            runs = likely(range(len(arms)))
-        except SimulationDivergedError:
-            runs = []  # some models fit segments but diverge over whole recordings, as with negative damping
-            for k in range(len(arms)):
-                with contextlib.suppress(SimulationDivergedError):
-                    runs += likely([k])
-        problem = replace(problem, observed=tuple(run.observed for run in runs))
-        return TrajectoryFit(Point(problem, fit.point.x, tuple(runs)))
 
     def next_best(self, result: SearchResult) -> TrajectoryFit | None:
         """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
@@ -301,7 +267,7 @@ class Search:
                 second = min(others, key=self.options.criterion)
                 try:
                     if is_nonsmooth(second.effects) or fits is result.fits:
-                        return self.open_loop(second)
+                        return open_loop(second, self.whole)
                     return fit_segments(second, self.whole, np.inf, self.options.stop())
                 except (SimulationDivergedError, InsufficientDataError):
                     return None
@@ -346,15 +312,9 @@ class Search:
         """
         screened, unit = family.screen, max(1.0, fit.misfit) ** 2
         significant = family.p_values_for(unit) < self.options.alpha
-        matters = (screened.statistics > self.least_decrease(fit, screened.statistics)) | (not self.is_followed(fit))
+        large = screened.statistics > self.least_decrease(fit, screened.statistics)
+        matters = large | (not all_followed(fit.point.runs))
         return screened.best_variants(np.flatnonzero(significant & matters).tolist())
-
-    def is_followed(self, fit: TrajectoryFit) -> bool:
-        """Return True if a model follows each recording so closely that its linearization is valid."""
-        files = [observed.recording.file for observed in self.whole]
-        return all(
-            is_followed([run for run in fit.point.runs if run.observed.recording.file == file]) for file in files
-        )
 
     def _durations(self) -> list[float]:
         """Return the durations of segments [s], one after another; the last is infinite, for whole recordings."""
@@ -396,7 +356,7 @@ class Search:
         after all that may gain as much. All are fitted where the model is too far from the recordings for a linear
         model; compliant joints always are, being nonlinear early.
         """
-        screened, followed, base = family.screen, self.is_followed(best), fits.get(self.start.effect_keys)
+        screened, followed, base = family.screen, all_followed(best.point.runs), fits.get(self.start.effect_keys)
         trial: TrajectoryFit | None = None
 
         def largest_gain(k: int) -> float:

@@ -10,7 +10,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.records import EQUIVALENT, Budget, Cause, Diagnosis, Gain, Remaining, RepeatComparison, Verdict
+from vjm.diagnosis.records import (
+    EQUIVALENT,
+    Budget,
+    Cause,
+    Diagnosis,
+    Gain,
+    Remaining,
+    RepeatComparison,
+    Verdict,
+    held_out,
+)
 from vjm.records import NOT_NOISE, REFERENCE, Array, Experiment, RecordingComparison
 from vjm.text import in_sentence, number, ratio
 
@@ -45,13 +55,6 @@ def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
     if testing and all(recording.frames.size < 30 for recording in testing):  # an RMS within 13 % (1/sqrt(2 N))
         reasons.append("the held-out recordings have almost no frames with markers: no cause can be confirmed")
     return tuple(reasons)
-
-
-def held_out(recordings: Sequence[RecordingComparison]) -> list[RecordingComparison]:
-    """Return the held-out recordings that judge the causes: those in which something may have changed, if there are."""
-    usable = [pair for pair in recordings if pair.recording.role == "holdout" and pair.reference and pair.simulated]
-    usable = [pair for pair in usable if pair.recording.frames.size]
-    return [pair for pair in usable if pair.recording.condition != REFERENCE] or usable
 
 
 def _estimate_gain(recordings: Sequence[RecordingComparison], seed: int) -> Gain | None:

@@ -280,6 +280,12 @@ def is_followed(runs: Sequence[Run]) -> bool:
     return all(run.observed.recording.kind == "quiet" for run in runs) or excess <= 0.3**2 * motion
 
 
+def all_followed(runs: Sequence[Run]) -> bool:
+    """Return True if each recording is followed by the runs of it."""
+    files = {run.observed.recording.file for run in runs}
+    return all(is_followed([run for run in runs if run.observed.recording.file == file]) for file in files)
+
+
 def earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
     """Return the runs of the same recording that begin before a segment of it."""
     same_recording = [run for run in runs if run.observed.recording.file == observed.recording.file]

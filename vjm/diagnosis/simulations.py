@@ -1,0 +1,153 @@
+"""Simulations by the models of a search: open loop over whole recordings, those held out from the search as well."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from vjm.diagnosis.records import Cause, Diagnosis, held_out
+from vjm.effects.effect import Key
+from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.comparison import replay_each, replay_without_outliers
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.records import Array, Experiment, RecordingComparison, Rig, SimulatedRecording
+from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.measurement import Observations
+from vjm.simulation.run import Run, all_followed, state_at
+
+
+def open_loop(fit: TrajectoryFit, whole: Sequence[Observations]) -> TrajectoryFit:
+    """Return a model in whole recordings, from their most likely initial states.
+
+    These are known where it was fitted to whole recordings and follows them: a fit that does not is given up for one in
+    segments, wherever its states are then. Recordings that it cannot be simulated over are left out.
+    """
+    fitted = len(fit.point.runs) == len(whole)
+    if fitted and all_followed(fit.point.runs):
+        return fit
+    problem = replace(fit.point.problem, observed=tuple(whole))
+
+    def likely(chosen: Sequence[int]) -> list[Run]:
+        states = None if fitted else [state_at(fit.point.runs, whole[k]) for k in chosen]
+        runs = [run for run, _ in _simulate(fit, [whole[k] for k in chosen], states)]
+        if not fitted:
+            return runs
+        known = [fit.point.runs[k] for k in chosen]
+        return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known, strict=True)]
+
+    try:
+        runs = likely(range(len(whole)))
+    except SimulationDivergedError:
+        runs = []  # some models fit segments but diverge over whole recordings, as with negative damping
+        for k in range(len(whole)):
+            with contextlib.suppress(SimulationDivergedError):
+                runs += likely([k])
+    problem = replace(problem, observed=tuple(run.observed for run in runs))
+    return TrajectoryFit(Point(problem, fit.point.x, tuple(runs)))
+
+
+def simulate_recordings(
+    experiment: Experiment,
+    noise: tuple[float, float],
+    reference: TrajectoryFit,
+    best: TrajectoryFit,
+    next_best: TrajectoryFit | None,
+) -> tuple[RecordingComparison, ...]:
+    """Simulate all recordings, without the outliers that the best model shows, from their most likely initial states.
+
+    Recordings that were fitted have been simulated.
+    """
+    known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
+    further = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
+    observed, by_best = replay_without_outliers(
+        partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
+    )
+    recordings = known | {observation.recording.file: observation.recording for observation in observed}
+
+    def by_file(model: TrajectoryFit | None) -> dict[str, SimulatedRecording]:
+        if model is None:
+            return {}
+        fitted = [(run, True) for run in model.point.runs]
+        others = by_best if model is best else replay_each(partial(_simulate, model), observed)
+        runs = [result for result in (*fitted, *others) if not isinstance(result, str)]
+        return {run.observed.recording.file: run.simulated_recording(converged) for run, converged in runs}
+
+    after, before, alternative = by_file(best), by_file(reference), by_file(next_best)
+    return tuple(
+        RecordingComparison(recordings[file], noise, after.get(file), before.get(file), alternative.get(file))
+        for file in (recording.file for recording in experiment.recordings)
+    )
+
+
+def with_holdout_gains(
+    rig: Rig,
+    causes: Sequence[Cause],
+    recordings: Sequence[RecordingComparison],
+    best: TrajectoryFit,
+    fits: Mapping[frozenset[Key], TrajectoryFit],
+) -> tuple[Cause, ...]:
+    """Simulate the held-out recordings without each cause, all else fitted again, and say what it gains there.
+
+    Args:
+        rig: the arm.
+        causes: of the best model.
+        recordings: beside their simulations by the best model.
+        best: the best model.
+        fits: known ones, by the keys of their effects.
+    """
+    tested = held_out(recordings)
+    if not tested:
+        return tuple(causes)
+    simulated = [comparison.simulated for comparison in tested]
+    after = _marker_rms(simulated)
+    if len(causes) == 1:
+        return (replace(causes[0], holdout_gain=_marker_rms([comparison.reference for comparison in tested]) - after),)
+    gained = []
+    states = [None if run is None else run.simulation.initial_state for run in simulated]
+    for cause in causes:
+        without = fits.get(best.effect_keys - {cause.effect.key})
+        try:
+            observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
+            runs = [] if without is None else _simulate(without, observed, states)
+        except SimulationDivergedError:
+            runs = []
+        before = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) if runs else None
+        gained.append(replace(cause, holdout_gain=None if before is None else before - after))
+    return tuple(gained)
+
+
+def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
+    """Return the RMS of the marker residuals of several recordings together [m]."""
+    residual = np.concatenate([run.marker_residual.ravel() for run in simulated if run is not None])
+    return float(np.sqrt(np.nanmean(residual**2)))
+
+
+def _simulate(
+    model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
+) -> list[tuple[Run, bool]]:
+    """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
+    arms = model.point.problem.arms(model.point.x, [observation.recording for observation in observed])
+    return fit_initial_states(arms, observed, states, model.point.problem.step_multiple)
+
+
+def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
+    """Simulate the most improved recording without each cause: by the reference model where there is only one."""
+    comparison = findings.most_improved
+    if comparison is None or comparison.simulated is None:
+        return findings
+    causes = []
+    for cause in findings.causes:
+        others = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
+        without = comparison.reference
+        if len(findings.causes) > 1:
+            try:
+                model, near = replace(findings.model, effects=others), comparison.simulated.simulation
+                without = model.replay(comparison.recording, near)
+            except (InsufficientDataError, SimulationDivergedError):
+                without = None
+        causes.append(replace(cause, without=without))
+    return replace(findings, causes=tuple(causes))
