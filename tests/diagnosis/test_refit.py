@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
-from vjm.diagnosis import selection, simulations
+from vjm.diagnosis import selection
 from vjm.diagnosis.alternatives import _with_errors
 from vjm.diagnosis.candidate_fit import (
     StoppingRule,
@@ -47,8 +46,6 @@ from vjm.identification.trajectory_fit import (
 )
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import fit_initial_states
-from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
 Array = NDArray[np.float64]
@@ -280,35 +277,6 @@ def test_a_lag_is_right_in_recordings_that_begin_in_motion(seed: int) -> None:
     assert fit.misfit == pytest.approx(1.0, abs=0.03)
     assert abs(lag - truth.coordinates[0]) < 3 * std
     assert std < 0.01 * lag
-
-
-def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Segments of a wrong model may be followed all the same."""
-    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
-
-    def diverging(arms: Sequence[Arm], observed: Sequence[Observations], *rest: object) -> list[tuple[Run, bool]]:
-        if any(one.recording.file == "drive_1.csv" for one in observed):
-            raise SimulationDivergedError(1.0, 0.005, "no remedy")
-        return fit_initial_states(arms, observed, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(simulations, "fit_initial_states", diverging)
-    in_parts = TrajectoryFit(replace(point, runs=(*point.runs, *point.runs)))
-    found = simulations.open_loop(in_parts, point.problem.observed).point
-    assert [run.observed.recording.file for run in found.runs] == ["drive_0.csv"]
-    assert len(found.problem.observed) == 1
-
-
-def test_a_fit_that_was_given_up_is_shown_from_its_most_likely_states() -> None:
-    """One that follows its recordings is shown as it is."""
-    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
-    fit, whole = TrajectoryFit(point), point.problem.observed
-    assert simulations.open_loop(fit, whole) is fit
-    drifting = np.eye(2 * point.chain.size)[point.chain.size]  # rad/s of the hub
-    lost = TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
-    assert lost.misfit > 100
-    shown = simulations.open_loop(lost, whole)
-    assert shown.misfit == pytest.approx(1.0, abs=0.05)
-    assert np.array_equal(shown.point.x, point.x)
 
 
 def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
