@@ -343,6 +343,19 @@ def test_a_further_parameter_must_bring_its_share() -> None:
     assert strict.criterion(two) == pytest.approx(2 * strict.criterion(one), rel=1e-3)
 
 
+@pytest.mark.parametrize(("seed", "off"), [(1, 1.1), (2, -0.9), (3, 0.9)])  # rad
+def test_a_table_that_slides_across_its_start_is_found(seed: int, off: float) -> None:
+    """In coordinates about its start its direction ends 45 degrees away."""
+    truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), seed, factor=3.0)))
+    fit = refit(start, [replace(truth, direction=truth.direction + off)])
+    assert fit is not None
+    assert fit.misfit == pytest.approx(1.0, abs=0.05)
+    (found,) = fit.effects
+    assert found.values["direction"] == pytest.approx(truth.direction, abs=0.1)
+    assert found.values["stiffness"] == pytest.approx(truth.stiffness, rel=0.1)
+
+
 def test_a_search_does_not_report_a_fit_that_was_stopped() -> None:
     truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
     recordings = recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0)

@@ -174,12 +174,12 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
 
 
 def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
-    """Fit as `_fit_multistart`; with elbows, shorten the integrator steps until their error is negligible.
+    """Fit as `_fit_recentred`; with elbows, shorten the integrator steps until their error is negligible.
 
     Steps that are accurate enough beside the residual of a poor fit may be too long once the fit is good. Only arms
     with elbows take so many steps that it pays to begin with long ones.
     """
-    fit = _fit_multistart(problem, x, states, stop)
+    fit = _fit_recentred(problem, x, states, stop)
     while problem.parametrisation.template.elbows.size and not is_nonsmooth(problem.effects):
         multiple = problem.step_multiple
         if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
@@ -187,9 +187,23 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         problem = replace(problem, step_multiple=search_step_multiple(fit.point, largest=multiple))
         if problem.step_multiple == multiple:
             break
-        further = _fit_multistart(problem, fit.point.x, fit.point.states, stop)
+        further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
         fit = replace(further, iterations=fit.iterations + further.iterations)
     return fit
+
+
+def _fit_recentred(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
+    """Fit as `_fit_multistart`, and again in other coordinates where effects end too far from the origin of theirs."""
+    fit = _fit_multistart(problem, x, states, stop)
+    while True:
+        effects = tuple(effect.recentred() for effect in fit.effects)
+        if all(new is old for new, old in zip(effects, fit.effects, strict=True)):
+            return fit
+        problem = replace(problem, effects=effects)
+        chain = fit.point.x[: len(problem.parametrisation.coordinates)]
+        x = np.concatenate([chain, *(effect.coordinates for effect in effects)])
+        further = _fit_multistart(problem, x, fit.point.states, stop)
+        fit = replace(further, iterations=fit.iterations + further.iterations)
 
 
 def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:

@@ -299,6 +299,10 @@ class Effect:
         coordinates[0] *= factor
         return self.at(coordinates)
 
+    def recentred(self) -> Self:
+        """Return it with its coordinates' origin moved here, if it is too far from there for them to lead a search."""
+        return self
+
     def superposes(self, other: Effect) -> bool:
         """Return True if small sizes of it and of another variant do together what one instance does."""
         return False

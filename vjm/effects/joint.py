@@ -366,6 +366,14 @@ class BaseCompliance(Effect):
         """Indices of the two compliances."""
         return 0, 3
 
+    def recentred(self) -> Self:
+        """Return it with its own direction as the start, if it slides rather across the start than along it.
+
+        The compliance along the start has a lower bound, at which a search would stay.
+        """
+        along, _, _, across = self.coordinates
+        return replace(self, start=None) if abs(across) > along else self
+
     def superposes(self, other: Effect) -> bool:
         """Return True for a table of the same frequency and damping: compliances in several directions add up."""
         return isinstance(other, BaseCompliance) and replace(other, direction=self.direction) == self
