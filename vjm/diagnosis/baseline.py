@@ -14,6 +14,7 @@ import numpy as np
 from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
 from vjm.diagnosis.noise import Noise
 from vjm.effects import BUILTIN
+from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.identification.discretization import DiscretizationBias
 from vjm.identification.outliers import trimmed
@@ -80,6 +81,17 @@ def corrected_for_discretization(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit 
         return fit
     bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT)
     return None if bias is None else bias.corrected(fit, _CLOSE_MISFIT)
+
+
+def with_discretization_shift(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit:
+    """Return a model with the shift of its parameters to those of a beam, where that is not known and can be told.
+
+    Models with stick-slip or play are returned as they are: the shift needs derivatives.
+    """
+    if fit.shift is not None or is_nonsmooth(fit.effects) or fit.misfit > _CLOSE_MISFIT:
+        return fit
+    bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT)
+    return fit if bias is None else replace(fit, shift=bias.shift)
 
 
 def _further_recordings(

@@ -17,7 +17,7 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import corrected_for_discretization
+from vjm.diagnosis.baseline import corrected_for_discretization, with_discretization_shift
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
@@ -176,6 +176,9 @@ class Search:
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
+        if best.new_effects and len(best.point.runs) == len(self.whole) and not self.options.exhausted:
+            self.report("measuring the discretization error")
+            best = fits[best.effect_keys] = with_discretization_shift(best, self.rig)
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
