@@ -32,6 +32,7 @@ from vjm.effects import (
     Effect,
     GearElasticity,
     Stribeck,
+    TipPayload,
     ViscoelasticCreep,
     ViscousFriction,
 )
@@ -222,6 +223,17 @@ def test_friction_that_explains_all_is_fitted_before_a_slow_candidate() -> None:
     assert found.values["torque"] == pytest.approx(0.008, rel=0.01)
     assert [step for step in steps if step.startswith("fitting coulomb_friction")]
     assert not [step for step in steps if "base_compliance" in step]
+
+
+def test_parameters_of_what_is_found_are_those_of_a_beam() -> None:
+    truth = TipPayload(link=0, mass=0.001)  # found beside the discretization error only
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1)))
+    best = selection.Search(RIG, start, [TipPayload()], selection.SearchOptions(), lambda text: None).run().best
+    assert [effect.id for effect in best.effects] == ["tip_payload"]
+    assert len(best.point.runs) == len(start.point.runs)
+    assert best.shift is not None
+    assert best.shift.shape == best.point.x.shape
+    assert np.abs(best.shift).max() > 0
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import vjm
 from tests.hidden.conftest import Plant
 from tests.hidden.test_finding import with_few
 from vjm.diagnosis.baseline import fit_baseline
@@ -33,3 +34,14 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     physical = base.fit.point.problem.parametrisation.physical(found)
     assert physical[0] == pytest.approx(truth.setting.beam.bending_stiffness, rel=3e-4)
     assert physical[2] == pytest.approx(truth.setting.beam.hub_inertia, rel=3e-4)
+
+
+def test_corrections_settle_where_many_samples_tell_much(plant: Plant) -> None:
+    """At 144 frames/s a standard error is small beside what the first correction leaves."""
+    file, truth = plant("clamped_arm", seed=5)
+    base = fit_baseline(vjm.load_experiment(file)).fit
+    assert base.shift is not None
+    assert base.misfit == pytest.approx(1.0, abs=0.01)
+    physical = base.point.problem.parametrisation.physical(base.estimate)
+    stiffness = truth.setting.units.of(3, 1, -2) * truth.setting.beam.bending_stiffness
+    assert physical[0] == pytest.approx(stiffness, rel=3e-4)
