@@ -21,7 +21,7 @@ from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
-from vjm.identification.trajectory_method import search_step_multiple
+from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
@@ -174,12 +174,17 @@ def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> Tra
 
 
 def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
-    """Fit as `_fit_recentred`; with elbows, shorten the integrator steps until their error is negligible.
+    """Fit as `_fit_recentred`, and again with shorter integrator steps where these were too long.
 
-    Steps that are accurate enough beside the residual of a poor fit may be too long once the fit is good. Only arms
-    with elbows take so many steps that it pays to begin with long ones.
+    Steps that are accurate enough beside the residual of a poor fit may be too long once the fit is good: they hide
+    fast modes of a decay. With elbows they are shortened until their error is negligible; only these arms take so many
+    steps that it pays to begin with long ones.
     """
     fit = _fit_recentred(problem, x, states, stop)
+    if hides_fast_modes(fit) and not is_nonsmooth(problem.effects) and fit.chi2 <= stop.max_chi2:
+        problem = replace(problem, step_multiple=1.0)
+        further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
+        fit = replace(further, iterations=fit.iterations + further.iterations)
     while problem.parametrisation.template.elbows.size and not is_nonsmooth(problem.effects):
         multiple = problem.step_multiple
         if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:

@@ -72,9 +72,6 @@ def simulate_trajectories(
         if _duration(first) > 0:
             h = min(h, _duration(first) / _LEAST_STEPS)
         h = min(h, longest, min(arm.longest_step for arm in copies) * min(step_multiple, 2.0))
-        if step is None and any(driven[k].kind == "decay" for k in group):
-            # It begins in fast modes too, whose initial state derivatives over longer intervals would not show.
-            h = min(h, _half_interval(copies[0].chain, first.payload))
         counts = [_step_count(arms[k].chain, driven[k], h) for k in group]
         drive = Drive.of([driven[k] for k in group], [starts[k] for k in group], h, max(counts))
         system = System.of(copies, [driven[k].payload for k in group], first.gravity)
@@ -135,15 +132,11 @@ def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float,
 
 def steps_per_half_interval(chain: Chain, recording: Recording, step: float) -> int:
     """Return the number of steps [s] in half an interval over which derivatives are advanced at once."""
+    slowest, _ = locked_joint_frequencies(chain, recording.payload)
+    periods = _HALF_INTERVAL_ELBOW if chain.elbows.size else _HALF_INTERVAL
     # A period may be far longer than the recording, beyond which nothing need be simulated.
-    longest = min(_half_interval(chain, recording.payload), max(_duration(recording), step))
+    longest = min(periods / slowest, max(_duration(recording), step))
     return max(1, int(longest / step + 1e-9))
-
-
-def _half_interval(chain: Chain, payload: float) -> float:
-    """Return half an interval over which derivatives are advanced at once [s], unless steps are longer."""
-    slowest, _ = locked_joint_frequencies(chain, payload)
-    return (_HALF_INTERVAL_ELBOW if chain.elbows.size else _HALF_INTERVAL) / slowest
 
 
 def _step_count(chain: Chain, recording: Recording, step: float) -> int:
