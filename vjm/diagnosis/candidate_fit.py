@@ -181,11 +181,12 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     steps that it pays to begin with long ones.
     """
     fit = _fit_recentred(problem, x, states, stop)
-    if hides_fast_modes(fit) and not is_nonsmooth(problem.effects) and fit.chi2 <= stop.max_chi2:
+    smooth = not is_nonsmooth(problem.effects)
+    if hides_fast_modes(fit, INCOMPLETE_MISFIT) and smooth and fit.chi2 <= stop.max_chi2:
         problem = replace(problem, step_multiple=1.0)
         further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
         fit = replace(further, iterations=fit.iterations + further.iterations)
-    while problem.parametrisation.template.elbows.size and not is_nonsmooth(problem.effects):
+    while problem.parametrisation.template.elbows.size and smooth:
         multiple = problem.step_multiple
         if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
             break

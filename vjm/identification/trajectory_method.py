@@ -92,7 +92,7 @@ class TrajectoryMethod:
             halved = fit.point.runs[0].trajectory.step < point.runs[0].trajectory.step  # unless another bound limits it
             if not fit.converged or (halved and moved < 0.1 * max(fit.point.misfit, 1.0)):
                 break
-        if hides_fast_modes(fit):
+        if hides_fast_modes(fit, DIVERGED_MISFIT):
             problem = replace(fit.point.problem, step_multiple=1.0)
             stop = _StallRule(self.rough)
             fit = fit_trajectory(problem, fit.point.x, self.progress, fit.point.states, rough=self.rough, stop=stop)
@@ -402,8 +402,8 @@ def search_step_multiple(point: Point, reduced_chi2: float | None = None, larges
     return 1.0
 
 
-def hides_fast_modes(fit: TrajectoryFit) -> bool:
-    """Return True if the steps are longer than the default, in decays that the model follows at least roughly.
+def hides_fast_modes(fit: TrajectoryFit, max_misfit: float) -> bool:
+    """Return True if the steps are longer than the default, in decays that the model misses by no more than a misfit.
 
     A release from a bent shape begins in several modes at once. Derivatives over longer intervals show fewer of them,
     so that the first frames are missed, which does not matter where far more is. The default steps of arms with elbows
@@ -412,7 +412,7 @@ def hides_fast_modes(fit: TrajectoryFit) -> bool:
     problem = fit.point.problem
     decays = any(observations.recording.kind == "decay" for observations in problem.observed)
     long_steps = problem.step_multiple > 1.0 and not problem.parametrisation.template.elbows.size
-    return decays and long_steps and fit.misfit < DIVERGED_MISFIT
+    return decays and long_steps and fit.misfit < max_misfit
 
 
 def _largest_step_multiple(
