@@ -8,16 +8,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.diagnosis.rigs import chain_of, point_of, recorded
+from tests.diagnosis.rigs import NOISE, RIG, chain_of, point_of, recorded
 from tests.report.diagnoses import pair
 from vjm.diagnosis import simulations
-from vjm.diagnosis.simulations import open_loop, simulate_without_each_cause
-from vjm.effects import ViscousFriction
+from vjm.diagnosis.records import Cause
+from vjm.diagnosis.simulations import open_loop, simulate_without_each_cause, with_holdout_gains
+from vjm.effects import BaseCompliance, Effect, GearElasticity, ViscousFriction
 from vjm.errors import SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.records import RecordingComparison
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
+from vjm.simulation.model import Model
 from vjm.simulation.run import Run
 
 
@@ -35,6 +38,18 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
     found = open_loop(in_parts, point.problem.observed).point
     assert [run.observed.recording.file for run in found.runs] == ["drive_0.csv"]
     assert len(found.problem.observed) == 1
+
+
+def test_a_recording_that_a_search_cannot_follow_is_shown_as_it_was_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
+    drifting = np.eye(2 * point.chain.size)[point.chain.size]
+    lost = TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
+
+    def diverging(*arguments: object) -> list[tuple[Run, bool]]:
+        raise SimulationDivergedError(1.0, 0.005, "no remedy")
+
+    monkeypatch.setattr(simulations, "fit_initial_states", diverging)
+    assert open_loop(lost, point.problem.observed).chi2 == lost.chi2
 
 
 def test_a_fit_that_was_given_up_is_shown_from_its_most_likely_states() -> None:
@@ -60,11 +75,43 @@ def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> No
     without = simulate_without_each_cause(replace(diagnosis, model=model)).causes[0].without
     assert without is not None
     assert first.simulated is not None
-    near = first.simulated.simulation
+    near = first.simulated.simulation.initial_state
     expected = replace(model, effects=(friction, causes[1])).replay(first.recording, near)
     np.testing.assert_allclose(without.simulation.markers, expected.simulation.markers, rtol=0, atol=1e-12)
     frictionless = replace(model, effects=(causes[1],), reference_effects=0).replay(first.recording, near)
     assert np.abs(without.simulation.markers - frictionless.simulation.markers).max() > 1e-4
+
+
+@pytest.mark.parametrize(
+    "jointed",
+    [GearElasticity(link=0, stiffness=30.0, motor_share=0.5, damping=0.05), BaseCompliance(stiffness=500.0, mass=1.0)],
+    ids=["gear", "table"],
+)
+def test_a_cause_with_a_joint_of_its_own_may_be_left_out(jointed: Effect) -> None:
+    """The model without it has fewer joints, and fewer initial states."""
+    friction = ViscousFriction(link=0, coefficient=0.01)
+    recordings = recorded(Arm.of(chain_of(), (friction, jointed)), 1)
+    point = point_of(chain_of(), (), recordings)
+
+    def fit_of(*effects: Effect) -> TrajectoryFit:
+        problem = replace(point.problem, effects=effects)
+        return TrajectoryFit(problem.point(np.concatenate([point.x, *(effect.coordinates for effect in effects)])))
+
+    best, alone = fit_of(friction, jointed), {effect.key: fit_of(effect) for effect in (friction, jointed)}
+    causes = [Cause(effect, {}, 0.0, 1.0, (), "") for effect in best.effects]
+    compared = [
+        RecordingComparison(
+            replace(run.observed.recording, role="holdout"), NOISE, *2 * [run.simulated_recording(True)]
+        )
+        for run in best.point.runs
+    ]
+    gained = with_holdout_gains(RIG, causes, compared, best, {fit.effect_keys: fit for fit in alone.values()})
+    gains = [cause.holdout_gain for cause in gained]
+    assert all(gain is not None and gain > 0 for gain in gains)
+    model = Model(chain_of(), RIG, *NOISE, (), best.effects)
+    diagnosis = replace(pair(), causes=tuple(causes), recordings=tuple(compared), model=model)
+    without = [cause.without for cause in simulate_without_each_cause(diagnosis).causes]
+    assert all(run is not None and run.marker_rms > 1.1 * NOISE[0] for run in without)
 
 
 def test_a_single_cause_leaves_the_model_fitted_without_it() -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PPoly, make_interp_spline
 from scipy.linalg import expm
 
+from tests.diagnosis.rigs import RIG, chain_of, recorded
 from tests.simulation.setups import (
     DOWN,
     arm_of,
@@ -24,13 +25,13 @@ from tests.simulation.setups import (
 )
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
-from vjm.effects import Backlash, BaseCompliance, ClampCompliance, CoulombFriction, Effect, GearElasticity
+from vjm.effects import Backlash, BaseCompliance, ClampCompliance, CoulombFriction, Effect, GearElasticity, TipPayload
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import phi_functions, simulate_trajectories
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
+from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
 from vjm.simulation.variational_equations import PerturbedArm
 
 Array = NDArray[np.float64]
@@ -316,3 +317,31 @@ def test_a_torque_s_moments_survive_its_steps() -> None:
     inside = wide.time <= 1.0
     assert np.ptp(expected) > 0.01
     np.testing.assert_allclose(wide.q[inside, 0], expected[inside], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [CoulombFriction(link=0, torque=0.005), Backlash(link=0, gap=0.001, motor_share=0.4)],
+    ids=["friction", "play"],
+)
+def test_encoders_of_a_given_motion_tell_no_mass_beside_friction_or_play(effect: Effect) -> None:
+    """The joint turns as it is told, whatever hangs on it."""
+    recording = recorded(Arm(chain_of()), 1)[1]
+    recording = replace(recording, input="motion", tau=np.full_like(recording.tau, np.nan))
+    observed = Observations.of(RIG, recording, NOISE)
+
+    def arm(mass: float) -> Arm:
+        return Arm.of(chain_of(), (effect, TipPayload(link=0, mass=mass))).in_recording(recording)
+
+    state = np.zeros(2 * arm(0.02).chain.size)
+    state[0] = recording.theta[0, 0]
+    prior = InitialStatePrior.of(arm(0.02), recording)
+    middle, less, more = (simulate_runs([arm(m)], [observed], [prior], [state], 1.0)[0] for m in (0.02, 0.0199, 0.0201))
+    (linearization,) = linearize([middle], [[PerturbedArm(arm(0.02 + 1e-8), 1e-8)]])
+    derivative = np.zeros(observed.count)
+    for rows, part in middle.jacobian(linearization):
+        derivative[rows] = part[:, -1]
+    theta = slice(observed.markers.size, None)
+    differences = (less.residual - more.residual) / 2e-4
+    assert np.linalg.norm(derivative[theta]) < 1e-4 * np.linalg.norm(differences)
+    assert np.linalg.norm(differences[theta]) < 1e-4 * np.linalg.norm(differences)

@@ -14,7 +14,6 @@ import numpy as np
 from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
 from vjm.diagnosis.noise import Noise
 from vjm.effects import BUILTIN
-from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.identification.discretization import DiscretizationBias
 from vjm.identification.outliers import trimmed
@@ -72,26 +71,15 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     return Baseline(fit, noise, others, (*search.data.problems, *unused))
 
 
-def corrected_for_discretization(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit | None:
+def corrected_for_discretization(fit: TrajectoryFit, rig: Rig, deadline: float = np.inf) -> TrajectoryFit | None:
     """Fit a model beside its chain's discretization error, where what is missing is no larger than that may be.
 
-    None where that error cannot be told.
+    None where that error cannot be told, or not before a reading of `time.monotonic`, the deadline [s].
     """
     if fit.misfit > _CLOSE_MISFIT:
         return fit
-    bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT)
-    return None if bias is None else bias.corrected(fit, _CLOSE_MISFIT)
-
-
-def with_discretization_shift(fit: TrajectoryFit, rig: Rig) -> TrajectoryFit:
-    """Return a model with the shift of its parameters to those of a beam, where that is not known and can be told.
-
-    Models with stick-slip or play are returned as they are: the shift needs derivatives.
-    """
-    if fit.shift is not None or is_nonsmooth(fit.effects) or fit.misfit > _CLOSE_MISFIT:
-        return fit
-    bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT)
-    return fit if bias is None else replace(fit, shift=bias.shift)
+    bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT, deadline)
+    return None if bias is None else bias.corrected(fit, _CLOSE_MISFIT, deadline)
 
 
 def _further_recordings(

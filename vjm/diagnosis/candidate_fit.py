@@ -138,10 +138,32 @@ def refit(
             try:
                 if states_first:
                     states = _initial_states(problem, x, states)
-                return _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
+                fit = _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
+                return replace(fit, shift=_carried_shift(start, fit))
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
+
+
+def _carried_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
+    """Return the discretization shift (p,) of a model that was refitted with other effects beside the same offset.
+
+    Beside the offset, new effects are as beside a beam: only what was shifted before still is. None without an offset,
+    or where an effect that was shifted has other coordinates now.
+    """
+    offsets = [run.observed.discretization_offset for run in fit.point.runs]
+    if start.shift is None or any(offset is None for offset in offsets):
+        return None
+    shift, count = np.zeros(fit.point.x.size), len(fit.point.problem.parametrisation.coordinates)
+    shift[:count] = start.shift[:count]
+    before = {effect.key: effect for effect in start.effects}
+    for effect, part in zip(fit.effects, fit.point.problem.parts, strict=True):
+        if effect.key in before:
+            shifted = start.part_of(before[effect.key])
+            if effect.at(start.point.x[shifted]) != before[effect.key]:
+                return None
+            shift[part] = start.shift[shifted]
+    return shift
 
 
 def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
@@ -182,15 +204,16 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     """
     fit = _fit_recentred(problem, x, states, stop)
     smooth = not is_nonsmooth(problem.effects)
-    if hides_fast_modes(fit, INCOMPLETE_MISFIT) and smooth and fit.chi2 <= stop.max_chi2:
-        problem = replace(problem, step_multiple=1.0)
+    in_time = monotonic() <= stop.deadline
+    if hides_fast_modes(fit, INCOMPLETE_MISFIT) and smooth and in_time and fit.chi2 <= stop.max_chi2:
+        problem = replace(fit.point.problem, step_multiple=1.0)
         further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
         fit = replace(further, iterations=fit.iterations + further.iterations)
     while problem.parametrisation.template.elbows.size and smooth:
         multiple = problem.step_multiple
         if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
             break
-        problem = replace(problem, step_multiple=search_step_multiple(fit.point, largest=multiple))
+        problem = replace(fit.point.problem, step_multiple=search_step_multiple(fit.point, largest=multiple))
         if problem.step_multiple == multiple:
             break
         further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
@@ -307,8 +330,9 @@ def fit_segments(
     # For effects with memory in later fits: their internal states follow the motion fitted here up to each segment.
     observed = _with_preceding_motion([run.observed for run in fitted.point.runs], fitted.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(fitted.point.runs, observed, strict=True)]
-    problem = replace(problem, observed=tuple(observed))
-    return replace(fitted, point=Point(problem, fitted.point.x, tuple(runs)), shift=fit.shift)
+    known = fitted.point.problem.effects is problem.effects  # the shift is in their coordinates
+    problem = replace(fitted.point.problem, observed=tuple(observed))
+    return replace(fitted, point=Point(problem, fitted.point.x, tuple(runs)), shift=fit.shift if known else None)
 
 
 def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:

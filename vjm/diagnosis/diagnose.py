@@ -146,8 +146,8 @@ def _default_budget(experiment: Experiment, jobs: int) -> float:
     recorded = sum(float(np.ptp(recording.time)) for recording in train)
     frames = sum(recording.frames.size for recording in train)
     # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings at 100 frames/s.
-    # What is simulated grows with both: a fast camera sees fast modes, which take short steps. Whoever waits for an
-    # answer waits for five minutes at most, with what starts and ends it.
+    # What is simulated grows with both: a fast camera sees fast modes, which take short steps. With two
+    # processes an answer takes five minutes at most, with what starts and ends it.
     return 240.0 / min(jobs, 2) * min(max(1.0, recorded / 35.0, frames / 3500.0), 2.0)
 
 

@@ -17,7 +17,7 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import corrected_for_discretization, with_discretization_shift
+from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
@@ -176,9 +176,6 @@ class Search:
         justified = self._justified(best, fits)
         if justified is not best:
             best, family = justified, self.screen(justified)
-        if best.new_effects and len(best.point.runs) == len(self.whole) and not self.options.exhausted:
-            self.report("measuring the discretization error")
-            best = fits[best.effect_keys] = with_discretization_shift(best, self.rig)
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
@@ -539,7 +536,7 @@ class Search:
         if is_nonsmooth(fit.effects):
             return fit
         self.report("measuring the discretization error")
-        return corrected_for_discretization(fit, self.rig)
+        return corrected_for_discretization(fit, self.rig, self.options.deadline)
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
@@ -559,7 +556,8 @@ def _refit_within_bounds(
     nested = len(added) == len(effects) - len(start.effects)
     worse = fit is None or fit.chi2 >= start.chi2
     if worse and nested and any(added.values()) and max_chi2 > start.chi2 and not options.exhausted:
-        fit = refit(start, effects, options.stop(max_chi2), states_first=True)
+        again = refit(start, effects, options.stop(max_chi2), states_first=True)
+        fit = min(filter(None, (fit, again)), key=lambda fit: fit.chi2, default=None)
     return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
 
 

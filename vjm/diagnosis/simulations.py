@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from vjm.chain.curve import transfer_state
 from vjm.diagnosis.records import Cause, Diagnosis, held_out
 from vjm.effects.effect import Key
 from vjm.errors import InsufficientDataError, SimulationDivergedError
@@ -31,21 +31,25 @@ def open_loop(fit: TrajectoryFit, whole: Sequence[Observations]) -> TrajectoryFi
         return fit
     problem = replace(fit.point.problem, observed=tuple(whole))
 
+    def known(chosen: Sequence[int]) -> list[Run]:
+        return [replace(fit.point.runs[k], observed=whole[k]) for k in chosen] if fitted else []
+
     def likely(chosen: Sequence[int]) -> list[Run]:
         states = None if fitted else [state_at(fit.point.runs, whole[k]) for k in chosen]
         runs = [run for run, _ in _simulate(fit, [whole[k] for k in chosen], states)]
         if not fitted:
             return runs
-        known = [fit.point.runs[k] for k in chosen]
-        return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known, strict=True)]
+        return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known(chosen), strict=True)]
 
     try:
         runs = likely(range(len(whole)))
     except SimulationDivergedError:
         runs = []  # some models fit segments but diverge over whole recordings, as with negative damping
         for k in range(len(whole)):
-            with contextlib.suppress(SimulationDivergedError):
+            try:
                 runs += likely([k])
+            except SimulationDivergedError:
+                runs += known([k])
     problem = replace(problem, observed=tuple(run.observed for run in runs))
     return TrajectoryFit(Point(problem, fit.point.x, tuple(runs)))
 
@@ -107,17 +111,31 @@ def with_holdout_gains(
     if len(causes) == 1:
         return (replace(causes[0], holdout_gain=_marker_rms([comparison.reference for comparison in tested]) - after),)
     gained = []
+    observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
     states = [None if run is None else run.simulation.initial_state for run in simulated]
     for cause in causes:
         without = fits.get(best.effect_keys - {cause.effect.key})
         try:
-            observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
-            runs = [] if without is None else _simulate(without, observed, states)
+            runs = (
+                [] if without is None else _simulate(without, observed, _transferred(states, best, without, observed))
+            )
         except SimulationDivergedError:
             runs = []
         before = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) if runs else None
         gained.append(replace(cause, holdout_gain=None if before is None else before - after))
     return tuple(gained)
+
+
+def _transferred(
+    states: Sequence[Array | None], given: TrajectoryFit, wanted: TrajectoryFit, observed: Sequence[Observations]
+) -> list[Array | None]:
+    """Transfer initial states (2 nv,) of recordings, where known, to a model which may have joints less."""
+    recordings = [observation.recording for observation in observed]
+    pairs = zip(*(fit.point.problem.arms(fit.point.x, recordings) for fit in (given, wanted)), strict=True)
+    return [
+        None if state is None else transfer_state(arm.chain, other.chain, state)
+        for state, (arm, other) in zip(states, pairs, strict=True)
+    ]
 
 
 def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
@@ -145,8 +163,10 @@ def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
         without = comparison.reference
         if len(findings.causes) > 1:
             try:
-                model, near = replace(findings.model, effects=others), comparison.simulated.simulation
-                without = model.replay(comparison.recording, near)
+                model, recording = replace(findings.model, effects=others), comparison.recording
+                given, wanted = findings.model.arm_in(recording).chain, model.arm_in(recording).chain
+                state = transfer_state(given, wanted, comparison.simulated.simulation.initial_state)
+                without = model.replay(recording, state)
             except (InsufficientDataError, SimulationDivergedError):
                 without = None
         causes.append(replace(cause, without=without))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from time import monotonic
 from typing import Self
 
 import numpy as np
@@ -55,7 +56,7 @@ class DiscretizationBias:
     shift: Array  # (p,) the beam's coordinates less the chain's
 
     @classmethod
-    def of(cls, point: Point, rig: Rig, max_misfit: float = np.inf) -> Self | None:
+    def of(cls, point: Point, rig: Rig, max_misfit: float = np.inf, deadline: float = np.inf) -> Self | None:
         """Compare a fitted chain with a finer one.
 
         Corrections of first order need not settle: over the many swings of an elbow a small error at the start grows.
@@ -64,9 +65,10 @@ class DiscretizationBias:
             point: where the chain fits best.
             rig: the arm.
             max_misfit: misfit of the finer chain, after all corrections, above which they have not settled.
+            deadline: reading of `time.monotonic` after which nothing more is fitted [s].
 
         Returns:
-            The bias; None where the finer chain cannot be simulated, or corrections will not settle.
+            The bias; None where the finer chain cannot be simulated, or corrections will not settle, or not in time.
         """
         start = _with_offset(point, None)
         finer = _finer(start, rig)
@@ -86,7 +88,10 @@ class DiscretizationBias:
                     shifted = _with_offset(current, offset)
                     states = [run.state for run in shifted.runs]
                     # To the minimum: a loose tolerance leaves up to ten standard errors, which do not settle.
-                    fit = fit_trajectory(shifted.problem, shifted.x, None, states)
+                    stop = partial(_is_late, deadline=deadline)
+                    fit = fit_trajectory(shifted.problem, shifted.x, None, states, stop=stop)
+                    if monotonic() > deadline:
+                        return None
                     current = _with_offset(fit.point, None)
         except (SimulationDivergedError, InsufficientDataError):
             return None
@@ -96,13 +101,24 @@ class DiscretizationBias:
         offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
         return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
 
-    def corrected(self, candidate: TrajectoryFit, max_misfit: float) -> TrajectoryFit | None:
-        """Fit a model again beside the bias; None where its misfit comes out larger than `max_misfit`."""
+    def corrected(self, candidate: TrajectoryFit, max_misfit: float, deadline: float = np.inf) -> TrajectoryFit | None:
+        """Fit a model again beside the bias; None where its misfit comes out larger than `max_misfit`.
+
+        After the deadline, a reading of `time.monotonic` [s], the fit ends where it stands.
+        """
         point = _with_offset(candidate.point, self.offset)
         states = [run.state for run in point.runs]
-        stop = partial(stays_above, max_chi2=max_misfit**2 * point.expected_chi2)
+        max_chi2 = max_misfit**2 * point.expected_chi2
+
+        def stop(point: Point, predicted: float) -> bool:
+            return stays_above(point, predicted, max_chi2) or _is_late(point, predicted, deadline)
+
         fit = fit_trajectory(point.problem, point.x, None, states, stop=stop)
         return None if fit.misfit > max_misfit else replace(fit, shift=self.shift)
+
+
+def _is_late(point: Point, predicted: float, deadline: float) -> bool:
+    return monotonic() > deadline
 
 
 def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:

@@ -514,7 +514,11 @@ def _with_refined_states(point: Point, step: _TrajectoryStep, trial: Point) -> P
     if 2 * len(poor) > len(trial.runs) and not is_nonsmooth(point.problem.effects):
         return trial
     targets = [point.runs[k].cost - predicted[k] / 2 for k in poor]
-    return _with_runs(trial, poor, refine_initial_states([trial.runs[k] for k in poor], targets, point.runs, multiple))
+    try:
+        refined = refine_initial_states([trial.runs[k] for k in poor], targets, point.runs, multiple)
+    except SimulationDivergedError:
+        return trial
+    return _with_runs(trial, poor, refined)
 
 
 def _falling_short(point: Point, step: _TrajectoryStep, trial: Point) -> list[int]:

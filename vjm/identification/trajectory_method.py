@@ -17,6 +17,7 @@ from vjm.identification.training_data import JointChoice, TrainingData
 from vjm.identification.trajectory_fit import DIVERGED_MISFIT, Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
 from vjm.records import Array, Progress, Recording
 from vjm.simulation.arm import Arm
+from vjm.simulation.integrate import default_step
 from vjm.simulation.least_squares import Loss
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, is_followed, simulate_runs
@@ -409,10 +410,11 @@ def hides_fast_modes(fit: TrajectoryFit, max_misfit: float) -> bool:
     so that the first frames are missed, which does not matter where far more is. The default steps of arms with elbows
     are far shorter than these intervals.
     """
-    problem = fit.point.problem
-    decays = any(observations.recording.kind == "decay" for observations in problem.observed)
-    long_steps = problem.step_multiple > 1.0 and not problem.parametrisation.template.elbows.size
-    return decays and long_steps and fit.misfit < max_misfit
+    decays = [run for run in fit.point.runs if run.observed.recording.kind == "decay" and not run.chain.elbows.size]
+    # Not by the multiple alone: other bounds may have kept the steps short.
+    default = [default_step(run.chain, run.observed.recording.payload) for run in decays]
+    longer = any(run.trajectory.step > 1.001 * step for run, step in zip(decays, default, strict=True))
+    return longer and fit.point.problem.step_multiple > 1.0 and fit.misfit < max_misfit
 
 
 def _largest_step_multiple(

@@ -146,17 +146,17 @@ class Model(Record):
             raise ShapeError("simulate", "a recording and a torque of one's own", "one of them")
         return self.replay(recording).simulation
 
-    def replay(self, recording: Recording, near: Simulation | None = None) -> SimulatedRecording:
+    def replay(self, recording: Recording, near: Array | None = None) -> SimulatedRecording:
         """Simulate a recording as `simulate` does, and keep it with its residuals.
 
-        From the initial state of a similar model's simulation, `near`, a few steps are taken towards the most likely.
+        From an initial state (2 nv,) near the most likely, such as a similar model's, a few steps are taken.
         """
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
         arm = self.arm_in(recording)
         if near is None:
             ((run, converged),) = fit_initial_states([arm], [observed])
         else:
-            ((run, converged),) = fit_initial_states([arm], [observed], [near.initial_state], max_trials=FEW_TRIALS)
+            ((run, converged),) = fit_initial_states([arm], [observed], [near], max_trials=FEW_TRIALS)
         return run.simulated_recording(converged)
 
     def modes(self, payload: float = 0.0) -> Modes:

@@ -63,7 +63,7 @@ class ModalBasis:
         """Return the modes of an arm with free active joints; slow ones turn by less than 3.2 rad in an interval [s].
 
         Fast modes respond quasi-statically, and are omitted where they add nothing to a static deflection. Where the
-        arm is nonsmooth, a joint that is stiff in contact turns freely apart from it, and none is omitted.
+        arm is nonsmooth, a joint that is stiff in contact turns freely apart from it: none of the first 16 is omitted.
         """
         M, _, K, _ = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
         squares, shapes = linalg.eigh(K, M)
@@ -264,7 +264,9 @@ def coefficients_along(
         forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / DIFFERENCE_STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / DIFFERENCE_STEP
     forcing: list[tuple[int, Array, Motions, Indices]] = []  # parameter, torques (I, nv, r) by accelerations, of joints
-    impulsive = is_nonsmooth(arm.effects)
+    # A motion that is given is kept up by a heavy armature: its inertia and its torque cancel where they are sampled
+    # at the same instants only.
+    impulsive = is_nonsmooth(arm.effects) and not chain.armature
     at_rest = equations.inertial_torque(motion._replace(a=np.zeros(motion.a.shape))) if impulsive else inertial
     for k, (moved, other) in enumerate(zip(perturbed, others, strict=True)):
         every, added = np.arange(other.a.shape[1]), _added_joints(chain, moved.arm.chain)
