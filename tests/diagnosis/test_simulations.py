@@ -24,6 +24,13 @@ from vjm.simulation.model import Model
 from vjm.simulation.run import Run
 
 
+def lost_fit() -> TrajectoryFit:
+    """The right chain, whose hub begins a radian a second too fast."""
+    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
+    drifting = np.eye(2 * point.chain.size)[point.chain.size]
+    return TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
+
+
 def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Segments of a wrong model may be followed all the same."""
     point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
@@ -41,28 +48,24 @@ def test_recordings_that_an_open_loop_leaves_are_left_out(monkeypatch: pytest.Mo
 
 
 def test_a_recording_that_a_search_cannot_follow_is_shown_as_it_was_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
-    drifting = np.eye(2 * point.chain.size)[point.chain.size]
-    lost = TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
+    fit = lost_fit()
 
     def diverging(*arguments: object) -> list[tuple[Run, bool]]:
         raise SimulationDivergedError(1.0, 0.005, "no remedy")
 
     monkeypatch.setattr(simulations, "fit_initial_states", diverging)
-    assert open_loop(lost, point.problem.observed).chi2 == lost.chi2
+    assert open_loop(fit, fit.point.problem.observed).chi2 == fit.chi2
 
 
 def test_a_fit_that_was_given_up_is_shown_from_its_most_likely_states() -> None:
     """One that follows its recordings is shown as it is."""
-    point = point_of(chain_of(), (), recorded(Arm(chain_of()), 1))
-    fit, whole = TrajectoryFit(point), point.problem.observed
-    assert open_loop(fit, whole) is fit
-    drifting = np.eye(2 * point.chain.size)[point.chain.size]  # rad/s of the hub
-    lost = TrajectoryFit(point.problem.point(point.x, [state + drifting for state in point.states]))
+    fit = TrajectoryFit(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)))
+    assert open_loop(fit, fit.point.problem.observed) is fit
+    lost = lost_fit()
     assert lost.misfit > 100
-    shown = open_loop(lost, whole)
+    shown = open_loop(lost, lost.point.problem.observed)
     assert shown.misfit == pytest.approx(1.0, abs=0.05)
-    assert np.array_equal(shown.point.x, point.x)
+    assert np.array_equal(shown.point.x, lost.point.x)
 
 
 def test_what_was_present_before_a_change_stays_when_a_cause_is_left_out() -> None:
@@ -99,12 +102,8 @@ def test_a_cause_with_a_joint_of_its_own_may_be_left_out(jointed: Effect) -> Non
 
     best, alone = fit_of(friction, jointed), {effect.key: fit_of(effect) for effect in (friction, jointed)}
     causes = [Cause(effect, {}, 0.0, 1.0, (), "") for effect in best.effects]
-    compared = [
-        RecordingComparison(
-            replace(run.observed.recording, role="holdout"), NOISE, *2 * [run.simulated_recording(True)]
-        )
-        for run in best.point.runs
-    ]
+    shown = [run.simulated_recording(True) for run in best.point.runs]
+    compared = [RecordingComparison(replace(run.recording, role="holdout"), NOISE, run, run) for run in shown]
     gained = with_holdout_gains(RIG, causes, compared, best, {fit.effect_keys: fit for fit in alone.values()})
     gains = [cause.holdout_gain for cause in gained]
     assert all(gain is not None and gain > 0 for gain in gains)

@@ -139,20 +139,20 @@ def refit(
                 if states_first:
                     states = _initial_states(problem, x, states)
                 fit = _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
-                return replace(fit, shift=_carried_shift(start, fit))
+                # Beside the discretization error, a new effect is as beside a beam; without it, all are biased anew.
+                beside = all(run.observed.discretization_offset is not None for run in fit.point.runs)
+                return replace(fit, shift=_transferred_shift(start, fit) if beside else None)
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
 
 
-def _carried_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
-    """Return the discretization shift (p,) of a model that was refitted with other effects beside the same offset.
+def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None:
+    """Return a model's discretization shift (p,) by that of one with other effects: zero for new effects.
 
-    Beside the offset, new effects are as beside a beam: only what was shifted before still is. None without an offset,
-    or where an effect that was shifted has other coordinates now.
+    None where it is not known, or is in other coordinates, since an effect was recentred.
     """
-    offsets = [run.observed.discretization_offset for run in fit.point.runs]
-    if start.shift is None or any(offset is None for offset in offsets):
+    if start.shift is None:
         return None
     shift, count = np.zeros(fit.point.x.size), len(fit.point.problem.parametrisation.coordinates)
     shift[:count] = start.shift[:count]
@@ -203,22 +203,24 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     steps that it pays to begin with long ones.
     """
     fit = _fit_recentred(problem, x, states, stop)
-    smooth = not is_nonsmooth(problem.effects)
-    in_time = monotonic() <= stop.deadline
-    if hides_fast_modes(fit, INCOMPLETE_MISFIT) and smooth and in_time and fit.chi2 <= stop.max_chi2:
-        problem = replace(fit.point.problem, step_multiple=1.0)
-        further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
-        fit = replace(further, iterations=fit.iterations + further.iterations)
-    while problem.parametrisation.template.elbows.size and smooth:
-        multiple = problem.step_multiple
-        if multiple == 1.0 or fit.chi2 > stop.max_chi2 or monotonic() > stop.deadline:
+    while fit.chi2 <= stop.max_chi2 and monotonic() <= stop.deadline:
+        multiple = _needed_step_multiple(fit)
+        if multiple == fit.point.problem.step_multiple:
             break
-        problem = replace(fit.point.problem, step_multiple=search_step_multiple(fit.point, largest=multiple))
-        if problem.step_multiple == multiple:
-            break
-        further = _fit_recentred(problem, fit.point.x, fit.point.states, stop)
+        shorter = replace(fit.point.problem, step_multiple=multiple)
+        further = _fit_recentred(shorter, fit.point.x, fit.point.states, stop)
         fit = replace(further, iterations=fit.iterations + further.iterations)
     return fit
+
+
+def _needed_step_multiple(fit: TrajectoryFit) -> float:
+    """Return the multiple of the integrator's default step, at most the fit's own, that its residual allows."""
+    problem = fit.point.problem
+    if is_nonsmooth(problem.effects) or problem.step_multiple == 1.0:
+        return problem.step_multiple
+    if problem.parametrisation.template.elbows.size:
+        return search_step_multiple(fit.point, largest=problem.step_multiple)
+    return 1.0 if hides_fast_modes(fit, INCOMPLETE_MISFIT) else problem.step_multiple
 
 
 def _fit_recentred(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
@@ -330,9 +332,9 @@ def fit_segments(
     # For effects with memory in later fits: their internal states follow the motion fitted here up to each segment.
     observed = _with_preceding_motion([run.observed for run in fitted.point.runs], fitted.point.runs)
     runs = [replace(run, observed=part) for run, part in zip(fitted.point.runs, observed, strict=True)]
-    known = fitted.point.problem.effects is problem.effects  # the shift is in their coordinates
     problem = replace(fitted.point.problem, observed=tuple(observed))
-    return replace(fitted, point=Point(problem, fitted.point.x, tuple(runs)), shift=fit.shift if known else None)
+    point = Point(problem, fitted.point.x, tuple(runs))
+    return replace(fitted, point=point, shift=_transferred_shift(fit, fitted))
 
 
 def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -15,6 +16,7 @@ from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Array, Experiment, RecordingComparison, Rig, SimulatedRecording
+from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, all_followed, state_at
@@ -106,50 +108,39 @@ def with_holdout_gains(
     tested = held_out(recordings)
     if not tested:
         return tuple(causes)
-    simulated = [comparison.simulated for comparison in tested]
+    simulated = [comparison.simulated for comparison in tested if comparison.simulated is not None]
     after = _marker_rms(simulated)
     if len(causes) == 1:
-        return (replace(causes[0], holdout_gain=_marker_rms([comparison.reference for comparison in tested]) - after),)
-    gained = []
+        before = _marker_rms([comparison.reference for comparison in tested if comparison.reference is not None])
+        return (replace(causes[0], holdout_gain=before - after),)
     observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
-    states = [None if run is None else run.simulation.initial_state for run in simulated]
+    chains, gained = [arm.chain for arm in _arms(best, observed)], []
     for cause in causes:
-        without = fits.get(best.effect_keys - {cause.effect.key})
-        try:
-            runs = (
-                [] if without is None else _simulate(without, observed, _transferred(states, best, without, observed))
-            )
-        except SimulationDivergedError:
-            runs = []
-        before = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) if runs else None
-        gained.append(replace(cause, holdout_gain=None if before is None else before - after))
+        without, gain = fits.get(best.effect_keys - {cause.effect.key}), None
+        if without is not None:
+            triples = zip(chains, _arms(without, observed), simulated, strict=True)
+            states = [transfer_state(chain, arm.chain, run.simulation.initial_state) for chain, arm, run in triples]
+            with contextlib.suppress(SimulationDivergedError):
+                runs = _simulate(without, observed, states)
+                gain = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) - after
+        gained.append(replace(cause, holdout_gain=gain))
     return tuple(gained)
 
 
-def _transferred(
-    states: Sequence[Array | None], given: TrajectoryFit, wanted: TrajectoryFit, observed: Sequence[Observations]
-) -> list[Array | None]:
-    """Transfer initial states (2 nv,) of recordings, where known, to a model which may have joints less."""
-    recordings = [observation.recording for observation in observed]
-    pairs = zip(*(fit.point.problem.arms(fit.point.x, recordings) for fit in (given, wanted)), strict=True)
-    return [
-        None if state is None else transfer_state(arm.chain, other.chain, state)
-        for state, (arm, other) in zip(states, pairs, strict=True)
-    ]
-
-
-def _marker_rms(simulated: Sequence[SimulatedRecording | None]) -> float:
+def _marker_rms(simulated: Sequence[SimulatedRecording]) -> float:
     """Return the RMS of the marker residuals of several recordings together [m]."""
-    residual = np.concatenate([run.marker_residual.ravel() for run in simulated if run is not None])
-    return float(np.sqrt(np.nanmean(residual**2)))
+    return float(np.sqrt(np.nanmean(np.concatenate([run.marker_residual.ravel() for run in simulated]) ** 2)))
+
+
+def _arms(model: TrajectoryFit, observed: Sequence[Observations]) -> tuple[Arm, ...]:
+    return model.point.problem.arms(model.point.x, [observations.recording for observations in observed])
 
 
 def _simulate(
     model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
 ) -> list[tuple[Run, bool]]:
     """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
-    arms = model.point.problem.arms(model.point.x, [observation.recording for observation in observed])
-    return fit_initial_states(arms, observed, states, model.point.problem.step_multiple)
+    return fit_initial_states(_arms(model, observed), observed, states, model.point.problem.step_multiple)
 
 
 def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from time import monotonic
 from typing import Self
 
@@ -88,8 +87,9 @@ class DiscretizationBias:
                     shifted = _with_offset(current, offset)
                     states = [run.state for run in shifted.runs]
                     # To the minimum: a loose tolerance leaves up to ten standard errors, which do not settle.
-                    stop = partial(_is_late, deadline=deadline)
-                    fit = fit_trajectory(shifted.problem, shifted.x, None, states, stop=stop)
+                    fit = fit_trajectory(
+                        shifted.problem, shifted.x, None, states, stop=lambda *_: monotonic() > deadline
+                    )
                     if monotonic() > deadline:
                         return None
                     current = _with_offset(fit.point, None)
@@ -109,16 +109,14 @@ class DiscretizationBias:
         point = _with_offset(candidate.point, self.offset)
         states = [run.state for run in point.runs]
         max_chi2 = max_misfit**2 * point.expected_chi2
-
-        def stop(point: Point, predicted: float) -> bool:
-            return stays_above(point, predicted, max_chi2) or _is_late(point, predicted, deadline)
-
-        fit = fit_trajectory(point.problem, point.x, None, states, stop=stop)
+        fit = fit_trajectory(
+            point.problem,
+            point.x,
+            None,
+            states,
+            stop=lambda trial, predicted: stays_above(trial, predicted, max_chi2) or monotonic() > deadline,
+        )
         return None if fit.misfit > max_misfit else replace(fit, shift=self.shift)
-
-
-def _is_late(point: Point, predicted: float, deadline: float) -> bool:
-    return monotonic() > deadline
 
 
 def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
