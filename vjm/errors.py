@@ -212,5 +212,5 @@ def shown(value: object) -> str:
 
 def suggestion(name: str, choices: Iterable[str]) -> str:
     """Return `, did you mean 'NAME'?` for the nearest choice; empty where none is near."""
-    near = difflib.get_close_matches(name, list(choices), n=1)
-    return f", did you mean '{near[0]}'?" if near else ""
+    matches = difflib.get_close_matches(name, list(choices), n=1)
+    return f", did you mean '{matches[0]}'?" if matches else ""

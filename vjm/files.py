@@ -197,12 +197,12 @@ def _replace(folder: Path, stage: Path, files: Mapping[str, str | bytes], remove
         (stage / "new" / name).write_bytes(_encoded(content))
     with ExitStack() as undo:
         for name in (*removed, *files):
-            target, old = folder / name, stage / "old" / name
+            target, backup = folder / name, stage / "old" / name
             _make(target.parent, undo)
             if target.exists() or target.is_symlink():
-                old.parent.mkdir(parents=True, exist_ok=True)
-                undo.callback(_put_back, old, target)
-                os.replace(target, old)
+                backup.parent.mkdir(parents=True, exist_ok=True)
+                undo.callback(_put_back, backup, target)
+                os.replace(target, backup)
             else:
                 undo.callback(target.unlink, missing_ok=True)
             if name in files:
@@ -216,6 +216,6 @@ def _make(folder: Path, undo: ExitStack) -> None:
         undo.callback(folder.rmdir)
 
 
-def _put_back(old: Path, target: Path) -> None:
-    if old.exists() or old.is_symlink():
-        os.replace(old, target)
+def _put_back(backup: Path, target: Path) -> None:
+    if backup.exists() or backup.is_symlink():
+        os.replace(backup, target)

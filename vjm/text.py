@@ -104,8 +104,8 @@ def quantity(value: float, std: float | None, unit_name: str, digits: int = 2) -
         return UNKNOWN
     factor, name = everyday_unit(value, unit_name)
     text = number(value / factor, digits) if std is None else with_error(value / factor, std / factor)
-    between = "" if name.startswith("°") and "±" not in text and "×" not in text else " "
-    return f"{text}{between}{name}".rstrip()
+    separator = "" if name.startswith("°") and "±" not in text and "×" not in text else " "
+    return f"{text}{separator}{name}".rstrip()
 
 
 def everyday_unit(value: float, unit_name: str) -> tuple[float, str]:

@@ -68,14 +68,14 @@ def split_inertia(
     C = body.second_moments
     if not 0 < body.mass < np.inf or not np.isfinite(C).all():
         raise ShapeError("mass", body.mass, "a mass above zero and a finite inertia, which virtual links share")
-    least, largest = np.linalg.eigvalsh(C)[[0, -1]]
-    if least < -_ROUNDING * max(largest, 0.0) or largest <= 0:
+    smallest, largest = np.linalg.eigvalsh(C)[[0, -1]]
+    if smallest < -_ROUNDING * max(largest, 0.0) or largest <= 0:
         moments = np.linalg.eigvalsh(body.tensor)
-        given = f"principal moments {', '.join(f'{moment:.6g}' for moment in moments)} kg m^2"
-        raise ShapeError("inertia", given, "a body that can exist: no moment above the sum of the other two, none zero")
+        value = f"principal moments {', '.join(f'{moment:.6g}' for moment in moments)} kg m^2"
+        raise ShapeError("inertia", value, "a body that can exist: no moment above the sum of the other two, none zero")
     length = float(lengths.sum())
-    along = float(direction @ C @ direction)
-    variance = along / body.mass / length**2
+    axial_moment = float(direction @ C @ direction)
+    variance = axial_moment / body.mass / length**2
     if variance < _ROUNDING:
         raise ShapeError("inertia", "a body without extent along the axis", "one that can be cut across its axis")
     position = float((body.center - start) @ direction)
@@ -84,9 +84,9 @@ def split_inertia(
     if not 0 < share <= heaviest * (1 + _ROUNDING):
         most = f"above zero and at most {heaviest * body.mass:.6g} kg: what its mass, centre and inertia leave room for"
         raise ShapeError("mass of the section", f"{uniform_mass:.6g} kg", most)
-    masses, centers, seconds = _pieces_along(position, along, body.mass, lengths, share)
-    slope = C @ direction / along
-    across = C - along * np.outer(slope, slope)
+    masses, centers, seconds = _pieces_along(position, axial_moment, body.mass, lengths, share)
+    slope = C @ direction / axial_moment
+    across = C - axial_moment * np.outer(slope, slope)
     return [
         BodyInertia.of_moments(
             mass, body.center + (center - position) * slope, mass / body.mass * across + second * np.outer(slope, slope)

@@ -27,12 +27,12 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
     def add(
-        name: str, text: str, more: str, folder: Path | None, out: str = "", metavar: str = "DIR",
+        name: str, text: str, notes: str, folder: Path | None, out: str = "", metavar: str = "DIR",
         experiment: bool = True,
     ) -> argparse.ArgumentParser:  # fmt: skip
         out = out or f"folder for the results (default: {folder}), created if missing"
         command = commands.add_parser(
-            name, help=text, description=f"{text[0].upper()}{text[1:]}. {more}", epilog=_STATUS
+            name, help=text, description=f"{text[0].upper()}{text[1:]}. {notes}", epilog=_STATUS
         )
         command.add_argument("--json", action="store_true", help="print the result object on stdout, and nothing else")
         command.add_argument("-q", "--quiet", action="store_true", help="print nothing but errors")
@@ -42,16 +42,16 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
             command.add_argument("experiment", metavar="EXPERIMENT", type=Path, help="the experiment file (TOML)")
         return command
 
-    more = (
+    notes = (
         f"Identifies a steel beam from simulated markers, then diagnoses what has changed a week later. {_FILES} "
         "DIR/diagnosis gets those of the diagnosis."
     )
-    add("demo", "run a worked example on the data that comes with the package", more, _DIRECTORY, experiment=False)
+    add("demo", "run a worked example on the data that comes with the package", notes, _DIRECTORY, experiment=False)
 
     _add_init(add)
-    more = "Also describes each recording, and says which parameters the recordings determine and which they do not."
+    notes = "Also describes each recording, and says which parameters the recordings determine and which they do not."
     text = "folder for check.png (the markers drawn over the rig) and result.json; without it nothing is written"
-    add("check", "read an experiment and report what is wrong with it", more, None, text)
+    add("check", "read an experiment and report what is wrong with it", notes, None, text)
 
     identify = add("identify", "identify the virtual-joint model of an arm", _FILES, Path("vjm-identify"))
     text = (
@@ -82,19 +82,19 @@ def parse(argv: Sequence[str] | None = None) -> argparse.Namespace:
 
 
 def _add_diagnose(add: Callable[..., argparse.ArgumentParser]) -> None:
-    more = f"{_FILES} model.json holds the model with the causes found."
+    notes = f"{_FILES} model.json holds the model with the causes found."
     diagnose = add(
-        "diagnose", "find the causes of a model's residual, and what modelling them gains", more, Path("vjm-diagnose")
+        "diagnose", "find the causes of a model's residual, and what modelling them gains", notes, Path("vjm-diagnose")
     )
     text = "ids of the effects to look for, such as tip_payload,coulomb_friction (default: all built-in effects)"
     diagnose.add_argument("--effects", metavar="A,B,C", type=_names, default=None, help=text)
-    for option, metavar, least, default, words in (
+    for option, metavar, minimum, default, words in (
         ("--max-effects", "M", 1, 3, "largest number of causes"),
         ("--jobs", "J", 1, 1, "number of processes"),
         ("--seed", "S", 0, 0, "seed of all random numbers"),
     ):
         text = f"{words} (default: {default})"
-        diagnose.add_argument(option, metavar=metavar, type=_at_least(least), default=default, help=text)
+        diagnose.add_argument(option, metavar=metavar, type=_at_least(minimum), default=default, help=text)
     text = (
         "time after which the search ends with the best model so far and lists what was not tried (default: 120 s for "
         "two processes and up to 35 s of training recordings or 3,500 frames, longer for more, up to 240 s; twice as "
@@ -104,9 +104,9 @@ def _add_diagnose(add: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def _add_urdf(add: Callable[..., argparse.ArgumentParser]) -> None:
-    more = "An experiment gives the chain of its nominal values. The springs' stiffness is in the element vjm:model."
+    notes = "An experiment gives the chain of its nominal values. The springs' stiffness is in the element vjm:model."
     text = "the URDF file (default: standard output; with --json, inside the result object)"
-    urdf = add("urdf", "write the virtual-joint chain as URDF", more, None, text, "FILE", experiment=False)
+    urdf = add("urdf", "write the virtual-joint chain as URDF", notes, None, text, "FILE", experiment=False)
     urdf.add_argument("source", metavar="MODEL|EXPERIMENT", type=Path, help="a model.json, or an experiment file")
     text = "also write, beside FILE, a model with springs for this simulator: " + ", ".join(
         f"{name} {suffix}" for name, suffix in SIMULATORS.items()
@@ -115,14 +115,14 @@ def _add_urdf(add: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def _add_flexify(add: Callable[..., argparse.ArgumentParser]) -> None:
-    more = (
+    notes = (
         "The link is cut along its axis into virtual links, which keep its mass, centre of mass and inertia, joined by "
         "springs; the joint gets a motor side and, behind a spring, a link side. Everything else in the file stays as "
         "it was. The springs' stiffness is in the element vjm:model."
     )
     text = "the URDF file (default: standard output; with --json, inside the result object)"
     flexify = add(
-        "flexify", "make a link or a joint of a robot's URDF flexible", more, None, text, "FILE", experiment=False
+        "flexify", "make a link or a joint of a robot's URDF flexible", notes, None, text, "FILE", experiment=False
     )
     flexify.add_argument("urdf", metavar="ROBOT.urdf", type=Path, help="the robot")
     link = flexify.add_argument_group("flexible link")
@@ -157,12 +157,12 @@ def _add_flexify(add: Callable[..., argparse.ArgumentParser]) -> None:
 
 
 def _add_init(add: Callable[..., argparse.ArgumentParser]) -> None:
-    more = (
+    notes = (
         "It looks at the CSV files for links, markers, units and kinds of recordings, asks on a terminal for what is "
         "not given, leaves a '?' where a number is missing, and checks what it has written. It never overwrites one."
     )
     text = "folder for the check's result.json and check.png; without it neither is written"
-    init = add("init", "write an experiment file for recordings", more, None, text, experiment=False)
+    init = add("init", "write an experiment file for recordings", notes, None, text, experiment=False)
     init.add_argument("folder", metavar="FOLDER", type=Path, help="where experiment.toml is written")
     text = "recordings (default: all CSV files in FOLDER)"
     init.add_argument("--csv", metavar="FILE", type=Path, nargs="+", default=None, help=text)
@@ -199,14 +199,14 @@ class _Version(argparse.Action):
         parser.exit()
 
 
-def _at_least(least: int) -> Callable[[str], int]:
+def _at_least(minimum: int) -> Callable[[str], int]:
     def whole(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
-            value = least - 1
-        if value < least:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {least}")
+            value = minimum - 1
+        if value < minimum:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {minimum}")
         return value
 
     return whole

@@ -76,8 +76,8 @@ def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progr
 def _plain(error: UnicodeError) -> tuple[str, int]:
     """Write what an encoding lacks in plain characters: a minus sign must not get lost."""
     assert isinstance(error, UnicodeEncodeError)
-    lost = error.object[error.start : error.end]
-    return "".join(_SUBSTITUTES.get(character, "?") for character in lost), error.end
+    characters = error.object[error.start : error.end]
+    return "".join(_SUBSTITUTES.get(character, "?") for character in characters), error.end
 
 
 _PLAIN = "vjm-plain"
@@ -132,10 +132,10 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 def _demo(arguments: argparse.Namespace) -> None:
     with resources.as_file(resources.files("vjm") / "demo") as data:
-        first, later = data / "experiment.toml", data / "later.toml"
+        first, second = data / "experiment.toml", data / "later.toml"
         steps: dict[Path, Callable[[Progress], Saved]] = {
             arguments.out: lambda report: identify(load_experiment(first), progress=report),
-            arguments.out / "diagnosis": lambda report: diagnose(load_experiment(later), progress=report),
+            arguments.out / "diagnosis": lambda report: diagnose(load_experiment(second), progress=report),
         }
         results = []
         for folder, compute in steps.items():
@@ -177,21 +177,21 @@ def _check(arguments: argparse.Namespace) -> None:
 def _urdf(arguments: argparse.Namespace) -> None:
     model, file, simulator = _model(arguments.source), arguments.out, arguments.simulator
     chain, text = model.arm.chain, model.arm.urdf()
-    beside = None
+    simulator_file = None
     if simulator is not None:
-        _, beside = model.export(file, simulator)
+        _, simulator_file = model.export(file, simulator)
     elif file is not None:
         write_text(file, text)
     left_out = model.arm.not_in_simulators if simulator else ()
     if arguments.json:
-        files = [None if path is None else str(path) for path in (file, beside)]
+        files = [None if path is None else str(path) for path in (file, simulator_file)]
         _print(json_text(urdf_result(chain, text, files[0], files[1], left_out)))
     elif file is None:
         _print(text)
     elif not arguments.quiet:
         print(printable(f"{file}: {counted(chain.size, 'joint')}, {counted(len(chain.links), 'flexible link')}"))
-        if beside is not None:
-            print(printable(f"{beside}: for {simulator}, with springs, dampers, friction and gravity"))
+        if simulator_file is not None:
+            print(printable(f"{simulator_file}: for {simulator}, with springs, dampers, friction and gravity"))
         if left_out:
             print(f"In neither ({simulator} cannot express it): {', '.join(left_out)}.")
 

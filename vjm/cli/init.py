@@ -50,8 +50,8 @@ def init(arguments: argparse.Namespace, ask: bool) -> tuple[Path, list[str]]:
         raise InputError(
             f"{folder}: there is no CSV file in it; put the recordings there, or name them with --csv FILE"
         )
-    given = {key: value for key in _GIVEN if (value := getattr(arguments, key)) is not None}
-    proposal = replace(propose(folder, paths), given=given)
+    options = {key: value for key in _GIVEN if (value := getattr(arguments, key)) is not None}
+    proposal = replace(propose(folder, paths), given=options)
     if ask:
         proposal = _ask(proposal, Console(stderr=True))
     write_text(target, proposal.text())
@@ -93,32 +93,32 @@ def _plane(text: str) -> list[float]:
 
 def _ask(proposal: ExperimentProposal, console: Console) -> ExperimentProposal:
     """Ask for what was not given and for the units that were guessed."""
-    given, link = dict(proposal.given), next(iter(proposal.links))
+    answers, link = dict(proposal.given), next(iter(proposal.links))
     counts = ", ".join(f"{name} with {count} markers" for name, count in proposal.links.items())
     console.print(f"{len(proposal.files)} recordings of {counts}. An empty answer leaves a '?' to be filled in.")
 
     def number(key: str, text: str, parse: Callable[[str], Any] = _positive) -> None:
-        if key not in given:
+        if key not in answers:
             value = _Answer(text, console=console, show_default=False, parse=parse)(default=None)
-            given.update({} if value is None else {key: value})
+            answers.update({} if value is None else {key: value})
 
-    if "joint" not in given:
+    if "joint" not in answers:
         guess = "revolute" if proposal.is_revolute(link) else "clamped"
-        given["joint"] = Prompt.ask(
+        answers["joint"] = Prompt.ask(
             f"Joint at {link}'s proximal end", console=console, choices=["revolute", "clamped"], default=guess
         )
     number("length", f"Length of {link} \\[m]")
     number("mass", f"Mass of {link} \\[kg]")
-    if not any(key in given for key in ("youngs_modulus", "width", "thickness")):
+    if not any(key in answers for key in ("youngs_modulus", "width", "thickness")):
         number("bending_stiffness", f"Bending stiffness EI of {link} \\[N m^2] (empty: from E, width and thickness)")
-    if "bending_stiffness" not in given:
+    if "bending_stiffness" not in answers:
         number("youngs_modulus", "Young's modulus \\[Pa]")
         number("width", "Width, parallel to the joint's axis \\[m]")
         number("thickness", "Thickness, in the plane of bending \\[m]")
-    if given["joint"] == "revolute":
+    if answers["joint"] == "revolute":
         number("hub_inertia", "Inertia of the hub with its motor \\[kg m^2] (empty: 0)")
     number("gravity", "Gravity in the plane, x y \\[m/s^2] (empty: 0 0, the plane is horizontal)", _plane)
-    proposal = replace(proposal, given=given)
+    proposal = replace(proposal, given=answers)
     chosen = {
         quantity: Prompt.ask(
             f"Unit of {quantity} in the recordings ({reason})",

@@ -35,18 +35,18 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     candidates = {
         cause.key: [
             k
-            for k, v in enumerate(directions.effects)
-            if not v.nonsmooth or cause.nonsmooth or _is_similar(result.first_tests.screen, cause, v)
+            for k, variant in enumerate(directions.effects)
+            if not variant.nonsmooth or cause.nonsmooth or _is_similar(result.first_tests.screen, cause, variant)
         ]
         for cause in causes
     }
     alternatives = {}
     for cause in causes:
         screened = directions.screen(present=(cause, best.part_of(cause)), chosen=candidates[cause.key])
-        others = [effect for effect in best.effects if effect is not cause]
+        remaining = [effect for effect in best.effects if effect is not cause]
         guesses = _substitute_sizes(screened, cause, tolerance)
         models = [
-            (*others, starting_effect(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()
+            (*remaining, starting_effect(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()
         ]
         search.fit_models(best, models, best.chi2 + tolerance, result.fits)
         alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance, search.options)
@@ -57,21 +57,21 @@ def _equivalent_fits(
     best: TrajectoryFit, cause: Effect, fits: Fits, tolerance: float, options: SearchOptions
 ) -> tuple[Alternative, ...]:
     """Return the effects whose fit in a cause's place has a chi^2 within the tolerance of the best, the best first."""
-    rest, alternatives = best.effect_keys - {cause.key}, []
-    for names, tried in fits.items():
-        new = [effect for effect in tried.effects if effect.key not in rest]
-        if len(names) == len(best.effect_keys) and rest <= names and len(new) == 1 and new[0].key != cause.key:
-            increase = best.chi2 * (options.criterion(tried) / options.criterion(best) - 1)
+    shared, alternatives = best.effect_keys - {cause.key}, []
+    for names, fit in fits.items():
+        added = [effect for effect in fit.effects if effect.key not in shared]
+        if len(names) == len(best.effect_keys) and shared <= names and len(added) == 1 and added[0].key != cause.key:
+            increase = best.chi2 * (options.criterion(fit) / options.criterion(best) - 1)
             if increase < tolerance:
-                alternatives.append(Alternative(new[0], float(increase)))
+                alternatives.append(Alternative(added[0], float(increase)))
     return tuple(sorted(alternatives, key=lambda alternative: alternative.chi2_increase))
 
 
-def _is_similar(first: Screen, cause: Effect, other: Effect) -> bool:
+def _is_similar(screen: Screen, cause: Effect, candidate: Effect) -> bool:
     """Return True if the directions of two effects in residual space are less than 60 degrees apart."""
-    causes = [k for k, effect in enumerate(first.effects) if effect.key == cause.key]
-    others = [k for k, effect in enumerate(first.effects) if effect.key == other.key]
-    return any(first.cosines[i, j] > 0.5 for i in causes for j in others)
+    causes = [k for k, effect in enumerate(screen.effects) if effect.key == cause.key]
+    candidates = [k for k, effect in enumerate(screen.effects) if effect.key == candidate.key]
+    return any(screen.cosines[i, j] > 0.5 for i in causes for j in candidates)
 
 
 def _substitute_sizes(screened: Screen, cause: Effect, tolerance: float) -> dict[int, Array]:
@@ -115,13 +115,13 @@ def estimate_causes(
         best.point.problem.reference_effects :
     ]:
         names = best.effect_keys - {effect.key}
-        without = result.fits.get(names) or search.refit_without(best, effect, result.fits) or search.start
-        decrease = without.chi2 - best.chi2
+        reduced = result.fits.get(names) or search.refit_without(best, effect, result.fits) or search.start
+        decrease = reduced.chi2 - best.chi2
         # In units of the reduced chi^2, where the best model leaves more than noise.
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / max(1.0, best.misfit**2))
         p_value = max(min(result.p_values.get(effect.key, 1.0), p_of_fit), 1e-300)
         unit = "noise" if reference_misfit == 1 else "the residual before the change"
-        before, after = ratio(without.misfit), ratio(best.misfit)
+        before, after = ratio(reduced.misfit), ratio(best.misfit)
         evidence = f"training residual falls from {before} to {after} × {unit}, chi² by {number(decrease)}"
         parameters = _with_errors(estimate, covariance[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
@@ -136,7 +136,7 @@ def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
     parameters = {}
     for parameter in effect.parameters:
         name = parameter.name
-        slope = np.array([(other[name] - values[name]) / step for other, step in zip(moved, steps, strict=True)])
+        slope = np.array([(point[name] - values[name]) / step for point, step in zip(moved, steps, strict=True)])
         with np.errstate(invalid="ignore"):  # the recordings may not determine a cause among several
             variance = float(slope @ covariance @ slope)
         std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not parameter.integer else None

@@ -65,10 +65,10 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     # Where the model lacks much, its best parameters are only a start for the search: a rough minimum will do.
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE_MISFIT).fit_from(joints, fit)
-    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [each])), each) for each in changed]
-    others = tuple(_prepared(each, sensor_noise, noise, delay) for each in outlier_free)
+    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [measured])), measured) for measured in changed]
+    prepared = tuple(_prepared(measured, sensor_noise, noise, delay) for measured in outlier_free)
     fit = corrected_for_discretization(fit, experiment.rig) or fit
-    return Baseline(fit, noise, others, (*search.data.problems, *unused))
+    return Baseline(fit, noise, prepared, (*search.data.problems, *unused))
 
 
 def corrected_for_discretization(fit: TrajectoryFit, rig: Rig, deadline: float = np.inf) -> TrajectoryFit | None:
@@ -101,10 +101,10 @@ def _further_recordings(
 def _simulated(point: Point, observed: Sequence[Observations]) -> list[Run]:
     """Simulate further recordings by the model of a fit; those that diverge are left out."""
     runs: list[Run] = []
-    for each in observed:
-        arm = point.problem.arms(point.x, [each.recording])[0]
+    for measured in observed:
+        arm = point.problem.arms(point.x, [measured.recording])[0]
         try:
-            runs += [run for run, _ in fit_initial_states([arm], [each], step_multiple=point.problem.step_multiple)]
+            runs += [run for run, _ in fit_initial_states([arm], [measured], step_multiple=point.problem.step_multiple)]
         except SimulationDivergedError:
             continue
     return runs
@@ -115,7 +115,7 @@ def _prepared(observed: Observations, sensor_noise: tuple[float, float], noise: 
     recording = observed.recording
     if recording.theta.shape[1]:
         begin, end = recording.time[0] + delay, recording.time[-1] - delay
-        inside = (recording.time >= begin) & (recording.time <= end)
-        if inside.sum() > recording.time.size / 2:
-            recording = replace(recording, markers=np.where(inside[:, None, None], recording.markers, np.nan))
+        interior = (recording.time >= begin) & (recording.time <= end)
+        if interior.sum() > recording.time.size / 2:
+            recording = replace(recording, markers=np.where(interior[:, None, None], recording.markers, np.nan))
     return noise.whitened(observed.of_recording(recording, sensor_noise))

@@ -80,8 +80,8 @@ def information_of(fit: TrajectoryFit) -> Information:
 def predicted_increase(fit: TrajectoryFit, effect: Effect) -> float:
     """Return the increase of chi^2 without one of a model's effects, by its linear model with all else refitted."""
     sizes, R = fit.sizes_of(effect), fit.point.reduced()[0].R[:, :-1]
-    others = np.delete(np.arange(fit.point.x.size), sizes)
-    reduced = np.asarray(np.linalg.qr(R[:, [*others, *sizes]], mode="r"))[others.size :, others.size :]
+    remaining = np.delete(np.arange(fit.point.x.size), sizes)
+    reduced = np.asarray(np.linalg.qr(R[:, [*remaining, *sizes]], mode="r"))[remaining.size :, remaining.size :]
     return float(np.sum((reduced @ fit.point.x[sizes]) ** 2))
 
 
@@ -90,9 +90,9 @@ def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
     parametrisation, information = fit.point.problem.parametrisation, information_of(fit)
     chain_part = slice(len(parametrisation.coordinates))
     estimate, scores = fit.estimate[chain_part], information.score_covariance[chain_part, chain_part]
-    kept = Information(information.normal[chain_part, chain_part], scores)
+    chain_information = Information(information.normal[chain_part, chain_part], scores)
     physical = parametrisation.physical_covariance(estimate, information.covariance[chain_part, chain_part])
-    parameters = estimates(parametrisation, estimate, kept, physical)
+    parameters = estimates(parametrisation, estimate, chain_information, physical)
     chain = parametrisation.chain(fit.point.x[chain_part])
     return Model(chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)
 
@@ -106,8 +106,8 @@ def starting_effect(effect: Effect, guess: Array, chain: Chain) -> Effect:
         chain: the chain to which it is added.
     """
     coordinates = effect.coordinates
-    least = LEAST_START if effect.nonsmooth or effect.adds_joint(chain) else -_LARGEST_START
-    coordinates[: effect.magnitude_count] = np.clip(guess, least, _LARGEST_START)
+    lower = LEAST_START if effect.nonsmooth or effect.adds_joint(chain) else -_LARGEST_START
+    coordinates[: effect.magnitude_count] = np.clip(guess, lower, _LARGEST_START)
     return effect.at(np.clip(coordinates, *effect.bounds))
 
 
@@ -140,8 +140,8 @@ def refit(
                     states = _initial_states(problem, x, states)
                 fit = _fit_accurately(problem, x, states, StoppingRule() if stop is None else stop)
                 # Beside the discretization error, a new effect is as beside a beam; without it, all are biased anew.
-                beside = all(run.observed.discretization_offset is not None for run in fit.point.runs)
-                return replace(fit, shift=_transferred_shift(start, fit) if beside else None)
+                corrected = all(run.observed.discretization_offset is not None for run in fit.point.runs)
+                return replace(fit, shift=_transferred_shift(start, fit) if corrected else None)
             except (SimulationDivergedError, InsufficientDataError):
                 continue
     return None
@@ -208,8 +208,8 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         if multiple == fit.point.problem.step_multiple:
             break
         shorter = replace(fit.point.problem, step_multiple=multiple)
-        further = _fit_recentred(shorter, fit.point.x, fit.point.states, stop)
-        fit = replace(further, iterations=fit.iterations + further.iterations)
+        refined = _fit_recentred(shorter, fit.point.x, fit.point.states, stop)
+        fit = replace(refined, iterations=fit.iterations + refined.iterations)
     return fit
 
 
@@ -228,13 +228,13 @@ def _fit_recentred(problem: TrajectoryProblem, x: Array, states: Sequence[Array]
     fit = _fit_multistart(problem, x, states, stop)
     while True:
         effects = tuple(effect.recentred() for effect in fit.effects)
-        if all(new is old for new, old in zip(effects, fit.effects, strict=True)):
+        if all(recentred is original for recentred, original in zip(effects, fit.effects, strict=True)):
             return fit
         problem = replace(problem, effects=effects)
         chain = fit.point.x[: len(problem.parametrisation.coordinates)]
         x = np.concatenate([chain, *(effect.coordinates for effect in effects)])
-        further = _fit_multistart(problem, x, fit.point.states, stop)
-        fit = replace(further, iterations=fit.iterations + further.iterations)
+        continued = _fit_multistart(problem, x, fit.point.states, stop)
+        fit = replace(continued, iterations=fit.iterations + continued.iterations)
 
 
 def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:

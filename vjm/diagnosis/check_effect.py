@@ -62,9 +62,9 @@ def _require(effect: Effect, clause: str, checks: _Checks) -> None:
     """Raise an error at the first thing that does not hold, or at an error in what the effect's author wrote."""
     name = str(getattr(effect, "id", "")) or type(effect).__name__
     try:
-        for holds, found, expected in checks:
+        for holds, finding, expected in checks:
             if not holds:
-                raise EffectError(name, clause, found, expected)
+                raise EffectError(name, clause, finding, expected)
     except EffectError:
         raise
     except SimulationDivergedError as error:
@@ -72,11 +72,11 @@ def _require(effect: Effect, clause: str, checks: _Checks) -> None:
     except Exception as error:
         frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
         hooks = [frame for frame in frames if isinstance(frame.f_locals.get("self"), Effect)]
-        what = f"`{hooks[-1].f_code.co_name}` of {hooks[-1].f_locals['self']!r}" if hooks else "what it does"
+        source = f"`{hooks[-1].f_code.co_name}` of {hooks[-1].f_locals['self']!r}" if hooks else "what it does"
         if isinstance(error, ValueError) and "read-only" in str(error):
-            found = f"{what} writes into an array that it was given"
-            raise EffectError(name, "inputs", found, "a new array") from error
-        raise EffectError(name, clause, f"{what} raises {type(error).__name__}: {error}", "no error") from error
+            finding = f"{source} writes into an array that it was given"
+            raise EffectError(name, "inputs", finding, "a new array") from error
+        raise EffectError(name, clause, f"{source} raises {type(error).__name__}: {error}", "no error") from error
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ class _TrialRig:
         for recording, run in zip(self.recordings, runs, strict=True):
             readings = sensor_readings(arm, arcs, recording, run)
             if arm.timing_variance:
-                taken = recording.time + np.sqrt(arm.timing_variance) * random.normal(size=recording.time.size)
-                readings = replace(readings, markers=arcs.frames(arm, run, taken))
+                instants = recording.time + np.sqrt(arm.timing_variance) * random.normal(size=recording.time.size)
+                readings = replace(readings, markers=arcs.frames(arm, run, instants))
             shown.append(readings)
         return shown
 
@@ -173,12 +173,12 @@ def _form(effect: Effect, seed: int) -> _Checks:
         sized = parameter.shape_parameter or (np.isfinite(typical) and typical != 0)
         yield sized, f"a typical magnitude of {typical} for `{name}`", "a finite number other than zero"
         values = (typical, *parameter.grid) if parameter.shape_parameter else (parameter.value(1.0),)
-        inside = all(parameter.lower <= value <= parameter.upper for value in values)
-        yield inside, f"a typical value or grid {values} of `{name}` beyond its bounds", "values inside"
+        within_bounds = all(parameter.lower <= value <= parameter.upper for value in values)
+        yield within_bounds, f"a typical value or grid {values} of `{name}` beyond its bounds", "values inside"
     sized = any(not parameter.shape_parameter for parameter in parameters.values())
-    own = _overridden(effect)
-    yield sized or not own, f"it defines {own} but no size, so that it is always absent", "a magnitude(...)"
-    yield own or not sized, "a size but no hook that uses it", f"one of {', '.join(_HOOKS)}"
+    hooks = _overridden(effect)
+    yield sized or not hooks, f"it defines {hooks} but no size, so that it is always absent", "a magnitude(...)"
+    yield hooks or not sized, "a size but no hook that uses it", f"one of {', '.join(_HOOKS)}"
 
 
 def _variants(effect: Effect) -> list[tuple[_TrialRig, Effect]]:
@@ -208,13 +208,13 @@ def _coordinates(effect: Effect, seed: int) -> _Checks:
         yield not start[: absent.magnitude_count].any(), f"coordinates {start} at the null", "zeros for magnitudes"
         yield absent.at(start).is_null, f"at its own coordinates {start} it is present", "absent, as it was"
         for wanted in _trial_coordinates(absent):
-            there = absent.at(wanted)
-            found, values = there.coordinates, dict[str, Any](there.values)
-            yield type(there) is type(absent), f"`at` gives {there!r}", f"a {type(absent).__name__}"
-            close = np.shape(found) == wanted.shape and np.allclose(found, wanted, rtol=_ROUNDING, atol=_ROUNDING)
-            yield close, f"coordinates {found} of the effect at {wanted}", "the same"
-            again = replace(there, **values)
-            yield again == there, f"{again!r} from the values of {there!r}", "the same"
+            present = absent.at(wanted)
+            result, values = present.coordinates, dict[str, Any](present.values)
+            yield type(present) is type(absent), f"`at` gives {present!r}", f"a {type(absent).__name__}"
+            close = np.shape(result) == wanted.shape and np.allclose(result, wanted, rtol=_ROUNDING, atol=_ROUNDING)
+            yield close, f"coordinates {result} of the effect at {wanted}", "the same"
+            rebuilt = replace(present, **values)
+            yield rebuilt == present, f"{rebuilt!r} from the values of {present!r}", "the same"
 
 
 def _calls(trial: _TrialRig, seed: int) -> dict[str, tuple[Any, ...]]:
@@ -253,45 +253,45 @@ def _hooks(effect: Effect, seed: int) -> _Checks:
     """Require variants at all places of a rig only; finite values of the right shape, for any leading axes."""
     for trial in _trial_rigs():
         places, links = effect.places(trial.rig), len(trial.rig.links)
-        where = {variant.link for variant in effect.variants(trial.rig, trial.recordings)}
-        yield where or not places, f"no variant for the places {places}", "one for each, at least"
-        yield where <= set(places), f"variants on the links {where}", f"on those of `places`, {places}"
+        covered = {variant.link for variant in effect.variants(trial.rig, trial.recordings)}
+        yield covered or not places, f"no variant for the places {places}", "one for each, at least"
+        yield covered <= set(places), f"variants on the links {covered}", f"on those of `places`, {places}"
         yield set(places) <= {None, *range(links)}, f"places {places} on {links} links", "indices of links, or None"
     for trial, absent in _variants(effect):
         calls, chain = _calls(trial, seed), trial.chain
         for present in map(absent.at, _trial_coordinates(absent)):
-            own, driven = present.chain(chain), present.true_inputs(*calls["true_inputs"])
+            modified, driven = present.chain(chain), present.true_inputs(*calls["true_inputs"])
             joints = [link.joint for link in chain.links]
-            alike = isinstance(own, Chain) and [link.joint for link in own.links] == joints
-            yield alike, f"`chain` gives {type(own).__name__}", "a Chain with the same links and joints"
+            unchanged = isinstance(modified, Chain) and [link.joint for link in modified.links] == joints
+            yield unchanged, f"`chain` gives {type(modified).__name__}", "a Chain with the same links and joints"
             yield isinstance(driven, Recording), f"`true_inputs` gives {type(driven).__name__}", "a Recording"
             yield from _array("`true_inputs(...).tau`", driven.tau, trial.recordings[0].tau.shape)
             yield from _array("`true_inputs(...).gravity`", np.asarray(driven.gravity), (2,))
             for name in SENSING_HOOKS:
-                first, *others = (argument.shape for argument in calls[name])
-                shapes = (first, others[0][:2]) if name == "camera_instants" else (first,)
+                first, *remaining = (argument.shape for argument in calls[name])
+                shapes = (first, remaining[0][:2]) if name == "camera_instants" else (first,)
                 yield from _array(f"`{name}`", getattr(present, name)(*calls[name]), *shapes)
             timing = present.timing_noise
             yield 0 <= timing < np.inf, f"`timing_noise` is {timing} s", "a finite number that is not negative"
-            yield present.max_step(own) > 0, f"a longest step of {present.max_step(own)} s", "a positive one"
-            yield from _motions(present, own, seed)
+            yield present.max_step(modified) > 0, f"a longest step of {present.max_step(modified)} s", "a positive one"
+            yield from _motions(present, modified, seed)
             smooth = replace(present, smooth=True)
-            alike = smooth.values == present.values and _same(smooth.chain(chain), own)
-            yield alike, f"`smooth` makes it {smooth!r}", "the same parameters and the same chain"
+            unchanged = smooth.values == present.values and _same(smooth.chain(chain), modified)
+            yield unchanged, f"`smooth` makes it {smooth!r}", "the same parameters and the same chain"
 
 
 def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
     """Require force, rates or rate-independent update, and rest, for states with several leading axes."""
-    still, smooth = np.zeros(chain.size), replace(present, smooth=True)
-    count, kept = present.initial_states(chain, still).size, smooth.initial_states(chain, still).size
+    straight, smooth = np.zeros(chain.size), replace(present, smooth=True)
+    count, reduced = present.initial_states(chain, straight).size, smooth.initial_states(chain, straight).size
     rates, update = present.state_rates(chain), present.rate_independent_update(chain)
     moved, expected = (rates is not None) + (update is not None), "one of these where there are states"
     yield moved == (count > 0), f"{count} states, `state_rates` {rates}, `rate_independent_update` {update}", expected
     expected = f"{count}, or none" if update is None else "none, where `rate_independent_update` carries them"
-    yield kept in (0, count if update is None else 0), f"`smooth` makes it an effect with {kept} states", expected
+    yield reduced in (0, count if update is None else 0), f"`smooth` makes it an effect with {reduced} states", expected
     random = np.random.default_rng(seed)
     for leading in ((), (5,), (2, 5)):
-        q, v, to = (_read_only(0.3 * random.normal(size=(*leading, chain.size))) for _ in range(3))
+        q, v, target = (_read_only(0.3 * random.normal(size=(*leading, chain.size))) for _ in range(3))
         rest = present.initial_states(chain, q)
         yield from _array(f"`initial_states` at angles {q.shape}", rest, (*leading, count))
         yield from _array(f"`rest_angles` at angles {q.shape}", present.rest_angles(chain, q), q.shape)
@@ -301,10 +301,10 @@ def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
         )
         yield from _each_alone("force", present.force(chain, _PAYLOAD), (time, q, v, z), q.shape)
         yield from _each_alone("state_rates", rates, (time, q, v, z), z.shape)
-        yield from _each_alone("rate_independent_update", update, (q, z, to), z.shape)
-        stays = update is None or np.allclose(update(q, rest, q), rest, rtol=0.0, atol=_ROUNDING)
-        found = "`rate_independent_update` changes states at rest where the joints stay"
-        yield stays, found, "states that follow the joints"
+        yield from _each_alone("rate_independent_update", update, (q, z, target), z.shape)
+        stationary = update is None or np.allclose(update(q, rest, q), rest, rtol=0.0, atol=_ROUNDING)
+        finding = "`rate_independent_update` changes states at rest where the joints stay"
+        yield stationary, finding, "states that follow the joints"
 
 
 def _each_alone(
@@ -315,17 +315,17 @@ def _each_alone(
         return
     result = motion(*arguments)
     yield from _array(f"`{name}` at {shape[:-1]} instants", result, shape)
-    alone = [motion(*(own[index] for own in arguments)) for index in np.ndindex(shape[:-1])]
+    separate = [motion(*(argument[index] for argument in arguments)) for index in np.ndindex(shape[:-1])]
     tolerance = _ROUNDING * max(1.0, float(np.abs(result).max(initial=0.0)))
-    same = np.allclose(np.reshape(alone, shape), result, rtol=_ROUNDING, atol=tolerance)
-    yield same, f"`{name}` at many instants is not what it is at each alone", "each row for itself"
+    equal = np.allclose(np.reshape(separate, shape), result, rtol=_ROUNDING, atol=tolerance)
+    yield equal, f"`{name}` at many instants is not what it is at each alone", "each row for itself"
 
 
-def _array(what: str, values: Any, *shapes: tuple[int, ...]) -> _Checks:
+def _array(label: str, values: Any, *shapes: tuple[int, ...]) -> _Checks:
     """Require a finite array of one of some shapes."""
     shape = values.shape if isinstance(values, np.ndarray) else type(values).__name__
-    yield shape in shapes, f"{what} is {shape}", f"shape {' or '.join(map(str, shapes))}"
-    yield np.isfinite(values).all(), f"{what} is not finite", "finite values"
+    yield shape in shapes, f"{label} is {shape}", f"shape {' or '.join(map(str, shapes))}"
+    yield np.isfinite(values).all(), f"{label} is not finite", "finite values"
 
 
 def _inputs(effect: Effect, seed: int) -> _Checks:
@@ -335,16 +335,16 @@ def _inputs(effect: Effect, seed: int) -> _Checks:
         before = deepcopy(calls)
         for name, arguments in calls.items():
             getattr(present, name)(*arguments)
-            same = all(map(_same, arguments, before[name]))
-            yield same, f"{present!r} changes what `{name}` is given", "new records"
+            unchanged = all(map(_same, arguments, before[name]))
+            yield unchanged, f"{present!r} changes what `{name}` is given", "new records"
 
 
-def _same(one: Any, other: Any) -> bool:
+def _same(first: Any, second: Any) -> bool:
     """Return True if two arrays or records hold exactly the same numbers."""
-    if is_dataclass(one) and not isinstance(one, type):
-        return type(one) is type(other) and _same(asdict(one), asdict(other))
+    if is_dataclass(first) and not isinstance(first, type):
+        return type(first) is type(second) and _same(asdict(first), asdict(second))
     try:
-        np.testing.assert_equal(other, one)
+        np.testing.assert_equal(second, first)
     except AssertionError:
         return False
     return True
@@ -353,18 +353,18 @@ def _same(one: Any, other: Any) -> bool:
 def _action(effect: Effect, seed: int) -> _Checks:
     """Require a typical magnitude that markers or encoders of some rig show."""
     reasons = {trial.rig.name: trial.refusal(effect) for trial in _trial_rigs()[:2]}
-    found = f"it says that nothing can show it ({'; '.join(f'{name} link: {why}' for name, why in reasons.items())})"
-    yield not all(reasons.values()), found, "a rig on which it is testable"
-    found = "at its typical magnitude no marker and no encoder shows anything of it"
-    yield _shown_by(effect), found, "something beyond rounding"
+    finding = f"it says that nothing can show it ({'; '.join(f'{name} link: {why}' for name, why in reasons.items())})"
+    yield not all(reasons.values()), finding, "a rig on which it is testable"
+    finding = "at its typical magnitude no marker and no encoder shows anything of it"
+    yield _shown_by(effect), finding, "something beyond rounding"
 
 
 def _shown_by(effect: Effect) -> _TrialRig | None:
     """Return the first rig whose markers or encoders show something else at a typical magnitude than without it."""
     for trial in (trial for trial in _trial_rigs()[:2] if not trial.refusal(effect)):
-        arm, plain = Arm.of(trial.chain, (trial.typical(effect),)), Arm(trial.chain)
-        step = min(default_step(plain.chain), default_step(arm.chain), arm.longest_step)
-        for one, two in zip(trial.simulate(arm, step), trial.simulate(plain, step), strict=True):
+        arm, nominal = Arm.of(trial.chain, (trial.typical(effect),)), Arm(trial.chain)
+        step = min(default_step(nominal.chain), default_step(arm.chain), arm.longest_step)
+        for one, two in zip(trial.simulate(arm, step), trial.simulate(nominal, step), strict=True):
             if max(np.abs(one.markers - two.markers).max(), np.abs(one.theta - two.theta).max(initial=0)) > _ROUNDING:
                 return trial
     return None
@@ -378,8 +378,8 @@ def _energy(effect: Effect, seed: int) -> _Checks:
         arm = Arm.of(trial.chain, (trial.typical(effect),))
         power, size = _power(trial, arm, seed)
         worst, unit = int(np.argmax(power - _ROUNDING * size)), "J by then" if any(arm.states) else "W"
-        found = f"at a random state its forces give the arm {power[worst]:.3g} {unit}"
-        yield power[worst] <= _ROUNDING * size[worst], found, "none of them positive, since `dissipative` is True"
+        finding = f"at a random state its forces give the arm {power[worst]:.3g} {unit}"
+        yield power[worst] <= _ROUNDING * size[worst], finding, "none of them positive, since `dissipative` is True"
 
 
 def _power(trial: _TrialRig, arm: Arm, seed: int) -> tuple[Array, Array]:
@@ -402,8 +402,8 @@ def _power(trial: _TrialRig, arm: Arm, seed: int) -> tuple[Array, Array]:
     power, size = (torque * v).sum(axis=1), np.abs(torque * v).sum(axis=1)
     if not stateful:
         return power, size
-    work, both = (cumulative_trapezoid(values, time, initial=0) for values in (power, size))
-    return work, 1e-3 / _ROUNDING * both  # a thousandth is what following states step by step may add
+    work, scale = (cumulative_trapezoid(values, time, initial=0) for values in (power, size))
+    return work, 1e-3 / _ROUNDING * scale  # a thousandth is what following states step by step may add
 
 
 def _recovery(effect: Effect, seed: int) -> _Checks:
@@ -425,28 +425,28 @@ def _recovery(effect: Effect, seed: int) -> _Checks:
     yield extended, f"with {_values(true)} nothing can be simulated", "finite motion"
     assert extended  # for type checkers: this is not reached otherwise
     R = extended.point.reduced()[0].R[:, :-1]
-    lengths, own = np.maximum(np.linalg.norm(R, axis=0), 1e-300), range(free, free + true.magnitude_count)
+    lengths, magnitudes = np.maximum(np.linalg.norm(R, axis=0), 1e-300), range(free, free + true.magnitude_count)
     names = [f"`{name}`" for name in true.values]
-    unseen = [names[(k - free) % len(names)] for k in own if lengths[k] <= 1e-12 * lengths.max()]
-    yield not unseen, f"nothing that is measured depends on {', '.join(unseen)}", "something that does"
-    shares = np.array([_unexplained(R / lengths, k) for k in own])
-    errors = 1 / np.maximum(shares * lengths[own], 1e-300)
+    unobservable = [names[(k - free) % len(names)] for k in magnitudes if lengths[k] <= 1e-12 * lengths.max()]
+    yield not unobservable, f"nothing that is measured depends on {', '.join(unobservable)}", "something that does"
+    shares = np.array([_unexplained(R / lengths, k) for k in magnitudes])
+    errors = 1 / np.maximum(shares * lengths[magnitudes], 1e-300)
     # Of a share below 3e-4 rounding is left; with an error above a tenth nothing said of a magnitude would mean much.
-    found = f"on the {trial.rig.name} link the chain's own parameters can stand in for all but {shares.min():.1g} of "
-    found += f"what it does, so that its magnitude has a standard error of {errors.max():.2g} typical ones"
+    finding = f"on the {trial.rig.name} link the chain's own parameters can stand in for all but {shares.min():.1g} of "
+    finding += f"what it does, so that its magnitude has a standard error of {errors.max():.2g} typical ones"
     expected = "a standard error below 0.1: a larger typical magnitude, or no other stiffness, damping or initial state"
-    yield (errors < 0.1).all() and (shares > 3e-4).all(), found, expected
+    yield (errors < 0.1).all() and (shares > 3e-4).all(), finding, expected
     fitted = _fitted(start, trial, true)
     yield fitted, "no fit that starts with one of its variants can be simulated", "finite motion"
     assert fitted
-    off = np.abs(fitted.coordinates - true.coordinates)[: true.magnitude_count]
+    deviations = np.abs(fitted.coordinates - true.coordinates)[: true.magnitude_count]
     # Noise moves an estimate by four standard errors once in 16,000 times; with next to none the search's own tolerance
     # counts, which is larger among the small bumps of what sticks and slips.
     allowed = np.maximum(0.10 if true.nonsmooth else 0.05, 4.0 * errors)
-    worst = int(np.argmax(off / allowed))
-    found = f"a fit of recordings that were simulated with {_values(true)} finds {_values(fitted)}"
-    expected = f"no more than {allowed[worst]:.2g} typical magnitudes between them ({off[worst]:.2g} found)"
-    yield (off <= allowed).all(), found, expected
+    worst = int(np.argmax(deviations / allowed))
+    finding = f"a fit of recordings that were simulated with {_values(true)} finds {_values(fitted)}"
+    expected = f"no more than {allowed[worst]:.2g} typical magnitudes between them ({deviations[worst]:.2g} found)"
+    yield (deviations <= allowed).all(), finding, expected
 
 
 def _values(effect: Effect) -> str:
@@ -458,8 +458,8 @@ def _values(effect: Effect) -> str:
 
 def _unexplained(columns: Array, k: int) -> float:
     """Return the length of the part of column k that no combination of the others gives."""
-    others = np.delete(columns, k, axis=1)
-    return float(np.linalg.norm(columns[:, k] - others @ np.linalg.lstsq(others, columns[:, k], rcond=1e-12)[0]))
+    remaining = np.delete(columns, k, axis=1)
+    return float(np.linalg.norm(columns[:, k] - remaining @ np.linalg.lstsq(remaining, columns[:, k], rcond=1e-12)[0]))
 
 
 def _problem(trial: _TrialRig, true: Effect, seed: int) -> TrajectoryProblem:
@@ -467,27 +467,27 @@ def _problem(trial: _TrialRig, true: Effect, seed: int) -> TrajectoryProblem:
     random, observed = np.random.default_rng(seed), []
     simulated = trial.simulate(Arm.of(trial.chain, (true,)), seed=seed)
     for recording, shown in zip(trial.recordings, simulated, strict=True):
-        inside = (recording.time >= recording.time[0] + 0.1) & (recording.time <= recording.time[-1] - 0.1)
+        interior = (recording.time >= recording.time[0] + 0.1) & (recording.time <= recording.time[-1] - 0.1)
         markers = shown.markers + _NOISE[0] * random.normal(size=shown.markers.shape)
         theta = shown.theta + _NOISE[1] * random.normal(size=shown.theta.shape)
-        measured = replace(recording, markers=np.where(inside[:, None, None], markers, np.nan), theta=theta)
+        measured = replace(recording, markers=np.where(interior[:, None, None], markers, np.nan), theta=theta)
         observed.append(Observations.of(trial.rig, measured, _NOISE))
     return TrajectoryProblem(Parametrisation(trial.chain, "uniform", trial.rig.active_links), tuple(observed))
 
 
 def _fitted(start: TrajectoryFit, trial: _TrialRig, true: Effect) -> Effect | None:
     """Fit the most promising variant at the true place, from half and twice its typical magnitudes."""
-    same = ["link", *(parameter.name for parameter in true.parameters if parameter.integer)]
+    fixed = ["link", *(parameter.name for parameter in true.parameters if parameter.integer)]
     variants = CandidateSet.of([true], trial.rig, trial.recordings, start.point.runs).variants
     variants = tuple(
-        variant for variant in variants if all(getattr(variant, name) == getattr(true, name) for name in same)
+        variant for variant in variants if all(getattr(variant, name) == getattr(true, name) for name in fixed)
     )
     variant = variants[int(np.argmax(Screen.of(start.point, (), variants).statistics))]
     best: TrajectoryFit | None = None
     for size in (0.5, 2.0):
         coordinates = np.r_[np.full(true.magnitude_count, size), variant.coordinates[true.magnitude_count :]]
-        wanted = variant.at(np.clip(coordinates, *variant.bounds))
-        fit = refit(start, (wanted,), StoppingRule())
+        sized = variant.at(np.clip(coordinates, *variant.bounds))
+        fit = refit(start, (sized,), StoppingRule())
         if fit is not None and fit.misfit > 1.02:
             fit = refit_other_frequencies(fit)
         best = min(filter(None, (best, fit)), key=lambda fit: fit.chi2, default=None)

@@ -56,9 +56,9 @@ def predicts_better(fit: TrajectoryFit, fewer: TrajectoryFit) -> bool:
     fitted = np.array([sum(fewer.point.runs[k].chi2 for k in group) for group in _groups(fewer.point.runs)])
     if not judged.any() or errors[judged].sum() < fitted[judged].sum():
         return True
-    others = _prediction_errors(fewer)
-    judged &= np.isfinite(others)
-    return bool(not judged.any() or errors[judged].sum() < others[judged].sum())
+    reduced_errors = _prediction_errors(fewer)
+    judged &= np.isfinite(reduced_errors)
+    return bool(not judged.any() or errors[judged].sum() < reduced_errors[judged].sum())
 
 
 def _prediction_errors(fit: TrajectoryFit) -> Array:
@@ -70,28 +70,28 @@ def _prediction_errors(fit: TrajectoryFit) -> Array:
     point = fit.point
     parts = [part.eliminated(part.columns - point.x.size).R for part in point.linearizations]
     prior = np.column_stack(point.problem.prior(point.x))
-    whole = np.vstack([*parts, prior])[:, :-1]
+    all_rows = np.vstack([*parts, prior])[:, :-1]
     groups = _groups(point.runs)
     errors = np.full(len(groups), np.nan)
-    for g, group in enumerate(groups):
+    for index, group in enumerate(groups):
         rows = np.vstack([*(part for k, part in enumerate(parts) if k not in group), prior])
         if (
-            _smallest_information_share(rows[:, :-1], whole) > 0.5**2
+            _smallest_information_share(rows[:, :-1], all_rows) > 0.5**2
         ):  # a share of the information; errors go as its inverse root
             change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], point.x.size).best()
             residuals = [parts[k][:, :-1] @ change - parts[k][:, -1] for k in group]
-            errors[g] = sum(float(residual @ residual) for residual in residuals)
+            errors[index] = sum(float(residual @ residual) for residual in residuals)
     return errors
 
 
-def _smallest_information_share(rows: Array, whole: Array) -> float:
+def _smallest_information_share(rows: Array, all_rows: Array) -> float:
     """Return the smallest share of the Fisher information on any combination of parameters that some rows hold.
 
     It is the smallest generalised eigenvalue of rows^T rows and whole^T whole.
     """
-    scale = np.linalg.norm(whole, axis=0)
+    scale = np.linalg.norm(all_rows, axis=0)
     shown = scale > 0
-    _, sizes, axes = np.linalg.svd(whole[:, shown] / scale[shown], full_matrices=False)
+    _, sizes, axes = np.linalg.svd(all_rows[:, shown] / scale[shown], full_matrices=False)
     known = sizes > np.sqrt(SINGULAR) * sizes[0]  # singular values are roots of the information's eigenvalues
     parts = rows[:, shown] / scale[shown] @ axes[known].T / sizes[known]
     return float(np.linalg.svd(parts, compute_uv=False)[-1] ** 2) if len(parts) >= known.sum() else 0.0

@@ -74,9 +74,9 @@ def diagnose(
         SimulationDivergedError: no start can be simulated.
     """
     chosen = _chosen_effects(effects)
-    for name, value, least in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
-            raise ShapeError(name, value, f"a whole number of at least {least}")
+    for name, value, minimum in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+            raise ShapeError(name, value, f"a whole number of at least {minimum}")
     if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | float) or not budget > 0):
         raise ShapeError("budget", budget, "a positive number of seconds, or None")
     likely = refuse_mistakes(experiment)
@@ -200,8 +200,8 @@ def _without_effects(result: SearchResult, search: Search) -> TrajectoryFit:
 
 def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> list[TrajectoryFit]:
     """Return the fits with alternatives in a cause's place, in whole recordings."""
-    others = result.best.effect_keys - {cause.effect.key}
-    models = [others | {alternative.effect.key} for alternative in cause.alternatives]
+    other_keys = result.best.effect_keys - {cause.effect.key}
+    models = [other_keys | {alternative.effect.key} for alternative in cause.alternatives]
     return [open_loop(result.fits[keys], search.whole) for keys in models if keys in result.fits]
 
 
@@ -247,10 +247,10 @@ def _chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...
     """Return effects by their ids; by default all that are built in."""
     known = {effect.id: effect for effect in BUILTIN}
     chosen: list[Effect] = []
-    for given in BUILTIN if effects is None else effects:
-        if isinstance(given, str) and given not in known:
-            raise ChoiceError("effect", given, known)
-        effect = known[given] if isinstance(given, str) else given
+    for choice in BUILTIN if effects is None else effects:
+        if isinstance(choice, str) and choice not in known:
+            raise ChoiceError("effect", choice, known)
+        effect = known[choice] if isinstance(choice, str) else choice
         if not isinstance(effect, Effect):
             raise ShapeError("effects", repr(effect), "ids, or instances of vjm.effects.Effect")
         chosen.append(effect)

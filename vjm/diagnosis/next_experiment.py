@@ -30,7 +30,7 @@ def propose_recordings(best: TrajectoryFit, alternatives: Sequence[TrajectoryFit
     proposals = []
     for text, change in _changes(best):
         for run in _largest_motions(best):
-            difference = min((_difference(best, other, run, change) for other in alternatives), default=0.0)
+            difference = min((_difference(best, alternative, run, change) for alternative in alternatives), default=0.0)
             proposals.append(Proposal(f"repeat {run.observed.recording.file} {text}", difference))
     return tuple(sorted(proposals, key=lambda proposal: -proposal.difference))
 
@@ -72,19 +72,19 @@ def _largest_motions(best: TrajectoryFit) -> list[Run]:
     return [run for kind, run in largest.items() if kind in ("driven", "decay")]
 
 
-def _difference(true: TrajectoryFit, other: TrajectoryFit, run: Run, change: _Change) -> float:
+def _difference(true: TrajectoryFit, candidate: TrajectoryFit, run: Run, change: _Change) -> float:
     """Return the chi^2 of another model refitted to what a true one simulates; zero if either diverges."""
-    k = [other is run for other in true.point.runs].index(True)
+    k = [entry is run for entry in true.point.runs].index(True)
     try:
-        shown, predicted = (_changed_run(model, k, change) for model in (true, other))
-        moved = replace(other.point.problem, observed=(predicted.observed,)).perturbed_arms(other.point.x)[0]
+        shown, predicted = (_changed_run(model, k, change) for model in (true, candidate))
+        moved = replace(candidate.point.problem, observed=(predicted.observed,)).perturbed_arms(candidate.point.x)[0]
         states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
         slopes = np.zeros((predicted.residual.size, states + len(moved)))
         for measured, part in predicted.jacobian(predicted.linearization(moved)):
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0
-    values, vectors = linalg.eigh(information_of(other).normal)
+    values, vectors = linalg.eigh(information_of(candidate).normal)
     prior = np.zeros((len(moved), slopes.shape[1]))  # root of the information that the recordings so far give
     prior[:, states:] = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.vstack([slopes, prior])

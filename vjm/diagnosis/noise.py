@@ -41,13 +41,13 @@ class Noise:
         residuals = [part for part in map(_projected_residuals, quiet or runs) if part is not None]
         if not residuals:
             return cls(None, np.zeros(0), "assumed white: too few markers to separate noise from motion")
-        where = "the moving recordings (no quiet one)"
+        source = "the moving recordings (no quiet one)"
         if quiet:
-            where = "the quiet recording" + "s" * (len(quiet) > 1)
+            source = "the quiet recording" + "s" * (len(quiet) > 1)
         std, correlation, count = _autocorrelation(residuals)
         coefficients = _autoregression(correlation, count)
         kind = f"coloured (lag-one correlation {correlation[1]:.2f})" if coefficients.size else "white"
-        return cls(std, coefficients, f"{kind}, {number(1e3 * std, 2)} mm, estimated from {where}")
+        return cls(std, coefficients, f"{kind}, {number(1e3 * std, 2)} mm, estimated from {source}")
 
     def whitened(self, observed: Observations) -> Observations:
         """Return measurements with a matrix that whitens the noise of their markers; encoder noise is taken as white.
@@ -96,8 +96,8 @@ def _projected_residuals(run: Run) -> tuple[Indices, Array, float] | None:
     straight = simulated.copy()
     straight[:, run.chain.passive] = 0.0
     starts = [_fit_frames(run, time, q, directions, shifts, measured, coordinates) for q in (simulated, straight)]
-    better = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
-    residual = np.where(better[:, None] == 0, *starts)
+    best = np.argmin([np.sum(residual**2, axis=1) for residual in starts], axis=0)
+    residual = np.where(best[:, None] == 0, *starts)
     share = 1 - (directions.shape[1] + shifts.shape[2]) / coordinates.sum()
     return _frame_numbers(time), residual - residual.mean(axis=0), share
 
@@ -109,14 +109,14 @@ def _camera_shifts(markers: Array, coordinates: Mask, motions: int, links: int) 
     the link cannot be told from a motion, and only the direction along the link is left.
     """
     frames, count = len(markers), int(coordinates.sum())
-    either = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[coordinates]
+    axes = np.tile(np.eye(2), (markers.shape[1] // 2, 1))[coordinates]
     if count / 2 > motions:
-        return np.broadcast_to(either, (frames, *either.shape))
-    if links > 1 or count <= motions + 1 or not either.any(axis=0).all():
+        return np.broadcast_to(axes, (frames, *axes.shape))
+    if links > 1 or count <= motions + 1 or not axes.any(axis=0).all():
         return np.zeros((frames, count, 0))
-    along = (markers[:, coordinates] @ either) / either.sum(axis=0)  # mean position of the markers, from the base
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return np.asarray(along @ either.T)[:, :, None]
+    radial = (markers[:, coordinates] @ axes) / axes.sum(axis=0)  # mean position of the markers, from the base
+    radial /= np.linalg.norm(radial, axis=1, keepdims=True)
+    return np.asarray(radial @ axes.T)[:, :, None]
 
 
 def _fit_frames(
@@ -188,13 +188,13 @@ def _prediction_errors(
     for k in range(order):
         lag = numbers[k + 1 :] - numbers[: count - k - 1]
         lags_before[k + 1 :, k] = np.where(lag <= _MAX_LAG, lag, -1)
-    patterns, which = np.unique(lags_before, axis=0, return_inverse=True)
-    for p, pattern in enumerate(patterns):
-        at = np.flatnonzero(which.ravel() == p)
+    patterns, inverse = np.unique(lags_before, axis=0, return_inverse=True)
+    for index, pattern in enumerate(patterns):
+        rows = np.flatnonzero(inverse.ravel() == index)
         lags = pattern[pattern > 0]
-        among = correlation[np.abs(lags[:, None] - lags[None, :])]
-        weights = np.linalg.solve(among, correlation[lags]) if lags.size else np.zeros(0)
+        correlation_matrix = correlation[np.abs(lags[:, None] - lags[None, :])]
+        weights = np.linalg.solve(correlation_matrix, correlation[lags]) if lags.size else np.zeros(0)
         std = np.sqrt(max(1 - float(weights @ correlation[lags]), 1e-6))  # of noise that is next to deterministic
-        yield values[at], values[at], np.full(at.size, 1 / std)
+        yield values[rows], values[rows], np.full(rows.size, 1 / std)
         for k, weight in enumerate(weights.tolist()):
-            yield values[at], values[at - k - 1], np.full(at.size, -weight / std)
+            yield values[rows], values[rows - k - 1], np.full(rows.size, -weight / std)

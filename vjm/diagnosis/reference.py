@@ -88,10 +88,10 @@ def add_changed_recordings(baseline: Baseline, reference: TrajectoryFit) -> tupl
     point, problem = reference.point, reference.point.problem
     misfit = point.misfit if point.misfit > INCOMPLETE_MISFIT else 1.0
     known = [replace(run, observed=_with_larger_noise(run.observed, misfit)) for run in point.runs]
-    others = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
-    arms = problem.arms(point.x, [observed.recording for observed in others])
-    new = [run for run, _ in fit_initial_states(arms, others, step_multiple=problem.step_multiple)]
-    runs = [*(known if misfit > 1 else point.runs), *new]
+    changed = [_with_larger_noise(observed, misfit) for observed in baseline.changed]
+    arms = problem.arms(point.x, [observed.recording for observed in changed])
+    added = [run for run, _ in fit_initial_states(arms, changed, step_multiple=problem.step_multiple)]
+    runs = [*(known if misfit > 1 else point.runs), *added]
     problem = replace(problem, observed=tuple(run.observed for run in runs))
     return TrajectoryFit(Point(problem, point.x, tuple(runs))), misfit
 

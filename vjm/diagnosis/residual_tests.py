@@ -68,8 +68,8 @@ def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
     Each is simulated from an initial state of its own.
     """
     sums, differences = np.zeros(0), np.zeros(0)
-    for one, other in _repeated_residuals(runs):
-        sums, differences = np.r_[sums, one + other], np.r_[differences, one - other]
+    for first, second in _repeated_residuals(runs):
+        sums, differences = np.r_[sums, first + second], np.r_[differences, first - second]
     if sums.size < 100:  # an RMS is then known within 7 % (1/sqrt(2 N))
         return None
     common, individual = (float(np.sqrt(np.mean(part**2) / 2)) for part in (sums, differences))
@@ -79,15 +79,15 @@ def compare_repeats(runs: Sequence[Run]) -> RepeatComparison | None:
 def _repeated_residuals(runs: Sequence[Run]) -> Iterator[tuple[Array, Array]]:
     """Yield pairs of residuals (N,), (N,) of the same marker coordinates at the same instants since the start."""
     for label in sorted({label for run in runs if (label := run.observed.recording.repeat) is not None}):
-        for one, other in pairwise(run for run in runs if run.observed.recording.repeat == label):
-            (times, residuals), (other_times, other_residuals) = _marker_residuals(one), _marker_residuals(other)
-            if times.size < 2 or other_times.size < 2:
+        for earlier, later in pairwise(run for run in runs if run.observed.recording.repeat == label):
+            (times, residuals), (later_times, later_residuals) = _marker_residuals(earlier), _marker_residuals(later)
+            if times.size < 2 or later_times.size < 2:
                 continue
-            nearest = np.clip(np.searchsorted(other_times, times), 1, other_times.size - 1)
-            nearest -= (times - other_times[nearest - 1]) < (other_times[nearest] - times)
+            nearest = np.clip(np.searchsorted(later_times, times), 1, later_times.size - 1)
+            nearest -= (times - later_times[nearest - 1]) < (later_times[nearest] - times)
             # A tenth of a frame: within it an arm moves a tenth of what one frame shows of it.
-            together = np.abs(other_times[nearest] - times) < 0.1 * np.median(np.diff(times))
-            first, second = residuals[together], other_residuals[nearest[together]]
+            together = np.abs(later_times[nearest] - times) < 0.1 * np.median(np.diff(times))
+            first, second = residuals[together], later_residuals[nearest[together]]
             measured = np.isfinite(first) & np.isfinite(second)
             yield first[measured], second[measured]
 
@@ -157,5 +157,5 @@ def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> st
     if percent < 1:
         return ""
     force = "a bending moment in" if probe.bending else "a torque at the joint of"
-    where = f"{force} {rig.links[probe.link or 0].name}, {_SHAPES[probe.shape][0]}"
-    return f"it resembles {where}, which would explain {min(percent, 100):.0f} % of it"
+    resemblance = f"{force} {rig.links[probe.link or 0].name}, {_SHAPES[probe.shape][0]}"
+    return f"it resembles {resemblance}, which would explain {min(percent, 100):.0f} % of it"

@@ -119,7 +119,7 @@ class Screen:
     def starting_variant(self, k: int, sizes: Array) -> tuple[Effect, Array]:
         """Return the absent effect from which a fit of variant k with its sizes (s,) starts, and the sizes there."""
         effect = self.effects[k]
-        group = [j for j, other in enumerate(self.effects) if effect.superposes(other) and not self.absorbed[j]]
+        group = [j for j, variant in enumerate(self.effects) if effect.superposes(variant) and not self.absorbed[j]]
         return (
             effect.superposition([self.effects[j] for j in group], self.best_sizes(group)) if group else (effect, sizes)
         )
@@ -133,9 +133,9 @@ class Screen:
         """(V, V) cosine of the smallest angle between the directions of two effects."""
         bases = [np.linalg.qr(self.R[:, part])[0] for part in self.parts]
         cosines = np.eye(len(bases))
-        for i, one in enumerate(bases):
-            for j, other in enumerate(bases[:i]):
-                cosines[i, j] = cosines[j, i] = np.linalg.norm(one.T @ other, 2)
+        for i, first in enumerate(bases):
+            for j, second in enumerate(bases[:i]):
+                cosines[i, j] = cosines[j, i] = np.linalg.norm(first.T @ second, 2)
         return cosines
 
     def draw_statistics(self, count: int, seed: int) -> Array:
@@ -162,7 +162,7 @@ class Screen:
         first = 0
         for k in chosen:
             if self.one_sided[k] and guess[first] < 0:
-                return 0.0 if len(chosen) == 1 else max(self.decrease([other]) for other in chosen if other != k)
+                return 0.0 if len(chosen) == 1 else max(self.decrease([index]) for index in chosen if index != k)
             first += self.magnitude_counts[k]
         unexplained = self.R[:, -1] - self.R[:, self._columns(chosen)] @ guess
         return float(self.R[:, -1] @ self.R[:, -1] - unexplained @ unexplained)
@@ -201,11 +201,14 @@ class Directions:
         """
         joints = [k for k, variant in enumerate(variants) if _is_simulated(variant, point)]
         secants = workers.map(partial(_secants, point, present), [variants[k] for k in joints])
-        secants_by_run = [{k: own[n] for k, own in zip(joints, secants, strict=True)} for n in range(len(point.runs))]
+        secants_by_run = [
+            {k: variant_secants[run] for k, variant_secants in zip(joints, secants, strict=True)}
+            for run in range(len(point.runs))
+        ]
         edges = np.linspace(0, len(point.runs), 2 if workers.count == 1 else 2 * workers.count + 1, dtype=int)
         groups = [slice(first, last) for first, last in pairwise(edges.tolist()) if first < last]
         jobs = [(_some_recordings(point, group), secants_by_run[group]) for group in groups]
-        linearized = [each for some in workers.map(partial(_linearized, present, variants), jobs) for each in some]
+        linearized = [pair for batch in workers.map(partial(_linearized, present, variants), jobs) for pair in batch]
         parts = _parts([variant.magnitude_count for variant in variants])
         unprojected = sum((squares for _, squares in linearized), start=np.zeros(parts[-1].stop if parts else 0))
         return cls(tuple(variants), parts, np.vstack([rows for rows, _ in linearized]), unprojected)
@@ -222,16 +225,16 @@ class Directions:
         chosen = range(len(self.effects)) if chosen is None else chosen
         effects, counts = [self.effects[k] for k in chosen], [self.effects[k].magnitude_count for k in chosen]
         sizes = [column for k in chosen for column in range(self.parts[k].start, self.parts[k].stop)]
-        unprojected, kept = self.unprojected[sizes], list[int]()
+        unprojected, retained = self.unprojected[sizes], list[int]()
         if present is not None:
             effect, part = present
-            kept = [*range(part.start, part.start + effect.magnitude_count)]
-            effects, counts = [effect, *effects], [len(kept), *counts]
-            unprojected = np.r_[np.zeros(len(kept)), unprojected]
-        others = [k for k in range(coordinates) if k not in kept]
-        rows = self.rows[:, [*others, *kept, *(coordinates + k for k in sizes), -1]]
+            retained = [*range(part.start, part.start + effect.magnitude_count)]
+            effects, counts = [effect, *effects], [len(retained), *counts]
+            unprojected = np.r_[np.zeros(len(retained)), unprojected]
+        eliminated = [k for k in range(coordinates) if k not in retained]
+        rows = self.rows[:, [*eliminated, *retained, *(coordinates + k for k in sizes), -1]]
         information = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
-        return Screen(tuple(effects), _parts(counts), information.eliminated(len(others)).R, unprojected, self)
+        return Screen(tuple(effects), _parts(counts), information.eliminated(len(eliminated)).R, unprojected, self)
 
 
 def _parts(counts: Sequence[int]) -> tuple[slice, ...]:
@@ -259,8 +262,8 @@ def _linearized(
         for run, arms in zip(point.runs, coordinates, strict=True)
     ]
     parts = _parts([variant.magnitude_count for variant in variants])
-    each = zip(point.runs, linearize(point.runs, moved), secants, strict=True)
-    return [_projected(run, linearization, known, parts) for run, linearization, known in each]
+    triples = zip(point.runs, linearize(point.runs, moved), secants, strict=True)
+    return [_projected(run, linearization, known, parts) for run, linearization, known in triples]
 
 
 def _projected(
@@ -466,8 +469,8 @@ class FamilyTest:
             guess = effect.at(np.r_[screen.best_sizes([k]), effect.coordinates[effect.magnitude_count :]]).values
             sizes = [parameter for parameter in effect.parameters if not parameter.shape_parameter]
             smallest = {}
-            for n, (parameter, coordinate) in enumerate(zip(sizes, detectable[k] * screen.std(k), strict=False)):
-                value = _with_size(effect, n, float(coordinate)).values[parameter.name]
+            for index, (parameter, coordinate) in enumerate(zip(sizes, detectable[k] * screen.std(k), strict=False)):
+                value = _with_size(effect, index, float(coordinate)).values[parameter.name]
                 smallest[parameter.name] = value if parameter.reciprocal else abs(value - parameter.null)
             guessed = {parameter.name: float(guess[parameter.name]) for parameter in sizes}
             rows.append(Candidate(effect, float(np.sqrt(screen.statistics[k])), float(p[k]), guessed, smallest))

@@ -33,7 +33,7 @@ def spectral_starts(
         runs: simulations of recordings or of their segments.
         over_time: gives the peaks over time, as `temporal_peaks` does.
     """
-    found: list[Effect] = []
+    starts: list[Effect] = []
     independent = 0.0
     for variant in {variant.link: variant for variant in variants}.values():
         if parameter.from_spectrum == "joint_angle":
@@ -42,8 +42,8 @@ def spectral_starts(
             peaks, count = over_time()
         independent += count
         changes: list[dict[str, Any]] = [{parameter.name: peak} for peak in peaks]
-        found += [replace(variant, **change) for change in changes]
-    return tuple(found), max(independent / max(len(found), 1), 1.0)
+        starts += [replace(variant, **change) for change in changes]
+    return tuple(starts), max(independent / max(len(starts), 1), 1.0)
 
 
 def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
@@ -65,7 +65,7 @@ def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
         angles.setdefault(run.observed.recording.file, []).append(path.q[:, joint])
         fastest = max(fastest, float(np.abs(path.v[:, joint]).max()) * path.step * run.stride)
     turn = max((float(np.ptp(np.concatenate(parts))) for parts in angles.values()), default=0.0)
-    (parameter,) = (each for each in variant.parameters if each.from_spectrum)
+    (parameter,) = (parameter for parameter in variant.parameters if parameter.from_spectrum)
     resolution = 2 * np.pi / max(turn, 1e-9)  # the lowest number has one wave in the largest turn
     # Up to 2 rad of a wave in half an interval of the derivatives, whose error is then 1 % (2^4 / 2880).
     lowest, highest = max(resolution, parameter.lower), min(2.0 / max(fastest, 1e-9), parameter.upper)
@@ -76,7 +76,7 @@ def _angular_peaks(variant: Effect, runs: Sequence[Run]) -> Peaks:
     for run in acting:
         response, residual = _wave_responses(run, variant.active_joint(run.chain), counts)
         parts = response.real, response.imag
-        normal += np.array([[np.sum(one * other, axis=0) for other in parts] for one in parts]).transpose(2, 0, 1)
+        normal += np.array([[np.sum(first * second, axis=0) for second in parts] for first in parts]).transpose(2, 0, 1)
         score += np.column_stack([residual @ part for part in parts])
     power = np.einsum("ci,cij,cj->c", score, np.linalg.pinv(normal), score)
     peaks: list[float] = []
@@ -112,7 +112,7 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
     oscillators[:, 1, 0], oscillators[:, 1, 1] = (-np.diag(shapes.T @ matrix @ shapes) for matrix in (K, D))
     flow, phi1, phi2, _ = phi_functions(oscillators, path.step, 1)
     # Torques that are linear over each step.
-    early, late = (path.step * shapes[joint, :, None] * phi[:, :, 1] for phi in (phi1 - phi2, phi2))
+    start_weights, end_weights = (path.step * shapes[joint, :, None] * phi[:, :, 1] for phi in (phi1 - phi2, phi2))
     waves = np.exp(1j * np.multiply.outer(_joint_angle(run, joint), counts))
     state = np.zeros((m, 2, c + 2 * m), dtype=complex)
     state[np.repeat(range(m), 2), np.tile((0, 1), m), c + np.arange(2 * m)] = 1.0
@@ -120,7 +120,7 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
     moved[0] = state[:, 0]
     for k, (before, after) in enumerate(pairwise(waves)):
         state = flow @ state
-        state[:, :, :c] += early[..., None] * before + late[..., None] * after
+        state[:, :, :c] += start_weights[..., None] * before + end_weights[..., None] * after
         moved[k + 1] = state[:, 0]
 
     def at(time: Array) -> Complex:
@@ -190,7 +190,7 @@ def _fourier_transform(time: Array, values: Array, frequencies: Array) -> Comple
     Each frequency is one of few coarse ones and one of few fine ones, so that 2 F^(1/2) T exponentials do for F T.
     """
     fine = math.isqrt(frequencies.size - 1) + 1
-    early = np.exp(-2j * np.pi * np.outer(frequencies[:fine] - frequencies[0], time))
-    late = np.exp(-2j * np.pi * np.outer(frequencies[::fine], time))
-    shifted = (early[:, :, None] * values).transpose(1, 0, 2).reshape(time.size, -1)
-    return np.asarray((late @ shifted).reshape(-1, values.shape[1])[: frequencies.size])
+    fine_phases = np.exp(-2j * np.pi * np.outer(frequencies[:fine] - frequencies[0], time))
+    coarse_phases = np.exp(-2j * np.pi * np.outer(frequencies[::fine], time))
+    shifted = (fine_phases[:, :, None] * values).transpose(1, 0, 2).reshape(time.size, -1)
+    return np.asarray((coarse_phases @ shifted).reshape(-1, values.shape[1])[: frequencies.size])

@@ -185,12 +185,12 @@ class Search:
         self.report("converging")
         point = fit.point
         try:
-            further = fit_trajectory(
+            continued = fit_trajectory(
                 point.problem, point.x, None, point.states, stop=lambda point, predicted: self.options.exhausted
             )
         except (SimulationDivergedError, InsufficientDataError):
             return fit
-        return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
+        return replace(continued, shift=fit.shift) if continued.chi2 < fit.chi2 else fit
 
     def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
         """Add small effects that are needed beside a model corrected for its chain's discretization error.
@@ -223,12 +223,12 @@ class Search:
         for effect in sorted(fit.new_effects, key=lambda effect: self._decreases.get(effect.key, 0.0)):
             if self.options.exhausted:
                 break
-            fewer = self.refit_without(fit, effect, fits)
-            if fewer is None:
+            reduced = self.refit_without(fit, effect, fits)
+            if reduced is None:
                 continue
-            if not (is_determined(fit, effect, self.options.alpha) and predicts_better(fit, fewer)):
+            if not (is_determined(fit, effect, self.options.alpha) and predicts_better(fit, reduced)):
                 self.unjustified.append(effect.id)
-                return self._justified(fewer, fits)
+                return self._justified(reduced, fits)
         return fit
 
     def without_effects(self) -> SearchResult:
@@ -247,24 +247,24 @@ class Search:
         try:
             x = self.start.point.x.copy()
             x[: len(problem.parametrisation.coordinates)] = problem.parametrisation.start
-            other = fit_segments(
+            from_nominal = fit_segments(
                 replace(self.start, point=problem.point(x)), self.whole, duration, self.options.stop(base.chi2)
             )
         except (SimulationDivergedError, InsufficientDataError):
             return base
-        return min(base, other, key=lambda fit: fit.chi2)
+        return min(base, from_nominal, key=lambda fit: fit.chi2)
 
     def next_best(self, result: SearchResult) -> TrajectoryFit | None:
         """Return the second best model of as many effects, in whole recordings; None where no other was fitted."""
         best = result.best
         for fits in (result.fits, result.segment_fits):
-            others = [fit for fit in fits.values() if len(fit.new_effects) == len(best.new_effects) > 0]
-            others = [fit for fit in others if fit.effect_keys != best.effect_keys]
+            candidates = [fit for fit in fits.values() if len(fit.new_effects) == len(best.new_effects) > 0]
+            candidates = [fit for fit in candidates if fit.effect_keys != best.effect_keys]
             # Stick-slip and play are slow to fit: only where the best model has such an effect.
-            others = [fit for fit in others if not is_nonsmooth(fit.effects) or is_nonsmooth(best.effects)]
-            if others and not self.options.exhausted:
+            candidates = [fit for fit in candidates if not is_nonsmooth(fit.effects) or is_nonsmooth(best.effects)]
+            if candidates and not self.options.exhausted:
                 self.report("fitting the next best")
-                second = min(others, key=self.options.criterion)
+                second = min(candidates, key=self.options.criterion)
                 try:
                     if is_nonsmooth(second.effects) or fits is result.fits:
                         return open_loop(second, self.whole)
@@ -277,9 +277,9 @@ class Search:
         """Test the candidates beside a model."""
         self.report("testing candidates")
         candidates = CandidateSet.of(self.effects, self.rig, self.recordings, fit.point.runs)
-        kept = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.effect_keys]
-        screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in kept], self.workers)
-        return FamilyTest.of(screened, candidates.multiplicity[kept], self.options.alpha, self.options.seed)
+        absent = [k for k, variant in enumerate(candidates.variants) if variant.key not in fit.effect_keys]
+        screened = Screen.of(fit.point, fit.effects, [candidates.variants[k] for k in absent], self.workers)
+        return FamilyTest.of(screened, candidates.multiplicity[absent], self.options.alpha, self.options.seed)
 
     def negligible(self, fit: TrajectoryFit) -> float:
         """Return the chi^2 that a model may leave beyond noise: a share of what remains, as large causes come first.
@@ -301,9 +301,9 @@ class Search:
             gained: (...) decreases of chi^2 by the effect that are not in the model yet.
         """
         scatter = norm.ppf(0.95) * np.sqrt(2 * fit.point.count)
-        left = np.maximum(fit.chi2 + scatter - fit.point.expected_chi2 - gained, 0.0)
-        least = self.options.least_decrease(fit.chi2)
-        return np.asarray(np.clip(left, least, max(least, self.negligible(fit))))
+        unexplained = np.maximum(fit.chi2 + scatter - fit.point.expected_chi2 - gained, 0.0)
+        minimum = self.options.least_decrease(fit.chi2)
+        return np.asarray(np.clip(unexplained, minimum, max(minimum, self.negligible(fit))))
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
@@ -342,8 +342,8 @@ class Search:
                 effect.key: best.chi2 - trial.chi2 for effect in trial.effects if effect.key not in best.effect_keys
             }
             best = self._backward_elimination(trial, fits)
-            new = best.effect_keys - self.p_values.keys()
-            self.p_values |= {key: min(family.p_value(key), self._first_tests.p_value(key)) for key in new}
+            added = best.effect_keys - self.p_values.keys()
+            self.p_values |= {key: min(family.p_value(key), self._first_tests.p_value(key)) for key in added}
         return best, None
 
     def _best_addition(
@@ -402,16 +402,16 @@ class Search:
             fits: known ones, which are not fitted again, and the new ones.
         """
         keys = [frozenset(effect.key for effect in effects) for effects in models]
-        new = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
-        if new:
+        untried = [effects for names, effects in zip(keys, models, strict=True) if names not in fits]
+        if untried:
             present = {effect.id for effect in start.effects}
-            added = sorted({effect.id for effects in new for effect in effects} - present)
+            added = sorted({effect.id for effects in untried for effect in effects} - present)
             if not self.options.exhausted:
                 names = " and ".join(added[:2]) + (f" and {len(added) - 2} more" if len(added) > 2 else "")
                 self.report(
                     f"fitting {names}, residual {ratio(min(fit.misfit for fit in (start, *fits.values())))} × noise"
                 )
-                trials = self.workers.map(partial(_refit_within_bounds, start, self.options, max_chi2), new)
+                trials = self.workers.map(partial(_refit_within_bounds, start, self.options, max_chi2), untried)
                 fits |= {trial.effect_keys: trial for trial in trials if trial is not None}
             if self.options.exhausted:
                 self.unfinished |= set(added)
@@ -426,24 +426,24 @@ class Search:
         sized = [starting_effect(*start, fit.point.chain) for start in starts]
         return (*fit.effects, *sized)
 
-    def _explains_all(self, fit: TrajectoryFit | None, fewer: TrajectoryFit) -> bool:
+    def _explains_all(self, fit: TrajectoryFit | None, reduced: TrajectoryFit) -> bool:
         """Return True if only noise is left, within five standard deviations, or what stick-slip or play may leave."""
         if fit is None:
             return False
-        allowed = _NONSMOOTH_REST * (fewer.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
+        allowed = _NONSMOOTH_REST * (reduced.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
         return bool(fit.chi2 < fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count) + allowed)
 
-    def _matters(self, fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
-        gained = fewer.chi2 - more.chi2
-        return bool(gained > self.least_decrease(fewer, gained))
+    def _matters(self, reduced: TrajectoryFit, full: TrajectoryFit) -> bool:
+        gained = reduced.chi2 - full.chi2
+        return bool(gained > self.least_decrease(reduced, gained))
 
     def _backward_elimination(self, fit: TrajectoryFit, fits: Fits) -> TrajectoryFit:
         """Drop effects that the others make needless."""
         for effect in fit.new_effects if len(fit.new_effects) > 1 else ():
             largest = fit.chi2 + max(self.options.least_share * fit.chi2, self.negligible(fit))
-            fewer = self.refit_without(fit, effect, fits, largest)
-            if fewer is not None and not self._matters(fewer, fit):
-                return self._backward_elimination(fewer, fits)
+            reduced = self.refit_without(fit, effect, fits, largest)
+            if reduced is not None and not self._matters(reduced, fit):
+                return self._backward_elimination(reduced, fits)
         return fit
 
     def refit_without(
@@ -460,13 +460,13 @@ class Search:
             fits: known ones, and the new one.
             max_chi2: a fit that stays above it is given up.
         """
-        kept = tuple(other for other in fit.effects if other is not effect)
-        names, whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
-        known = fits.get(names, self.start if whole and names == self.start.effect_keys else None)
+        remaining = tuple(present for present in fit.effects if present is not effect)
+        names, is_whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
+        known = fits.get(names, self.start if is_whole and names == self.start.effect_keys else None)
         if known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect):
             return known
-        fewer = refit(fit, kept, self.options.stop(max_chi2))
-        best = min(filter(None, (fewer, known)), key=lambda fit: fit.chi2, default=None)
+        reduced = refit(fit, remaining, self.options.stop(max_chi2))
+        best = min(filter(None, (reduced, known)), key=lambda fit: fit.chi2, default=None)
         if best is not None:
             fits[best.effect_keys] = best
         return best
@@ -476,11 +476,11 @@ class Search:
         if self._first_tests is None:
             return []
         screened = self._first_tests.screen
-        others = [k for k, effect in enumerate(screened.effects) if effect.key not in best.effect_keys]
+        absent = [k for k, effect in enumerate(screened.effects) if effect.key not in best.effect_keys]
         scored = [
             (screened.decrease([i, j]), i, j)
-            for n, i in enumerate(others)
-            for j in others[:n]
+            for position, i in enumerate(absent)
+            for j in absent[:position]
             if screened.effects[i].key != screened.effects[j].key
         ]
         chosen: dict[frozenset[Key], list[int]] = {}
@@ -507,10 +507,10 @@ class Search:
     def _close_second(self, best: TrajectoryFit, fits: Fits) -> TrajectoryFit | None:
         """Return the next best model of as many effects, if it is worse by less than the best one's excess of chi^2."""
         unexplained = best.chi2 - best.point.expected_chi2
-        others = [
+        candidates = [
             fit for names, fit in fits.items() if len(names) == len(best.effect_keys) and names != best.effect_keys
         ]
-        second = min(others, key=self.options.criterion, default=None)
+        second = min(candidates, key=self.options.criterion, default=None)
         if second is None or self._explains_all(best, best) or second.chi2 - best.chi2 > unexplained:
             return None
         return second
@@ -519,8 +519,8 @@ class Search:
         self, longer: TrajectoryFit, second: TrajectoryFit | None, duration: float
     ) -> tuple[TrajectoryFit, Fits]:
         """Fit the close second, if there is one, to longer segments as well; return the better model, and both."""
-        other = None if second is None else self._lengthened(second, duration)
-        fits = {fit.effect_keys: fit for fit in (longer, other) if fit is not None}
+        alternative = None if second is None else self._lengthened(second, duration)
+        fits = {fit.effect_keys: fit for fit in (longer, alternative) if fit is not None}
         best = min(fits.values(), key=self.options.criterion)
         replaced = max((self._decreases.get(key, 0.0) for key in longer.effect_keys - best.effect_keys), default=0.0)
         for key in best.effect_keys - longer.effect_keys:
@@ -556,8 +556,8 @@ def _refit_within_bounds(
     nested = len(added) == len(effects) - len(start.effects)
     worse = fit is None or fit.chi2 >= start.chi2
     if worse and nested and any(added.values()) and max_chi2 > start.chi2 and not options.exhausted:
-        again = refit(start, effects, options.stop(max_chi2), states_first=True)
-        fit = min(filter(None, (fit, again)), key=lambda fit: fit.chi2, default=None)
+        retried = refit(start, effects, options.stop(max_chi2), states_first=True)
+        fit = min(filter(None, (fit, retried)), key=lambda fit: fit.chi2, default=None)
     return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
 
 

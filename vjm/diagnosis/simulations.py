@@ -68,9 +68,9 @@ def simulate_recordings(
     Recordings that were fitted have been simulated.
     """
     known = {run.observed.recording.file: run.observed.recording for run in reference.point.runs}
-    further = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
+    unfitted = [recording for recording in experiment.cleaned_recordings if recording.file not in known]
     observed, by_best = replay_without_outliers(
-        partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in further]
+        partial(_simulate, best), [Observations.of(experiment.rig, recording, noise) for recording in unfitted]
     )
     recordings = known | {observation.recording.file: observation.recording for observation in observed}
 
@@ -78,8 +78,8 @@ def simulate_recordings(
         if model is None:
             return {}
         fitted = [(run, True) for run in model.point.runs]
-        others = by_best if model is best else replay_each(partial(_simulate, model), observed)
-        runs = [result for result in (*fitted, *others) if not isinstance(result, str)]
+        replays = by_best if model is best else replay_each(partial(_simulate, model), observed)
+        runs = [result for result in (*fitted, *replays) if not isinstance(result, str)]
         return {run.observed.recording.file: run.simulated_recording(converged) for run, converged in runs}
 
     after, before, alternative = by_file(best), by_file(reference), by_file(next_best)
@@ -116,12 +116,12 @@ def with_holdout_gains(
     observed = [Observations.of(rig, comparison.recording, comparison.noise) for comparison in tested]
     chains, gained = [arm.chain for arm in _arms(best, observed)], []
     for cause in causes:
-        without, gain = fits.get(best.effect_keys - {cause.effect.key}), None
-        if without is not None:
-            triples = zip(chains, _arms(without, observed), simulated, strict=True)
+        reduced, gain = fits.get(best.effect_keys - {cause.effect.key}), None
+        if reduced is not None:
+            triples = zip(chains, _arms(reduced, observed), simulated, strict=True)
             states = [transfer_state(chain, arm.chain, run.simulation.initial_state) for chain, arm, run in triples]
             with contextlib.suppress(SimulationDivergedError):
-                runs = _simulate(without, observed, states)
+                runs = _simulate(reduced, observed, states)
                 gain = _marker_rms([run.simulated_recording(converged) for run, converged in runs]) - after
         gained.append(replace(cause, holdout_gain=gain))
     return tuple(gained)
@@ -150,13 +150,13 @@ def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:
         return findings
     causes = []
     for cause in findings.causes:
-        others = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
+        remaining = tuple(effect for effect in findings.model.effects if effect.key != cause.effect.key)
         without = comparison.reference
         if len(findings.causes) > 1:
             try:
-                model, recording = replace(findings.model, effects=others), comparison.recording
-                given, wanted = findings.model.arm_in(recording).chain, model.arm_in(recording).chain
-                state = transfer_state(given, wanted, comparison.simulated.simulation.initial_state)
+                model, recording = replace(findings.model, effects=remaining), comparison.recording
+                source, target = findings.model.arm_in(recording).chain, model.arm_in(recording).chain
+                state = transfer_state(source, target, comparison.simulated.simulation.initial_state)
                 without = model.replay(recording, state)
             except (InsufficientDataError, SimulationDivergedError):
                 without = None

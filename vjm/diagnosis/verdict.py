@@ -169,10 +169,10 @@ def conclude(findings: Diagnosis) -> Diagnosis:
 
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return causes with their roles, large ones before small ones."""
-    most = max((cause.decrease for cause in causes), default=0.0)
+    largest = max((cause.decrease for cause in causes), default=0.0)
     # Without a cause that explains 1 % of that, the RMS of what was wrong changes by half a percent: less than the two
     # digits that are shown of it.
-    roles = [replace(cause, role="minor" if cause.decrease < 0.01 * most else "main") for cause in causes]
+    roles = [replace(cause, role="minor" if cause.decrease < 0.01 * largest else "main") for cause in causes]
     main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
     minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)
@@ -192,11 +192,11 @@ def _without_causes(findings: Diagnosis) -> Diagnosis:
 
 
 def _budget_warning(budget: Budget) -> str:
-    tried = (
+    omissions = (
         f"not fully tried: {', '.join(budget.not_tried)}" if budget.not_tried else "small effects were not searched for"
     )
     return (
-        f"search stopped at its budget of {budget.seconds:.3g} s with the best model so far; {tried}; a larger "
+        f"search stopped at its budget of {budget.seconds:.3g} s with the best model so far; {omissions}; a larger "
         "--budget, fewer --effects or more --jobs would let it finish"
     )
 

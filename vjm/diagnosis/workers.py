@@ -42,7 +42,7 @@ class Workers:
             forkserver.ensure_running()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        others, context = {*active_children()}, get_context("forkserver")
+        existing, context = {*active_children()}, get_context("forkserver")
         executor = ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent)
         try:
             with _deferred_interrupts():
@@ -51,7 +51,7 @@ class Workers:
             yield cls(count, executor)
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
-            for process in {*active_children()} - others:
+            for process in {*active_children()} - existing:
                 process.terminate()
             raise
         executor.shutdown()

@@ -97,29 +97,34 @@ class Symptoms(Record):
         `frequencies` are the model's natural ones [Hz] with each payload of the recordings [kg], as many with each.
         """
         recordings = []
-        for one in simulated:
-            sensors = Channels.of(rig, one)
+        for replay in simulated:
+            sensors = Channels.of(rig, replay)
             misfit = float(sum(np.sum(sensor.residual**2) for sensor in sensors))
             modes, at_rest = MotionComparison(), list[SensorAtRest]()
-            if one.recording.kind in ("quiet", "static"):
+            if replay.recording.kind in ("quiet", "static"):
                 at_rest = [quiet for quiet in map(SensorAtRest.of, sensors) if quiet is not None]
             elif sensors:
-                modes = MotionComparison.of(one.recording, sensors, frequencies[one.recording.payload])
-            recordings.append(RecordingSymptoms(one, sensors, misfit, modes, at_rest=tuple(at_rest)))
-        own, together = joint_profiles(
-            rig, [(one.simulated, one.sensors * bool(one.modes.remaining)) for one in recordings]
+                modes = MotionComparison.of(replay.recording, sensors, frequencies[replay.recording.payload])
+            recordings.append(RecordingSymptoms(replay, sensors, misfit, modes, at_rest=tuple(at_rest)))
+        separate, together = joint_profiles(
+            rig,
+            [(recording.simulated, recording.sensors * bool(recording.modes.remaining)) for recording in recordings],
         )
-        recordings = [replace(one, profiles=profiles) for one, profiles in zip(recordings, own, strict=True)]
-        total = sum(one.misfit for one in recordings)
-        found = [symptom for one in recordings for symptom in _of_recording(one, total)]
+        recordings = [
+            replace(recording, profiles=profiles) for recording, profiles in zip(recordings, separate, strict=True)
+        ]
+        total = sum(recording.misfit for recording in recordings)
+        found = [symptom for recording in recordings for symptom in _of_recording(recording, total)]
         found += _with_amplitude(recordings, total)
         for profile in together:
             pooled = [recordings[k] for k in np.unique(profile.recording)]
             found += _against(_Source.of(pooled, total), profile, pooled)
-        both = [one for one in recordings if one.modes.camera_lag.known]
-        lag, clock = (_mean([getattr(one.modes, kind) for one in both]) for kind in ("camera_lag", "camera_clock"))
-        found.append(_Source.of(both, total).symptom("camera_lag", lag, "s"))
-        found.append(_Source.of(both, total).symptom("camera_clock", clock, "1"))
+        timed = [recording for recording in recordings if recording.modes.camera_lag.known]
+        lag, clock = (
+            _mean([getattr(recording.modes, kind) for recording in timed]) for kind in ("camera_lag", "camera_clock")
+        )
+        found.append(_Source.of(timed, total).symptom("camera_lag", lag, "s"))
+        found.append(_Source.of(timed, total).symptom("camera_clock", clock, "1"))
         known = sorted((symptom for symptom in found if math.isfinite(symptom.std)), key=lambda symptom: -symptom.share)
         return cls(rig, tuple(known), tuple(recordings), together, lag)
 
@@ -128,7 +133,7 @@ class Symptoms(Record):
         """Symptoms that are more than chance, at a level that allows for all that was looked for, and worth a word."""
         level = 0.01 / max(len(self.found), 1)  # clean recordings show any symptom at all once in a hundred times
         # A sentence is worth one per cent of a recording's mean square residual.
-        return tuple(one for one in self.found if one.p_value < level and one.local_share >= 0.01)
+        return tuple(symptom for symptom in self.found if symptom.p_value < level and symptom.local_share >= 0.01)
 
     def headlines(self, most: int = 8) -> tuple[Symptom, ...]:
         """Return the largest symptom of each kind and mode, at most so many, saying how many recordings share it."""
@@ -136,10 +141,10 @@ class Symptoms(Record):
         for symptom in self.significant:
             groups.setdefault((symptom.kind, symptom.mode), []).append(symptom)
         headlines = []
-        for first, *others in list(groups.values())[:most]:
-            same = {each.recording for each in others if each.value * first.value > 0} - {first.recording}
-            sentence = f"{first.sentence.removesuffix('.')}; also in {counted(len(same), 'other')}."
-            headlines.append(replace(first, sentence=sentence) if same else first)
+        for first, *weaker in list(groups.values())[:most]:
+            shared_by = {similar.recording for similar in weaker if similar.value * first.value > 0} - {first.recording}
+            sentence = f"{first.sentence.removesuffix('.')}; also in {counted(len(shared_by), 'other')}."
+            headlines.append(replace(first, sentence=sentence) if shared_by else first)
         return tuple(headlines)
 
 
@@ -153,7 +158,7 @@ class _Source(NamedTuple):
     @classmethod
     def of(cls, recordings: Sequence[RecordingSymptoms], total: float) -> _Source:
         """Return several recordings together as one source."""
-        return cls(None, sum(one.misfit for one in recordings), total)
+        return cls(None, sum(recording.misfit for recording in recordings), total)
 
     def symptom(
         self, kind: str, estimate: Coefficient, unit: str, sensor: str | None = None, mode: int | None = None,
@@ -162,15 +167,15 @@ class _Source(NamedTuple):
         """Return a symptom, its sentence filled with further words."""
         sentence, positive, negative = _SENTENCES[template or kind]
         words = {"name": sensor or "", "size": _quantity(estimate.value, unit)} | words
-        told = sentence.format(way=positive if estimate.value > 0 else negative, **words)
-        told = f"{capital(told)}." if self.file is None else f"{self.file}: {told}."
+        text = sentence.format(way=positive if estimate.value > 0 else negative, **words)
+        text = f"{capital(text)}." if self.file is None else f"{self.file}: {text}."
         share, local = (float(np.clip(estimate.explained / max(m, 1e-300), 0, 1)) for m in (self.total, self.misfit))
-        return Symptom(kind, self.file, sensor, mode, *estimate[:2], unit, estimate.p_value, share, local, told)
+        return Symptom(kind, self.file, sensor, mode, *estimate[:2], unit, estimate.p_value, share, local, text)
 
 
-def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
-    source, modes = _Source(one.simulated.recording.file, one.misfit, total), one.modes
-    for quiet in one.at_rest:
+def _of_recording(recording: RecordingSymptoms, total: float) -> Iterator[Symptom]:
+    source, modes = _Source(recording.simulated.recording.file, recording.misfit, total), recording.modes
+    for quiet in recording.at_rest:
         name, correlation = quiet.channels.sensor, quiet.correlation
         yield source.symptom("noise_size", quiet.size, "1", name)
         yield source.symptom("noise_correlation", correlation, "1", name, value=_plain(correlation.value))
@@ -178,27 +183,27 @@ def _of_recording(one: RecordingSymptoms, total: float) -> Iterator[Symptom]:
     if not modes.remaining:
         return
     present = [mode.simulated for mode in modes.modes]
-    for sensor, remaining in zip(one.sensors, modes.remaining, strict=True):
+    for sensor, remaining in zip(recording.sensors, modes.remaining, strict=True):
         yield from _aligned(source, sensor)
         yield from _slow_drift(source, sensor, remaining, SLOW * min(present, default=0.0))
         yield from _tone(source, sensor, sensor.strongest_tone(remaining, modes=present), "tone")
     for mode in modes.modes:
-        yield from _mode(source, mode, one)
+        yield from _mode(source, mode, recording)
     yield source.symptom("slow_amplitude", modes.slow_gain, "1")
     yield source.symptom("slow_delay", modes.slow_delay, "s")
-    for profile in one.profiles:
-        yield from _against(source, profile, [one])
-    yield from _growth(source, one)
+    for profile in recording.profiles:
+        yield from _against(source, profile, [recording])
+    yield from _growth(source, recording)
 
 
 def _aligned(source: _Source, sensor: Channels) -> Iterator[Symptom]:
-    for c, name in enumerate(sensor.names):
-        rows = sensor.known[:, c]
-        time, residual = sensor.time[rows], sensor.residual[rows, c]
+    for index, name in enumerate(sensor.names):
+        rows = sensor.known[:, index]
+        time, residual = sensor.time[rows], sensor.residual[rows, index]
         parts = {"offset": np.ones(time.size)}
-        if sensor.moving[c]:
-            motion = sensor.simulated[rows, c]
-            parts |= {"gain": motion - motion.mean(), "delay": -sensor.rate[rows, c]}
+        if sensor.moving[index]:
+            motion = sensor.simulated[rows, index]
+            parts |= {"gain": motion - motion.mean(), "delay": -sensor.rate[rows, index]}
         if sensor.sensor == "encoder":
             parts["drift"] = (time - time.mean()) / sensor.duration
         columns = np.stack(list(parts.values()), axis=1) / sensor.noise
@@ -207,26 +212,26 @@ def _aligned(source: _Source, sensor: Channels) -> Iterator[Symptom]:
             if kind != "delay":  # that of the whole sensor follows
                 alone = estimate._replace(explained=explained(estimate.value * column, residual))
                 yield source.symptom(kind, alone, "1" if kind == "gain" else sensor.unit, name)
-    who = "seen by the camera" if sensor.sensor == "camera" else "of the joints"
-    yield source.symptom("delay", sensor.delay, "s", sensor.sensor, who=who)
+    observer = "seen by the camera" if sensor.sensor == "camera" else "of the joints"
+    yield source.symptom("delay", sensor.delay, "s", sensor.sensor, who=observer)
 
 
-def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iterator[Symptom]:
-    at, phase, leads, dies = f"{_plain(mode.simulated)} Hz", mode.phase, "", ""
-    if one.simulated.recording.kind == "decay":  # driven, the phase does not go on growing
+def _mode(source: _Source, mode: ModeDifference, recording: RecordingSymptoms) -> Iterator[Symptom]:
+    at, phase, phase_text, decay = f"{_plain(mode.simulated)} Hz", mode.phase, "", ""
+    if recording.simulated.recording.kind == "decay":  # driven, the phase does not go on growing
         # After the time in which the simulated motion falls to a twentieth.
-        duration = min(max(s.duration for s in one.sensors), 3 / max(-mode.pole.real, 1e-9))
+        duration = min(max(sensor.duration for sensor in recording.sensors), 3 / max(-mode.pole.real, 1e-9))
         after, turned = f"{_plain(duration)} s", mode.speed.value * duration
-        leads = f": {'gains' if turned > 0 else 'loses'} {_phase(turned)} of phase in {after}"
+        phase_text = f": {'gains' if turned > 0 else 'loses'} {_phase(turned)} of phase in {after}"
         if abs(phase.value) > 3 * phase.std:
             ends = (f"{'+' if end > 0 else '−'}{_phase(end)}" for end in (phase.value, phase.value + turned))
-            leads += f" (from {' to '.join(ends)}, as the initial state is fitted to the whole recording)"
+            phase_text += f" (from {' to '.join(ends)}, as the initial state is fitted to the whole recording)"
         ratio = math.exp(float(np.clip(-mode.decay.value * duration, -10, 10)))
         size = f"{_quantity(ratio - 1, '1')} {'larger' if ratio > 1 else 'smaller'} than"
-        dies = f": after {after} the amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
+        decay = f": after {after} the amplitude is {size if 0.5 < ratio < 2 else f'{_plain(ratio)} times'} the model's"
     for kind, estimate, unit, after in (("amplitude", mode.gain, "log", ""), ("phase", phase, "rad", ""),
-                                        ("damping", mode.damping, "1", dies),
-                                        ("frequency", mode.frequency, "1", leads)):  # fmt: skip
+                                        ("damping", mode.damping, "1", decay),
+                                        ("frequency", mode.frequency, "1", phase_text)):  # fmt: skip
         yield source.symptom(kind, estimate, unit, mode=mode.mode, at=at, after=after)
     for name, estimate in mode.shapes:
         yield source.symptom("mode_shape", estimate, "1", name, mode.mode, at=at)
@@ -234,13 +239,13 @@ def _mode(source: _Source, mode: ModeDifference, one: RecordingSymptoms) -> Iter
 
 def _against(source: _Source, profile: JointProfile, recordings: Sequence[RecordingSymptoms]) -> Iterator[Symptom]:
     name, motion = profile.sensor, profile.motion
-    sensors = [sensor for one in recordings for sensor in one.sensors if name in sensor.names]
-    misfit = sum(float(np.sum(s.residual[:, s.names.index(name)] ** 2)) for s in sensors)
-    what = f"residual of {name}" if profile.quantity == "residual" else f"unmodelled {profile.quantity} at {name}"
+    sensors = [sensor for recording in recordings for sensor in recording.sensors if name in sensor.names]
+    misfit = sum(float(np.sum(sensor.residual[:, sensor.names.index(name)] ** 2)) for sensor in sensors)
+    subject = f"residual of {name}" if profile.quantity == "residual" else f"unmodelled {profile.quantity} at {name}"
     for kind, change in zip(("angle", "velocity", "sign"), profile.fit.changes, strict=True):
         share = change.explained / max(change.explained + profile.fit.misfit, 1e-300)
         change = change._replace(explained=share * misfit)
-        yield source.symptom(f"against_{kind}", change, profile.unit, name, what=what, motion=motion)
+        yield source.symptom(f"against_{kind}", change, profile.unit, name, what=subject, motion=motion)
 
 
 def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: float) -> Iterator[Symptom]:
@@ -249,21 +254,21 @@ def _slow_drift(source: _Source, sensor: Channels, remaining: Array, limit: floa
     if count < 1 or sensor.time.size < 4 * count:
         return
     power = np.zeros(len(sensor.names))
-    for c, rows in enumerate(sensor.known.T):
-        residual = remaining[rows, c] - remaining[rows, c].mean()
+    for column, rows in enumerate(sensor.known.T):
+        residual = remaining[rows, column] - remaining[rows, column].mean()
         sizes, *_ = np.linalg.lstsq(columns[rows], residual, rcond=1e-6)
-        power[c] = explained(columns[rows] @ sizes, residual)
-    most = int(np.argmax(power / sensor.counts))
-    size = sensor.noise * math.sqrt(max(power[most] - count, 0.0) / sensor.counts[most])
-    chance, beyond = float(stats.chi2.sf(power.sum(), count * power.size)), float(power.sum()) - count * power.size
-    drift = Coefficient(size, sensor.noise / math.sqrt(2 * sensor.counts[most]), chance, max(beyond, 0.0))
-    yield source.symptom("slow_drift", drift, sensor.unit, sensor.names[most], limit=_plain(limit))
+        power[column] = explained(columns[rows] @ sizes, residual)
+    largest = int(np.argmax(power / sensor.counts))
+    size = sensor.noise * math.sqrt(max(power[largest] - count, 0.0) / sensor.counts[largest])
+    chance, excess = float(stats.chi2.sf(power.sum(), count * power.size)), float(power.sum()) - count * power.size
+    drift = Coefficient(size, sensor.noise / math.sqrt(2 * sensor.counts[largest]), chance, max(excess, 0.0))
+    yield source.symptom("slow_drift", drift, sensor.unit, sensor.names[largest], limit=_plain(limit))
 
 
-def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
-    time = np.concatenate([sensor.time for sensor in one.sensors])
-    squares = np.concatenate([np.sum(sensor.residual**2, axis=1) for sensor in one.sensors])
-    known = np.concatenate([np.sum(sensor.known, axis=1) for sensor in one.sensors])
+def _growth(source: _Source, recording: RecordingSymptoms) -> Iterator[Symptom]:
+    time = np.concatenate([sensor.time for sensor in recording.sensors])
+    squares = np.concatenate([np.sum(sensor.residual**2, axis=1) for sensor in recording.sensors])
+    known = np.concatenate([np.sum(sensor.known, axis=1) for sensor in recording.sensors])
     fifths = np.linspace(time.min(), time.max(), 6)
     total, count = (np.histogram(time, fifths, weights=values)[0] for values in (squares, known))
     if count.min() < 2 or total.min() <= 0:
@@ -272,43 +277,43 @@ def _growth(source: _Source, one: RecordingSymptoms) -> Iterator[Symptom]:
     # Of a residual larger than the noise, the size in a fifth goes up and down with the motion, by a third or so.
     std = math.hypot(math.sqrt(0.5 / count[0] + 0.5 / count[-1]), 0.3 if power.max() > 2 else 0.15)
     growth = Coefficient.of(0.5 * math.log(power[-1] / power[0]), std, 0.0, 1)
-    if one.simulated.recording.kind == "decay" and growth.value < 0:  # it shrinks as the motion does
+    if recording.simulated.recording.kind == "decay" and growth.value < 0:  # it shrinks as the motion does
         return
-    beyond = float(np.sum(np.maximum(total - count * total.sum() / count.sum(), 0.0)))
-    growth = growth._replace(explained=beyond)
+    excess = float(np.sum(np.maximum(total - count * total.sum() / count.sum(), 0.0)))
+    growth = growth._replace(explained=excess)
     yield source.symptom("growth", growth, "log", fold=_plain(math.exp(abs(growth.value))))
 
 
 def _with_amplitude(recordings: Sequence[RecordingSymptoms], total: float) -> Iterator[Symptom]:
     """Yield changes of frequency and damping with amplitude, separately for recordings of different conditions."""
     groups: dict[tuple[int, str, str], list[tuple[RecordingSymptoms, FreeMotion]]] = {}
-    for one in recordings:
-        for free in one.modes.free:
-            groups.setdefault((free.mode, free.condition, free.unit), []).append((one, free))
+    for recording in recordings:
+        for free in recording.modes.free:
+            groups.setdefault((free.mode, free.condition, free.unit), []).append((recording, free))
     for (mode, condition, unit), members in groups.items():
         amplitude = np.concatenate([free.amplitude for _, free in members])
         largest, smallest = float(amplitude.max()), float(amplitude.min())
         if amplitude.size < 5 or largest < 1.3 * smallest:  # too little to show a change
             continue
-        source = _Source.of([one for one, _ in members], total)
+        source = _Source.of([recording for recording, _ in members], total)
         rates, std = (np.concatenate(parts) for parts in zip(*((f.rates, f.std) for _, f in members), strict=True))
         centre = float(rates[:, 1, 0].mean())
-        for c, kind, power in ((0, "frequency", 2), (1, "damping", 1)):
+        for column, kind, power in ((0, "frequency", 2), (1, "damping", 1)):
             scale = centre if kind == "frequency" else 1.0
-            values, errors = rates[..., c] / scale, std[:, c] / scale
+            values, errors = rates[..., column] / scale, std[:, column] / scale
             place = (amplitude / largest) ** power
             columns = np.stack([np.ones_like(place), place], axis=1) / errors[:, None]
             # Windows overlap by half: two in a row are taken together.
             slope = regress(columns, (values[:, 0] - values[:, 1]) / errors, np.arange(place.size) // 2)[0][1]
             rate = 2 * np.pi * centre * slope.value
-            beyond = sum(free.misfit_of(rate, largest, power) for _, free in members)
-            own = float(np.linalg.lstsq(columns, values[:, 1] / errors, rcond=None)[0][1] * np.ptp(place))
-            change = slope.times(float(np.ptp(place)))._replace(explained=beyond)
-            here, model = (f"{_plain(v) if c else _quantity(v, '1')} {'higher' if v > 0 else 'lower'}"
-                           for v in (change.value + own, own))  # fmt: skip
-            model = "the same" if abs(own) < 0.05 * abs(change.value + own) else model
+            excess = sum(free.misfit_of(rate, largest, power) for _, free in members)
+            modelled = float(np.linalg.lstsq(columns, values[:, 1] / errors, rcond=None)[0][1] * np.ptp(place))
+            change = slope.times(float(np.ptp(place)))._replace(explained=excess)
+            measured, model = (f"{_plain(v) if column else _quantity(v, '1')} {'higher' if v > 0 else 'lower'}"
+                               for v in (change.value + modelled, modelled))  # fmt: skip
+            model = "the same" if abs(modelled) < 0.05 * abs(change.value + modelled) else model
             yield source.symptom(
-                f"{kind}_with_amplitude", change, "1", mode=mode, here=here, at=f"{_plain(centre)} Hz",
+                f"{kind}_with_amplitude", change, "1", mode=mode, here=measured, at=f"{_plain(centre)} Hz",
                 own=model + (f" ({condition})" if condition else ""), large=_quantity(largest, unit),
                 small=_quantity(smallest, unit),
             )  # fmt: skip
@@ -323,14 +328,17 @@ def _tone(source: _Source, sensor: Channels, tone: Tone | None, kind: str) -> It
 
 def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
     """Average several recordings' values, with an error that their scatter does not belie."""
-    known = [one for one in estimates if one.known and one.std > 0]
+    known = [estimate for estimate in estimates if estimate.known and estimate.std > 0]
     if not known:
         return Coefficient()
-    values, weights = np.array([one.value for one in known]), np.array([one.std for one in known]) ** -2
+    values, weights = (
+        np.array([estimate.value for estimate in known]),
+        np.array([estimate.std for estimate in known]) ** -2,
+    )
     mean, std = float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
     scatter = math.sqrt(np.sum(weights * (values - mean) ** 2) / max(values.size - 1, 1))
     together = Coefficient.of(mean, std, std * max(scatter, 1.0), GROUPS - 1 + values.size - 1)
-    return together._replace(explained=sum(one.explained for one in estimates))
+    return together._replace(explained=sum(estimate.explained for estimate in estimates))
 
 
 def _phase(angle: float) -> str:
@@ -365,5 +373,5 @@ def _quantity(value: float, unit: str) -> str:
     """Write a number's size in a unit that suits it: `2.0 mm`, `11°`, `4.0 ms`, `290 mm/s²`, `0.40 %`."""
     size = abs(math.expm1(value)) if unit == "log" else abs(value)
     scales = _SCALES.get(unit, ((0.0, 1.0, unit),))
-    scale, name = next((scale, name) for least, scale, name in scales if size >= least or not least)
+    scale, name = next((scale, name) for limit, scale, name in scales if size >= limit or not limit)
     return f"{_plain(size * scale)}{'' if name == '°' else ' '}{name}"

@@ -71,17 +71,17 @@ def regress(columns: Array, residual: Array, groups: Indices, freedom_lost: int 
     scaled = columns / size
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
     dependent = eigenvalues < 1e-10 * max(float(eigenvalues[-1]), 1e-300)
-    kept = vectors[:, ~dependent]
+    basis = vectors[:, ~dependent]
     # A column of which the others leave less than 1e-6 (squared sine of the angle between them) has no own coefficient.
-    variances = np.sum(kept**2 / eigenvalues[~dependent], axis=1)
+    variances = np.sum(basis**2 / eigenvalues[~dependent], axis=1)
     determined = np.isfinite(size) & (np.sum(vectors[:, dependent] ** 2, axis=1) < 1e-3) & (variances < 1e6)
     count = int(np.unique(groups).size)
     if count < 2 or residual.size <= columns.shape[1] or not determined.any():
         return [Coefficient()] * columns.shape[1], residual
-    fit = OLS(residual, scaled @ kept).fit(cov_type="cluster", cov_kwds={"groups": groups}, use_t=True)
-    remaining, values = np.asarray(fit.resid), kept @ fit.params
+    fit = OLS(residual, scaled @ basis).fit(cov_type="cluster", cov_kwds={"groups": groups}, use_t=True)
+    remaining, values = np.asarray(fit.resid), basis @ fit.params
     noise = max(float(remaining @ remaining) / max(remaining.size - columns.shape[1] - freedom_lost, 1), 1.0)
-    white, cluster = np.sqrt(noise * variances), np.sqrt(np.maximum(np.diag(kept @ fit.cov_params() @ kept.T), 0.0))
+    white, cluster = np.sqrt(noise * variances), np.sqrt(np.maximum(np.diag(basis @ fit.cov_params() @ basis.T), 0.0))
     coefficients = [Coefficient()] * columns.shape[1]
     for k in np.flatnonzero(determined):
         coefficient = Coefficient.of(values[k], white[k], cluster[k], count - 1).times(1 / size[k])
@@ -135,15 +135,15 @@ class Channels:
             ("camera", coordinates, path, residual, simulated.noise[0]),
             ("encoder", joints, CubicSpline(time, simulation.theta), simulated.theta_residual, simulated.noise[1]),
         ):
-            kept = np.flatnonzero(np.isfinite(values).sum(axis=0) >= _LEAST_VALUES)
-            if not kept.size:
+            columns = np.flatnonzero(np.isfinite(values).sum(axis=0) >= _LEAST_VALUES)
+            if not columns.size:
                 continue
-            rows = np.flatnonzero(np.isfinite(values[:, kept]).any(axis=1))
-            own, most = values[np.ix_(rows, kept)], min(GROUPS, max(rows.size // 4, 2))
-            groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * most).astype(np.intp), most - 1)
-            names, places = zip(*(labels[c] for c in kept), strict=True)
-            motion, scaled = PPoly(curve.c[:, :, kept], curve.x), np.nan_to_num(own) / noise
-            sensors.append(cls(sensor, names, places, time[rows], motion, scaled, np.isfinite(own), noise, groups))
+            rows = np.flatnonzero(np.isfinite(values[:, columns]).any(axis=1))
+            data, blocks = values[np.ix_(rows, columns)], min(GROUPS, max(rows.size // 4, 2))
+            groups = np.minimum(((time[rows] - time[0]) / (time[-1] - time[0]) * blocks).astype(np.intp), blocks - 1)
+            names, places = zip(*(labels[column] for column in columns), strict=True)
+            motion, scaled = PPoly(curve.c[:, :, columns], curve.x), np.nan_to_num(data) / noise
+            sensors.append(cls(sensor, names, places, time[rows], motion, scaled, np.isfinite(data), noise, groups))
         return tuple(sensors)
 
     @cached_property
@@ -218,23 +218,23 @@ class Channels:
         """Delay against the simulation [s]: the peak of their cross-correlation, then regression."""
         if not self.moving.any() or self.step <= 0:
             return Coefficient()
-        both = [self._evenly(self.centred(values * self.moving)) for values in (self.measured, self.simulated)]
-        pairs = zip(both[0].T, both[1].T, strict=True)
+        signals = [self._evenly(self.centred(values * self.moving)) for values in (self.measured, self.simulated)]
+        pairs = zip(signals[0].T, signals[1].T, strict=True)
         correlation = np.sum([signal.correlate(*pair, method="fft") for pair in pairs], axis=0)
         start = self.step * (int(np.argmax(correlation)) - correlation.size // 2)
-        since = (self.time - self.time.mean())[:, None]
+        centred_time = (self.time - self.time.mean())[:, None]
         estimate = Coefficient()
         for _ in range(3):  # the motion is not linear in a delay
             shifted, rate = (self.path(self.time - start, order) for order in (0, 1))
             motion = self.centred(shifted) * self.moving
             power = np.maximum(np.sum(motion**2, axis=0), 1e-300)
             parts = []
-            for values in (self.measured - shifted, -rate, -rate * since):  # residual, delay, and another clock
+            for values in (self.measured - shifted, -rate, -rate * centred_time):  # residual, delay, and another clock
                 inner = self.centred(values * self.moving)
                 own = inner - motion * (np.sum(motion * inner, axis=0) / power)  # each coordinate has a gain of its own
                 parts.append(own.ravel() / self.noise)
-            lost = 2 * len(self.names) + self.unknown
-            estimate = regress(np.stack(parts[1:], axis=1), parts[0], self.all_groups, lost)[0][0]
+            freedom_lost = 2 * len(self.names) + self.unknown
+            estimate = regress(np.stack(parts[1:], axis=1), parts[0], self.all_groups, freedom_lost)[0][0]
             if not estimate.known:
                 return Coefficient()
             start += estimate.value
@@ -264,8 +264,8 @@ class Channels:
             return None
         best, columns = int(np.argmax(np.where(allowed, power, 0.0))), len(self.names)
         distance = np.abs(np.arange(power.size) - best)
-        around = power[(distance > 8) & (distance <= 48)]  # a dozen lines on either side, without the peak's own
-        ratio = float(power[best]) / max(float(np.median(around)) if around.size else 1.0, 1.0)
+        neighbours = power[(distance > 8) & (distance <= 48)]  # a dozen lines on either side, without the peak's own
+        ratio = float(power[best]) / max(float(np.median(neighbours)) if neighbours.size else 1.0, 1.0)
         # White noise is independent in every coordinate; what a model misses may be the same in all of them.
         chance = float(stats.chi2.sf(2 * columns * ratio, 2 * columns)) if white else 0.5**ratio
         chance *= np.count_nonzero(allowed) / 4
@@ -275,28 +275,28 @@ class Channels:
         peak = float(frequency[best] + 0.5 * (below - above) / (below - 2 * top + above) * frequency[0])
         pair = np.stack([np.cos(2 * np.pi * peak * self.time), np.sin(2 * np.pi * peak * self.time)], axis=1)
         wave, sizes = np.zeros_like(residual), np.zeros(columns)
-        for c, rows in enumerate(self.known.T):
-            amplitudes, *_ = np.linalg.lstsq(pair[rows], residual[rows, c], rcond=None)
-            wave[rows, c], sizes[c] = pair[rows] @ amplitudes, math.hypot(*amplitudes)
-        most = int(np.argmax(sizes))
+        for column, rows in enumerate(self.known.T):
+            amplitudes, *_ = np.linalg.lstsq(pair[rows], residual[rows, column], rcond=None)
+            wave[rows, column], sizes[column] = pair[rows] @ amplitudes, math.hypot(*amplitudes)
+        largest = int(np.argmax(sizes))
         noise = max(float(np.mean((residual - wave)[self.known] ** 2)), 1.0)
-        std = self.noise * math.sqrt(2 * noise / self.counts[most])
+        std = self.noise * math.sqrt(2 * noise / self.counts[largest])
         window = signal.windows.hann(self.time.size) ** 2  # lets nothing slower into the simulation's own amplitude
-        motion = self.simulated[:, most] - np.average(self.simulated[:, most], weights=window)
+        motion = self.simulated[:, largest] - np.average(self.simulated[:, largest], weights=window)
         swing = 2 * abs(np.sum(window * motion * (pair[:, 0] - 1j * pair[:, 1]))) / np.sum(window)
-        amplitude = Coefficient(self.noise * sizes[most], std, chance, explained(wave, residual))
-        return Tone(peak, amplitude, self.names[most], float(swing), wave)
+        amplitude = Coefficient(self.noise * sizes[largest], std, chance, explained(wave, residual))
+        return Tone(peak, amplitude, self.names[largest], float(swing), wave)
 
 
 def _turns(rig: Rig, simulated: SimulatedRecording) -> Array:
     """Return (T, k) angles by which the axes of markers turn [rad]; zero where one coordinate alone is measured."""
     markers = simulated.recording.markers
     turns = np.zeros(markers.shape[:2])
-    both = np.isfinite(markers.sum(axis=2)).any(axis=0)
-    for i, (link, own) in enumerate(zip(rig.links, rig.marker_slices, strict=True)):
+    complete = np.isfinite(markers.sum(axis=2)).any(axis=0)
+    for i, (link, columns) in enumerate(zip(rig.links, rig.marker_slices, strict=True)):
         before = [j for j, active in enumerate(rig.active_links) if active <= i]
         if link.markers_frame == "base" and before:
-            turns[:, own] = simulated.simulation.theta[:, before].sum(axis=1, keepdims=True) * both[own]
+            turns[:, columns] = simulated.simulation.theta[:, before].sum(axis=1, keepdims=True) * complete[columns]
     return turns
 
 
@@ -304,8 +304,8 @@ def _turned(vectors: Array, turns: Array) -> Array:
     """Resolve (T, k, 2) vectors in axes that have turned by (T, k) angles [rad]."""
     x, y = vectors[..., 0], vectors[..., 1]
     cosine, sine = np.cos(turns), np.sin(turns)
-    still = np.all(turns == 0, axis=0)  # NaN in one coordinate must not spoil the other
-    return np.stack([np.where(still, x, cosine * x + sine * y), np.where(still, y, cosine * y - sine * x)], axis=2)
+    fixed = np.all(turns == 0, axis=0)  # NaN in one coordinate must not spoil the other
+    return np.stack([np.where(fixed, x, cosine * x + sine * y), np.where(fixed, y, cosine * y - sine * x)], axis=2)
 
 
 class SensorAtRest(NamedTuple):
@@ -333,7 +333,7 @@ class SensorAtRest(NamedTuple):
         clean = sensor.centred(sensor.residual - (0.0 if tone is None else tone.wave))
         columns = [column[known] for column, known in zip(clean.T, sensor.known.T, strict=True)]
         statistic = sum(float(acorr_ljungbox(column, lags=[1])["lb_stat"].iloc[0]) for column in columns)
-        cross, own = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
+        cross, variance = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
         chance = float(stats.chi2.sf(statistic, len(columns)))
-        correlation = Coefficient(cross / own, count**-0.5, chance, cross**2 / own)
+        correlation = Coefficient(cross / variance, count**-0.5, chance, cross**2 / variance)
         return cls(sensor, larger._replace(explained=abs(float(power.sum()) - count)), correlation, tone)

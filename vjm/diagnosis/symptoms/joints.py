@@ -49,11 +49,11 @@ class JointProfile:
         terms = np.stack([self.position, self.velocity, 0.5 * self.direction], axis=1)
         columns = np.hstack([terms, np.eye(recordings.size)[index], self.others]) / self.std[:, None]
         groups = index * (int(self.groups.max()) + 1) + self.groups
-        estimates, left = regress(columns, self.values / self.std, groups)
+        estimates, remaining = regress(columns, self.values / self.std, groups)
         ends = [float(np.subtract(*np.percentile(term, [95, 5]))) for term in terms.T[:2]]
         changes = (estimate.times(reach) for estimate, reach in zip(estimates, (*ends, 1.0), strict=False))
         slopes = np.array([estimate.value if estimate.known else 0.0 for estimate in estimates[:3]])
-        return _JointProfileFit(tuple(changes), terms * slopes, left * self.std, float(left @ left))
+        return _JointProfileFit(tuple(changes), terms * slopes, remaining * self.std, float(remaining @ remaining))
 
 
 class _JointProfileFit(NamedTuple):
@@ -82,26 +82,26 @@ def joint_profiles(
     of the tip, the residual against the last joint or, on an arm without joints, its acceleration against its motion.
     """
     profiles = [
-        tuple(replace(profile, recording=np.full(profile.values.size, k)) for profile in _of_recording(rig, *one))
-        for k, one in enumerate(recordings)
+        tuple(replace(profile, recording=np.full(profile.values.size, k)) for profile in _of_recording(rig, *recording))
+        for k, recording in enumerate(recordings)
     ]
-    alike: dict[tuple[str, str, int], list[JointProfile]] = {}
-    for profile in (profile for own in profiles for profile in own if profile.quantity != "residual"):
-        alike.setdefault((profile.sensor, profile.quantity, profile.others.shape[1]), []).append(profile)
+    groups: dict[tuple[str, str, int], list[JointProfile]] = {}
+    for profile in (profile for batch in profiles for profile in batch if profile.quantity != "residual"):
+        groups.setdefault((profile.sensor, profile.quantity, profile.others.shape[1]), []).append(profile)
     pooled = []
-    for members in (members for members in alike.values() if len(members) > 1):
+    for members in (members for members in groups.values() if len(members) > 1):
         names = [name for name, value in vars(members[0]).items() if isinstance(value, np.ndarray)]
-        arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in members]) for name in names}
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(member, name) for member in members]) for name in names}
         pooled.append(replace(members[0], **arrays))
     return profiles, tuple(pooled)
 
 
 def missing_torque(rig: Rig, simulated: Sequence[SimulatedRecording], joint: str) -> JointProfile | None:
     """Return the torque that the model misses at a joint (`beam.theta`) in driven recordings; None if not shown."""
-    driven = [(one, Channels.of(rig, one)) for one in simulated if one.recording.kind == "driven"]
-    own, together = joint_profiles(rig, driven)
-    every = [*together, *(profile for profiles in own for profile in profiles)]
-    return next((profile for profile in every if profile.quantity == "torque" and profile.motion == joint), None)
+    driven = [(replay, Channels.of(rig, replay)) for replay in simulated if replay.recording.kind == "driven"]
+    separate, together = joint_profiles(rig, driven)
+    candidates = [*together, *(profile for profiles in separate for profile in profiles)]
+    return next((profile for profile in candidates if profile.quantity == "torque" and profile.motion == joint), None)
 
 
 def _of_recording(rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Channels]) -> Iterator[JointProfile]:
@@ -116,9 +116,9 @@ def _of_recording(rig: Rig, simulated: SimulatedRecording, sensors: Sequence[Cha
     profiles: list[JointProfile | None] = []
     for sensor in sensors:
         if sensor.sensor == "encoder":
-            for c, (joint, _) in enumerate(sensor.places):
-                profiles.append(_missing_torque(rig, simulated, sensor, c, motions[joint], camera))
-                profiles.append(_residual(sensor, c, motions[joint]))
+            for column, (joint, _) in enumerate(sensor.places):
+                profiles.append(_missing_torque(rig, simulated, sensor, column, motions[joint], camera))
+                profiles.append(_residual(sensor, column, motions[joint]))
         elif motions:
             profiles.append(_residual(sensor, _tip(sensor), motions[-1]))
         else:
@@ -151,52 +151,52 @@ def _direction(velocity: Array) -> Array:
     return np.asarray(np.clip(velocity / slow, -1.0, 1.0))
 
 
-def _residual(sensor: Channels, c: int, motion: _Motion) -> JointProfile | None:
-    rows = sensor.known[:, c]
+def _residual(sensor: Channels, column: int, motion: _Motion) -> JointProfile | None:
+    rows = sensor.known[:, column]
     position, velocity = motion.path(sensor.time[rows]), motion.path(sensor.time[rows], 1)
     if not motion.shows(position, sensor):
         return None
-    values = sensor.residual[rows, c] * sensor.noise
+    values = sensor.residual[rows, column] * sensor.noise
     return JointProfile(
-        sensor.names[c], motion.name, "residual", sensor.unit, motion.unit,
+        sensor.names[column], motion.name, "residual", sensor.unit, motion.unit,
         values, np.full(values.size, sensor.noise), position, velocity, _direction(velocity),
         sensor.groups[rows], np.zeros((values.size, 0)), np.zeros(values.size, int),
     )  # fmt: skip
 
 
 def _missing_torque(
-    rig: Rig, simulated: SimulatedRecording, sensor: Channels, c: int, motion: _Motion, camera: Channels | None
+    rig: Rig, simulated: SimulatedRecording, sensor: Channels, column: int, motion: _Motion, camera: Channels | None
 ) -> JointProfile | None:
     """Return the torque that the equation of motion of a joint's hub leaves.
 
     What goes with the residuals of the link's own markers is the link's pull; what goes with the torque, the simulated
     pull and its rate is a wrong inertia, stiffness or damping of the link, of which other symptoms tell.
     """
-    joint, known = sensor.places[c][0], sensor.known[:, c]
+    joint, known = sensor.places[column][0], sensor.known[:, column]
     link = rig.active_links[joint]
     inertia = rig.links[link].hub_inertia
-    others = [np.interp(sensor.time, sensor.time[known], sensor.residual[known, c])]
+    regressors = [np.interp(sensor.time, sensor.time[known], sensor.residual[known, column])]
     if camera is not None:
-        own = rig.marker_slices[link]
+        marker_slice = rig.marker_slices[link]
         for k, (marker, axis) in enumerate(camera.places):
-            if own.start <= marker < own.stop and axis == 1:
+            if marker_slice.start <= marker < marker_slice.stop and axis == 1:
                 rows = camera.known[:, k]
-                others.append(np.interp(sensor.time, camera.time[rows], camera.residual[rows, k]))
+                regressors.append(np.interp(sensor.time, camera.time[rows], camera.residual[rows, k]))
     torque = simulated.recording.tau[:, joint]
     known = np.isfinite(torque)
     if known.any():
         driven = np.interp(sensor.time, simulated.recording.time[known], torque[known])
         pull = driven - inertia * motion.path(sensor.time, 2)
-        others += [driven, pull, np.gradient(pull, sensor.time)]
+        regressors += [driven, pull, np.gradient(pull, sensor.time)]
     words = ("torque", "N m") if inertia > 0 else ("acceleration", "rad/s²")
-    return _acceleration(sensor, c, motion, words, inertia or 1.0, others if len(others) > 1 else [])
+    return _acceleration(sensor, column, motion, words, inertia or 1.0, regressors if len(regressors) > 1 else [])
 
 
 def _acceleration(
-    sensor: Channels, c: int, motion: _Motion, words: tuple[str, str], inertia: float, others: Sequence[Array]
+    sensor: Channels, column: int, motion: _Motion, words: tuple[str, str], inertia: float, others: Sequence[Array]
 ) -> JointProfile | None:
     """Return accelerations of a residual times an inertia, and averages of others (F,); None without motion."""
-    rows = sensor.known[:, c]
+    rows = sensor.known[:, column]
     time = sensor.time[rows]
     if time.size < 5 * _LEAST_POINTS:
         return None
@@ -219,11 +219,11 @@ def _acceleration(
         return np.asarray(values[starts[:, None] + np.arange(size)] @ weights)
 
     scale = sensor.noise * inertia / steps**2
-    position, velocity, direction = (weighted(weights, own) for own in (position, velocity, _direction(velocity)))
-    explaining = [weighted(weights, other[rows]) for other in others]
+    position, velocity, direction = (weighted(weights, signal) for signal in (position, velocity, _direction(velocity)))
+    explaining = [weighted(weights, series[rows]) for series in others]
     return JointProfile(
-        sensor.names[c], motion.name, *words, motion.unit,
-        scale * weighted(second_derivative, sensor.residual[rows, c]),
+        sensor.names[column], motion.name, *words, motion.unit,
+        scale * weighted(second_derivative, sensor.residual[rows, column]),
         scale * float(np.linalg.norm(second_derivative)), position, velocity, direction,
         sensor.groups[rows][starts], np.reshape(explaining, (-1, starts.size)).T, np.zeros(starts.size, int),
     )  # fmt: skip

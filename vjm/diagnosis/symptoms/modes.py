@@ -70,9 +70,9 @@ class FreeMotion(NamedTuple):
     def misfit_of(self, rate: float, largest: float, power: int) -> float:
         """Return the squared misfit of a rate [1/s] at a largest amplitude that goes with a power of the amplitude."""
         size: Array = np.interp(self.instants, self.time, self.amplitude / largest) ** power
-        turned = np.asarray(cumulative_trapezoid(size, self.instants, initial=0), dtype=np.float64)
-        turned -= np.polyval(np.polyfit(self.instants, turned, 1, w=self.envelope), self.instants)
-        return 0.5 * float(np.sum((rate * turned * self.envelope) ** 2))
+        phase = np.asarray(cumulative_trapezoid(size, self.instants, initial=0), dtype=np.float64)
+        phase -= np.polyval(np.polyfit(self.instants, phase, 1, w=self.envelope), self.instants)
+        return 0.5 * float(np.sum((rate * phase * self.envelope) ** 2))
 
 
 class MotionComparison(NamedTuple):
@@ -92,15 +92,15 @@ class MotionComparison(NamedTuple):
         fit = _Fit.to_simulation(recording, sensors, natural)
         residual = np.concatenate([sensor.centred(sensor.residual).ravel() for sensor in sensors])
         x, jacobian = fit.solve(residual)
-        left = residual - fit.change(x)
+        remainder = residual - fit.change(x)
         groups = np.concatenate([sensor.all_groups for sensor in sensors])
-        lost = sum(len(sensor.names) + sensor.unknown for sensor in sensors)
-        estimates, _ = regress(jacobian, left + jacobian @ x, groups, lost)
-        parts = np.split(left, np.cumsum([sensor.known.size for sensor in sensors])[:-1])
+        freedom_lost = sum(len(sensor.names) + sensor.unknown for sensor in sensors)
+        estimates, _ = regress(jacobian, remainder + jacobian @ x, groups, freedom_lost)
+        parts = np.split(remainder, np.cumsum([sensor.known.size for sensor in sensors])[:-1])
         remaining = tuple(part.reshape(sensor.known.shape) for sensor, part in zip(sensors, parts, strict=True))
 
-        def gained(*kept: int) -> float:
-            return explained(fit.change(np.where(np.isin(np.arange(x.size), kept), x, 0.0)), residual)
+        def gained(*parameters: int) -> float:
+            return explained(fit.change(np.where(np.isin(np.arange(x.size), parameters), x, 0.0)), residual)
 
         modes = []
         for k, mode in enumerate(fit.modes):
@@ -113,8 +113,8 @@ class MotionComparison(NamedTuple):
             terms = (_with_model_error(estimates[gain + j])._replace(explained=share) for j, share in enumerate(shares))
             shapes = fit.shapes(mode, fit.own(x)[k], remaining[0])
             modes.append(ModeDifference(mode.order, mode.pole, shapes, *terms))
-        names, others = ("slow_gain", "slow_delay", "camera_lag", "camera_clock"), range(fit.own(x).size, x.size)
-        slow = dict(zip(names, (estimates[j]._replace(explained=gained(j)) for j in others), strict=False))
+        names, indices = ("slow_gain", "slow_delay", "camera_lag", "camera_clock"), range(fit.own(x).size, x.size)
+        slow = dict(zip(names, (estimates[j]._replace(explained=gained(j)) for j in indices), strict=False))
         free = [fit.free_motion(k, fit.own(x), recording) for k in range(len(fit.modes))]
         return cls(tuple(modes), **slow, free=tuple(f for f in free if f is not None), remaining=remaining)
 
@@ -160,29 +160,29 @@ class _Fit:
         camera = sensors[0]
         # Three periods of a mode, and more than two frames a period, or its pole cannot be told.
         shown = {k: f for k, f in enumerate(natural) if f * camera.duration >= 3 and 2.2 * f * camera.step <= 1}
-        still = [Oscillators(sensor.time, None) for sensor in sensors]
+        free = [Oscillators(sensor.time, None) for sensor in sensors]
         if not shown:
-            return cls(sensors, still)
-        lowest, most = SLOW * min(natural), int(1 / (4 * camera.step * max(shown.values())))  # four instants a period
-        thin = max(1, min(camera.time.size // 1500, most))  # so many instants of a motion without noise are enough
-        motion = (camera.simulated[::thin] - camera.simulated.mean(axis=0)) / camera.noise
+            return cls(sensors, free)
+        lowest, limit = SLOW * min(natural), int(1 / (4 * camera.step * max(shown.values())))  # four instants a period
+        stride = max(1, min(camera.time.size // 1500, limit))  # so many instants of a motion without noise are enough
+        motion = (camera.simulated[::stride] - camera.simulated.mean(axis=0)) / camera.noise
         known = recording.tau[:, np.isfinite(recording.tau).all(axis=0)]
-        torque, poles, least = None, dict[int, complex](), np.inf
+        torque, poles, smallest = None, dict[int, complex](), np.inf
         for trial in (None, (recording.time, known)) if known.size else (None,):
-            thinned = Oscillators(camera.time[::thin], trial)
-            slow = _slow_motion(thinned, camera.time[::thin], camera, lowest)
-            found, misfit = _poles(thinned, slow, motion, shown)
+            thinned = Oscillators(camera.time[::stride], trial)
+            slow = _slow_motion(thinned, camera.time[::stride], camera, lowest)
+            trial_poles, misfit = _poles(thinned, slow, motion, shown)
             # Torques that leave half of what free oscillation leaves, or more, drive no mode.
-            if misfit < 0.5 * least:
-                torque, poles, least = trial, found, misfit
+            if misfit < 0.5 * smallest:
+                torque, poles, smallest = trial, trial_poles, misfit
         if not poles:
-            return cls(sensors, still)
+            return cls(sensors, free)
         oscillators = [Oscillators(sensor.time, torque) for sensor in sensors]
         amplitudes = [
             _amplitudes(waves, _slow_motion(waves, sensor.time, sensor, lowest), sensor.simulated, [*poles.values()])
             for sensor, waves in zip(sensors, oscillators, strict=True)
         ]
-        modes = [_SimulatedMode(*one) for one in zip(poles, poles.values(), zip(*amplitudes, strict=True), strict=True)]
+        modes = [_SimulatedMode(*row) for row in zip(poles, poles.values(), zip(*amplitudes, strict=True), strict=True)]
         fit = cls(sensors, oscillators, modes)
         return cls(sensors, oscillators, [mode for mode in modes if fit.signal(mode) > _LEAST_SIGNAL])
 
@@ -218,8 +218,8 @@ class _Fit:
     def _slow(self) -> list[tuple[Array, Array]]:
         """Effect of gain and delay of the motion outside the modes, (F, C) in each sensor [m or rad]."""
         pairs = []
-        for s, sensor in enumerate(self.sensors):
-            slow = sensor.simulated - sum((waves[s].real for waves in self._unchanged), np.zeros(1))
+        for index, sensor in enumerate(self.sensors):
+            slow = sensor.simulated - sum((waves[index].real for waves in self._unchanged), np.zeros(1))
             rate = np.gradient(slow, sensor.time, axis=0)
             pairs.append((sensor.centred(slow) * sensor.moving, -rate * sensor.moving))
         return pairs
@@ -228,10 +228,10 @@ class _Fit:
         """Return the (N,) change of the simulation, each coordinate minus its mean, in units of the noise."""
         gain, delay, lag, clock = (*x[_TERMS * len(self.modes) :], 0.0, 0.0)[:4]
         changes = [gain * shape + delay * rate for shape, rate in self._slow]
-        for mode, unchanged, own in zip(self.modes, self._unchanged, self.own(x), strict=True):
-            if own.any():
-                for s, wave in enumerate(self.waves(mode, own)):
-                    changes[s] = changes[s] + (wave - unchanged[s]).real
+        for mode, unchanged, terms in zip(self.modes, self._unchanged, self.own(x), strict=True):
+            if terms.any():
+                for index, wave in enumerate(self.waves(mode, terms)):
+                    changes[index] = changes[index] + (wave - unchanged[index]).real
         if lag or clock:
             camera = self.sensors[0]
             shifted = camera.time - lag - clock * (camera.time - self._middle)
@@ -241,14 +241,14 @@ class _Fit:
     def jacobian(self, x: Array) -> Array:
         """Return the (N, p) derivatives of `change` by the parameters."""
         columns: list[Sequence[Array]] = []  # of each parameter, (F, C) in each sensor [m or rad]
-        for mode, own in zip(self.modes, self.own(x), strict=True):
+        for mode, terms in zip(self.modes, self.own(x), strict=True):
             step = 1e-6 * abs(mode.pole)
-            now, faster = self.waves(mode, own), self.waves(mode, own + step * np.array([0.0, 0.0, 0.0, 1.0]))
+            waves, faster = self.waves(mode, terms), self.waves(mode, terms + step * np.array([0.0, 0.0, 0.0, 1.0]))
             # A wave is an analytic function of its pole.
-            by_pole = [(other - wave) / (1j * step) for wave, other in zip(now, faster, strict=True)]
-            by_gain = float(abs(own[0]) < _LARGEST_GAIN)  # beyond its bounds a parameter changes nothing
-            by_decay = -float(mode.pole.real - own[2] < self._fastest_growth)
-            columns += [[by_gain * wave.real for wave in now], [-wave.imag for wave in now]]
+            by_pole = [(perturbed - wave) / (1j * step) for wave, perturbed in zip(waves, faster, strict=True)]
+            by_gain = float(abs(terms[0]) < _LARGEST_GAIN)  # beyond its bounds a parameter changes nothing
+            by_decay = -float(mode.pole.real - terms[2] < self._fastest_growth)
+            columns += [[by_gain * wave.real for wave in waves], [-wave.imag for wave in waves]]
             columns += [[by_decay * wave.real for wave in by_pole], [-wave.imag for wave in by_pole]]
         columns += zip(*self._slow, strict=True)
         if x.size > len(columns):
@@ -256,14 +256,14 @@ class _Fit:
             shifted = camera.time - x[-2] - x[-1] * (camera.time - self._middle)
             step = 1e-4 * camera.step
             rate = (camera.path(shifted + step) - camera.path(shifted - step)) / (2 * step)
-            still = [np.zeros(sensor.known.shape) for sensor in self.sensors[1:]]
-            columns += [[-rate, *still], [-rate * (camera.time - self._middle)[:, None], *still]]
+            zeros = [np.zeros(sensor.known.shape) for sensor in self.sensors[1:]]
+            columns += [[-rate, *zeros], [-rate * (camera.time - self._middle)[:, None], *zeros]]
         return np.stack([self._in_noise_units(column) for column in columns], axis=1)
 
     def _in_noise_units(self, change: Sequence[Array]) -> Array:
         """Return changes (F, C) of each sensor as (N,), each coordinate minus its mean, in units of the noise."""
-        each = zip(self.sensors, change, strict=True)
-        return np.concatenate([(sensor.centred(own) / sensor.noise).ravel() for sensor, own in each])
+        pairs = zip(self.sensors, change, strict=True)
+        return np.concatenate([(sensor.centred(values) / sensor.noise).ravel() for sensor, values in pairs])
 
     def own(self, x: Array) -> Array:
         """Return the parameters (m, 4) of the modes."""
@@ -287,27 +287,27 @@ class _Fit:
         if self.modes and 2 * best.cost > 2 * sum(sensor.known.sum() for sensor in self.sensors):
             camera = self.sensors[0]
             frequency, power = camera.spectrum(camera.centred(camera.measured))
-            for mode, own in zip(self.modes, self.own(start), strict=True):
+            for mode, terms in zip(self.modes, self.own(start), strict=True):
                 speed = 2 * np.pi * frequency - mode.pole.imag
-                own[3] = speed[np.argmax(np.where(np.abs(speed) < 0.5 * mode.pole.imag, power, 0.0))]
-            other = search(start)
-            best = other if other.cost < best.cost else best
+                terms[3] = speed[np.argmax(np.where(np.abs(speed) < 0.5 * mode.pole.imag, power, 0.0))]
+            restarted = search(start)
+            best = restarted if restarted.cost < best.cost else best
         x = np.array(best.x)
         self.own(x)[:, 1] = np.angle(np.exp(1j * self.own(x)[:, 1]))
         return x, -np.asarray(best.jac)
 
-    def shapes(self, mode: _SimulatedMode, own: Array, remaining: Array) -> tuple[tuple[str, Coefficient], ...]:
+    def shapes(self, mode: _SimulatedMode, terms: Array, remaining: Array) -> tuple[tuple[str, Coefficient], ...]:
         """Return the gain of each camera coordinate in a mode against that of all."""
         camera = self.sensors[0]
         if camera.sensor != "camera":
             return ()
-        wave = camera.centred(self.waves(mode, own)[0].real) / camera.noise
+        wave = camera.centred(self.waves(mode, terms)[0].real) / camera.noise
         size = np.linalg.norm(wave, axis=0)
         shapes = []
-        for c in np.flatnonzero(size > max(_LEAST_SIGNAL, 0.1 * size.max())):
-            rows = camera.known[:, c]
-            (gain,), _ = regress(wave[rows, c][:, None], remaining[rows, c], camera.groups[rows], 1)
-            shapes.append((camera.names[c], _with_model_error(gain)))
+        for column in np.flatnonzero(size > max(_LEAST_SIGNAL, 0.1 * size.max())):
+            rows = camera.known[:, column]
+            (gain,), _ = regress(wave[rows, column][:, None], remaining[rows, column], camera.groups[rows], 1)
+            shapes.append((camera.names[column], _with_model_error(gain)))
         return tuple(shapes)
 
     def free_motion(self, k: int, changes: Array, recording: Recording) -> FreeMotion | None:
@@ -327,16 +327,16 @@ class _Fit:
             rows = (np.abs(camera.time - centre) <= half) & camera.known.all(axis=1)
             time, motions = camera.time[rows] - centre, (camera.measured[rows], camera.simulated[rows])
             (amplitude, pole, noise), (own_amplitude, own_pole, _) = (
-                _local_oscillation(time / half, half, motion @ np.conj(shape), own, k)
-                for motion, own in zip(motions, poles, strict=True)
+                _local_oscillation(time / half, half, motion @ np.conj(shape), motion_poles, k)
+                for motion, motion_poles in zip(motions, poles, strict=True)
             )
             # Seen where the noise leaves the phase certain to a fiftieth of a period.
             if rows.sum() >= 2 * (5 + 2 * count) and min(amplitude, own_amplitude) > 8 * camera.noise * noise[0]:
                 points.append((centre, amplitude, pole, own_pole, camera.noise * noise[1] / amplitude))
         if len(points) < 4:  # too few to show a trend
             return None
-        times, amplitudes, *found, std = (np.array(column) for column in zip(*points, strict=True))
-        rates = [np.stack([one.imag / (2 * np.pi), -one.real / np.abs(one)], axis=1) for one in found]
+        times, amplitudes, *fitted, std = (np.array(column) for column in zip(*points, strict=True))
+        rates = [np.stack([values.imag / (2 * np.pi), -values.real / np.abs(values)], axis=1) for values in fitted]
         errors = np.stack([std / (2 * np.pi), std / abs(mode.pole)], axis=1)
         envelope = np.linalg.norm(self.waves(mode, changes[k])[0] * camera.known, axis=1) / camera.noise
         payload = f"payload {1e3 * recording.payload:.3g} g" if recording.payload else ""
@@ -375,7 +375,7 @@ def _slow_motion(oscillators: Oscillators, time: Array, sensor: Channels, highes
     slow = sensor.slow_columns(time, highest)
     polynomial = np.polynomial.legendre.legvander(2 * (time - sensor.time[0]) / sensor.duration - 1, 4)[:, 1:]
     columns = [*slow.T, *polynomial.T, *rigid]
-    return np.stack([c / max(float(np.abs(c).max()), 1e-300) for c in columns], axis=1)
+    return np.stack([column / max(float(np.abs(column).max()), 1e-300) for column in columns], axis=1)
 
 
 def _poles(
@@ -388,9 +388,9 @@ def _poles(
     """
     basis, _ = np.linalg.qr(slow)
     motion = motion - basis @ (basis.T @ motion)
-    kept = list(natural)
-    while kept:
-        unit = np.array([[natural[k], 1.0] for k in kept])  # x: frequencies over the natural ones, and damping ratios
+    orders = list(natural)
+    while orders:
+        unit = np.array([[natural[k], 1.0] for k in orders])  # x: frequencies over the natural ones, and damping ratios
 
         def residual(x: Array, unit: Array = unit) -> Array:
             columns = oscillators.columns(x.reshape(-1, 2) * unit)[:, 1:]
@@ -398,19 +398,19 @@ def _poles(
             sizes, *_ = np.linalg.lstsq(columns, motion, rcond=1e-10)
             return np.asarray(motion - columns @ sizes).ravel()
 
-        starts = [np.tile([1.0, ratio], len(kept)) for ratio in (0.003, 0.01, 0.05)]
+        starts = [np.tile([1.0, ratio], len(orders)) for ratio in (0.003, 0.01, 0.05)]
         first = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
-        bounds = np.tile([0.75, 0.0], len(kept)), np.tile([1.25, 0.5], len(kept))
+        bounds = np.tile([0.75, 0.0], len(orders)), np.tile([1.25, 0.5], len(orders))
         fit: Any = least_squares(residual, first, bounds=bounds, x_scale=0.01, max_nfev=20)
         std = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))[::2] / fit.x[::2]
         unsure = std / np.maximum(0.1 * fit.x[1::2], 2e-3) * np.where(fit.x[1::2] > 0.3, np.inf, 1.0)
         if unsure.max() <= 1:
             poles = {
                 k: 2 * np.pi * f * complex(-z, np.sqrt(1 - z**2))
-                for k, (f, z) in zip(kept, fit.x.reshape(-1, 2) * unit, strict=True)
+                for k, (f, z) in zip(orders, fit.x.reshape(-1, 2) * unit, strict=True)
             }
             return poles, float(np.sqrt(2 * fit.cost / motion.size))
-        kept = [k for k, ratio in zip(kept, unsure, strict=True) if ratio < min(float(unsure.max()), 5.0)]
+        orders = [k for k, ratio in zip(orders, unsure, strict=True) if ratio < min(float(unsure.max()), 5.0)]
     return {}, float(np.sqrt(np.mean(motion**2)))
 
 
@@ -421,5 +421,5 @@ def _amplitudes(oscillators: Oscillators, slow: Array, motion: Array, poles: Seq
     columns = np.hstack([waves.real / scale, -waves.imag / scale, slow])
     sizes, *_ = np.linalg.lstsq(columns, motion - motion.mean(axis=0), rcond=1e-10)
     real, imaginary = np.split(sizes[: 2 * scale.size], 2)
-    both = (real + 1j * imaginary) / scale[:, None]
-    return list(both.reshape(len(poles), -1, motion.shape[1]))
+    amplitudes = (real + 1j * imaginary) / scale[:, None]
+    return list(amplitudes.reshape(len(poles), -1, motion.shape[1]))
