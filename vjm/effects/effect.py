@@ -67,8 +67,8 @@ class Parameter:
         """
         with np.errstate(divide="ignore"):
             if self.reciprocal:
-                beyond = np.divide(self.typical_magnitude, max(value, 0.0)) - self.typical_magnitude / self.threshold
-                return max(float(beyond), 0.0)
+                excess = np.divide(self.typical_magnitude, max(value, 0.0)) - self.typical_magnitude / self.threshold
+                return max(float(excess), 0.0)
             if self.linear:
                 return value / self.typical_magnitude
             if self.shape_parameter:
@@ -534,8 +534,8 @@ class JointEffect(LinkEffect):
         """Return the reason if every link is clamped, or the motion that it would change is given."""
         if not rig.active_links:
             return "the arm has no active joint"
-        given = self.on_drive and all(recording.input == "motion" for recording in recordings)
-        return "the motion of the joint is given, whatever acts on its drive" if given else ""
+        prescribed = self.on_drive and all(recording.input == "motion" for recording in recordings)
+        return "the motion of the joint is given, whatever acts on its drive" if prescribed else ""
 
     def active_joint(self, chain: Chain) -> int:
         """Return the coordinate of its joint."""

@@ -357,8 +357,8 @@ class BaseCompliance(Effect):
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (4,), (4,) of the coordinates."""
         stiffness, _, _, damping = self.parameters
-        most = stiffness.bounds[1]
-        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, damping.bounds, (-most, most)])
+        largest = stiffness.bounds[1]
+        pairs = np.array([stiffness.bounds, _TABLE_OCTAVES, damping.bounds, (-largest, largest)])
         return pairs[:, 0], pairs[:, 1]
 
     @property
@@ -380,7 +380,7 @@ class BaseCompliance(Effect):
 
     def superposition(self, variants: Sequence[Effect], sizes: Array) -> tuple[Self, Array]:
         """Return the table along the direction in which the sum of compliances is largest, and how large it is."""
-        directions = np.array([each.values["direction"] for each in variants])
+        directions = np.array([variant.values["direction"] for variant in variants])
         axes = np.stack([np.cos(directions), np.sin(directions)])
         compliances, principal = np.linalg.eigh((axes * sizes) @ axes.T)
         direction = float(np.arctan2(principal[1, -1], principal[0, -1]) % np.pi)

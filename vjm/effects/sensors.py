@@ -149,14 +149,14 @@ class CameraVibration(WaveEffect, _CameraEffect):
         direction, phase = float(angles.sum() / 2), float((angles[0] - angles[1]) / 2)
         if abs(direction) > np.pi / 2:  # half a turn of the axis is half a cycle
             direction, phase = (angle - np.copysign(np.pi, angle) for angle in (direction, phase))
-        long, short = float(sizes.sum()), float(sizes[0] - sizes[1])
+        major, minor = float(sizes.sum()), float(sizes[0] - sizes[1])
         return replace(
             self,
-            amplitude=amplitude.value(long),
+            amplitude=amplitude.value(major),
             frequency=frequency.value(float(numbers[4])),
             direction=direction,
             phase=phase,
-            ellipticity=short / long if long else 0.0,
+            ellipticity=minor / major if major else 0.0,
         )
 
     @property

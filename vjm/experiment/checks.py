@@ -28,8 +28,8 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: 
     yield from _repeat_warnings(recordings)
     for recording in recordings:
         label = recording.condition
-        near = label and difflib.get_close_matches(label.lower(), ["reference", "ref"], n=1, cutoff=0.75)
-        if near and label != "reference":
+        matches = label and difflib.get_close_matches(label.lower(), ["reference", "ref"], n=1, cutoff=0.75)
+        if matches and label != "reference":
             yield f"{recording.file}: its condition {label!r} is not 'reference', and has no meaning"
     for file, count in Counter(recording.file for recording in recordings).items():
         if count > 1:  # it would count as independent measurements
@@ -50,12 +50,12 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     clipped = np.zeros(coordinates.shape, dtype=np.bool_)
     for column, _, begin, _ in _clippings(coordinates):  # shorter runs at the same value, at smaller peaks, as well
         clipped[:, column] |= coordinates[:, column] == coordinates[begin, column]
-    wrong = clipped.reshape(recording.markers.shape)
+    invalid = clipped.reshape(recording.markers.shape)
     for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
         arcs, markers = np.array(link.markers), recording.markers[:, marker_slice]
         impossible = _impossible(markers, link, rig.marker_noise)
-        seen = np.isfinite(markers).any(axis=2)
-        if seen.any() and impossible[seen].all():
+        measured = np.isfinite(markers).any(axis=2)
+        if measured.any() and impossible[measured].all():
             first, second = np.triu_indices(arcs.size, 1)
             ratios = _distances(markers)[impossible.any(axis=1)][:, first, second] / (arcs[second] - arcs[first])
             problem = (
@@ -63,10 +63,10 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
                 f"{np.median(ratios.max(axis=1)):.4g} times as far apart as along the link"
             )
             raise RecordingError(recording.file, None, None, problem, "coordinates in metres, marker by marker")
-        wrong[:, marker_slice] |= impossible[..., None]
-    if not (wrong & np.isfinite(recording.markers)).any():
+        invalid[:, marker_slice] |= impossible[..., None]
+    if not (invalid & np.isfinite(recording.markers)).any():
         return recording
-    return replace(recording, markers=np.where(wrong, np.nan, recording.markers))
+    return replace(recording, markers=np.where(invalid, np.nan, recording.markers))
 
 
 def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
@@ -75,12 +75,12 @@ def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
     # Markers a little too far apart show a wrong scale, or a marker that is not where the rig file says: something to
     # find, not to leave out. The slack is a share of the distance, but at least a share of the length.
     slack = np.maximum(0.04 * np.abs(arcs[:, None] - arcs), 0.01 * link.length)
-    beyond = _distances(markers) > _distance_limits(arcs, noise or DEFAULT_NOISE * link.length) + slack
-    count = beyond.sum(axis=(1, 2)) // 2
-    culprit = (beyond.sum(axis=2) == count[:, None]) & (count[:, None] > 0)  # it is in all such pairs
+    exceeding = _distances(markers) > _distance_limits(arcs, noise or DEFAULT_NOISE * link.length) + slack
+    count = exceeding.sum(axis=(1, 2)) // 2
+    culprit = (exceeding.sum(axis=2) == count[:, None]) & (count[:, None] > 0)  # it is in all such pairs
     single = culprit.sum(axis=1) == 1
-    wrong: Mask = np.where(single[:, None], culprit, (count > 0)[:, None])
-    return wrong
+    impossible: Mask = np.where(single[:, None], culprit, (count > 0)[:, None])
+    return impossible
 
 
 def _distances(markers: Array) -> Array:
@@ -273,14 +273,14 @@ def _repeat_warnings(recordings: Sequence[Recording]) -> Iterator[str]:
     for recording in recordings:
         if recording.repeat is None or first.setdefault(recording.repeat, recording) is recording:
             continue
-        other = first[recording.repeat]
-        pair = f"{recording.file}: it repeats {other.file} (label '{recording.repeat}')"
-        difference = _torque_difference(other, recording)
+        earlier = first[recording.repeat]
+        pair = f"{recording.file}: it repeats {earlier.file} (label '{recording.repeat}')"
+        difference = _torque_difference(earlier, recording)
         if difference > 0.05:
             yield f"{pair}, but their torques differ by {100.0 * difference:.3g} % of their root mean square"
-        if recording.condition != other.condition:
-            condition, other_condition = (repr(r.condition) if r.condition else "none" for r in (recording, other))
-            yield f"{pair}, but its condition is {condition} and the other's is {other_condition}"
+        if recording.condition != earlier.condition:
+            condition, earlier_condition = (repr(r.condition) if r.condition else "none" for r in (recording, earlier))
+            yield f"{pair}, but its condition is {condition} and the other's is {earlier_condition}"
 
 
 def _torque_difference(first: Recording, second: Recording) -> float:

@@ -116,7 +116,7 @@ class Conventions:
 
     def standard_name(self, column: str) -> str:
         """Return the documentation's name of a file's column; its own where it has no other."""
-        return next((ours for ours, theirs in self.columns.items() if theirs == column), column)
+        return next((standard for standard, header in self.columns.items() if header == column), column)
 
     def name_in_files(self, column: str) -> str:
         """Return what the files call a column of the documentation."""
@@ -221,10 +221,10 @@ def needed_columns(
             yield f"{link.name}.tau", f"the torque that drives link '{link.name}' [N m]"
         x, y = axes if link.markers_frame == "base" else ("x", "y")
         pairs = [(f"{link.name}.m{k}.{x}", f"{link.name}.m{k}.{y}") for k in range(1, len(link.markers) + 1)]
-        given = [pair for pair in pairs if pair[0] in columns or pair[1] in columns]
-        if pairs and not given:
+        present = [pair for pair in pairs if pair[0] in columns or pair[1] in columns]
+        if pairs and not present:
             yield pairs[0][1], f"columns of at least one marker of link '{link.name}'"
-        for first, second in given:
+        for first, second in present:
             yield second, f"{x} and {y} of a marker, both [m]"
             if link.markers_frame == "base":
                 yield first, f"both {x} and {y} of a marker measured in the base frame [m]"

@@ -112,11 +112,11 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
         _read_recording(*sources, dict(table), rig, conventions, all_columns)
         for sources, table in zip(files, document["recording"], strict=True)
     ]
-    for ours, theirs in columns.items():
-        if theirs not in all_columns and ours not in all_columns:
-            near = suggestion(theirs, all_columns)
-            problem = f"no recording has a column {shown(theirs)}{near}"
-            raise ExperimentError(file, "columns", ours, problem, "the name in the files' header")
+    for standard, header in columns.items():
+        if header not in all_columns and standard not in all_columns:
+            hint = suggestion(header, all_columns)
+            problem = f"no recording has a column {shown(header)}{hint}"
+            raise ExperimentError(file, "columns", standard, problem, "the name in the files' header")
     known = {*known_columns(rig, "xyz"), *columns.values()}
     return Experiment(
         rig, tuple(recordings), file, conventions, tuple(name for name in all_columns if name not in known)
@@ -138,7 +138,7 @@ def _renamed_columns(file: Path, table: dict[str, Any], rig: Rig, camera: Camera
             raise ExperimentError(file, "columns", prefix, problem, f"only the names {', '.join(known)}")
         if not isinstance(value, str) or not value.strip():
             raise ExperimentError(file, "columns", prefix, f"got {shown(value)}", "the name of a column, a string")
-        existing = next((ours for ours, theirs in columns.items() if theirs == value.strip()), None)
+        existing = next((standard for standard, header in columns.items() if header == value.strip()), None)
         if existing is not None:
             expected = "a column of its own for each name"
             raise ExperimentError(file, "columns", prefix, f"{shown(value)} is already '{existing}'", expected)
@@ -189,8 +189,8 @@ def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> Ex
             table, location = _table_name(document, table, location[0]), location[1:]
         key, items = str(location[0]) if location else "", location[1:]
     problem, expected = explain(details[0], model, key, items)
-    more = len(details) - 1
-    note = f" (and {more} more fault{'s' if more > 1 else ''} in this file)" if more else ""
+    remaining = len(details) - 1
+    note = f" (and {remaining} more fault{'s' if remaining > 1 else ''} in this file)" if remaining else ""
     return ExperimentError(file, table, key, problem + note, expected)
 
 
@@ -338,11 +338,11 @@ def _to_recording(
         for link in rig.links:
             for k in range(1, len(link.markers) + 1) if link.markers_frame == "base" else ():
                 marker = f"{link.name}.m{k}"
-                seen = [si.pop(f"{marker}.{letter}", None) for letter in conventions.camera.letters]
+                coordinates = [si.pop(f"{marker}.{letter}", None) for letter in conventions.camera.letters]
                 for letter in "xyz":
                     si.pop(f"{marker}.{letter}", None)
-                if seen[0] is not None and seen[1] is not None:
-                    si[f"{marker}.x"], si[f"{marker}.y"] = conventions.camera.to_base(seen[0], seen[1])
+                if coordinates[0] is not None and coordinates[1] is not None:
+                    si[f"{marker}.x"], si[f"{marker}.y"] = conventions.camera.to_base(coordinates[0], coordinates[1])
     try:
         return Recording.from_dataframe(pd.DataFrame(si), rig, **table)
     except RecordingError as error:

@@ -57,12 +57,12 @@ class _CsvFile:
 
     def column(self, name: str) -> Array | None:
         """Return the numbers (T,) of a column by its documentation's name; None where there is none."""
-        header_name = next((theirs for theirs, ours in self.names.items() if ours == name), None)
+        header_name = next((header for header, standard in self.names.items() if standard == name), None)
         return None if header_name is None else self.values[header_name]
 
     def ending(self, *endings: str) -> list[str]:
         """Return the documentation's names of columns with one of these endings."""
-        return [ours for ours in self.names.values() if ours.endswith(endings)]
+        return [standard for standard in self.names.values() if standard.endswith(endings)]
 
     @property
     def has_markers(self) -> bool:
@@ -197,8 +197,8 @@ class ExperimentProposal:
         factor, distances = FACTORS["length"][self.units["length"][0]], []
         for k in range(1, self.links[link] + 1):
             pairs = [[file.column(f"{link}.m{k}.{axis}") for axis in self.axes] for file, _ in self.files]
-            seen = [np.hypot(x, y) for x, y in pairs if x is not None and y is not None]
-            distances.append(factor * float(np.nanmedian(np.concatenate(seen))) if seen else 0.0)
+            radii = [np.hypot(x, y) for x, y in pairs if x is not None and y is not None]
+            distances.append(factor * float(np.nanmedian(np.concatenate(radii))) if radii else 0.0)
         length = self.given.get("length")
         if isinstance(length, float):  # the outermost marker is often at the very end
             distances = [min(distance, length) if distance < 1.05 * length else distance for distance in distances]
@@ -220,9 +220,9 @@ class ExperimentProposal:
         return tuple(proposed)
 
     def _kind(self, file: _CsvFile, motors: _CsvFile | None) -> tuple[str, str]:
-        both = [source for source in (file, motors) if source is not None]
+        files = [source for source in (file, motors) if source is not None]
         torques = [
-            column for source in both for name in source.ending(".tau") if (column := source.column(name)) is not None
+            column for source in files for name in source.ending(".tau") if (column := source.column(name)) is not None
         ]
         largest = max((float(np.nanmax(np.abs(torque))) for torque in torques), default=0.0)
         if largest > 0:
@@ -277,7 +277,7 @@ def _recognized(values: Mapping[str, Array]) -> dict[str, str]:
         standard = "t" if quantity == "t" else f"beam.{quantity}"
         header_name = next((name for name in values if name not in names and _matches(name, quantity)), None)
         if header_name is not None and not any(
-            ours == "t" or ours.endswith(quantity) for ours in names.values() if ours == standard
+            present == "t" or present.endswith(quantity) for present in names.values() if present == standard
         ):
             names[header_name] = standard
     return names

@@ -131,17 +131,17 @@ class Link:
     def _section_stiffness(self) -> float:
         section = {"youngs_modulus": self.youngs_modulus, "width": self.width, "thickness": self.thickness}
         absent = [key for key, value in section.items() if value is None]
-        given = [key for key in section if key not in absent]
-        either = "either youngs_modulus, width and thickness, or bending_stiffness"
+        present = [key for key in section if key not in absent]
+        alternatives = "either youngs_modulus, width and thickness, or bending_stiffness"
         E, w, h = (value or 0.0 for value in section.values())
         stiffness = E * w * h * h * h / 12.0
         if self.bending_stiffness is not None:
             # A link keeps both, and a copy of it is given both.
-            if given and (absent or not np.isclose(stiffness, self.bending_stiffness, rtol=1e-6, atol=0.0)):
-                self._refuse(given[0], "given together with bending_stiffness", either)
+            if present and (absent or not np.isclose(stiffness, self.bending_stiffness, rtol=1e-6, atol=0.0)):
+                self._refuse(present[0], "given together with bending_stiffness", alternatives)
             return self.bending_stiffness
         if absent:
-            self._refuse(absent[0] if given else "bending_stiffness", "missing", either)
+            self._refuse(absent[0] if present else "bending_stiffness", "missing", alternatives)
         if not _MIN_STIFFNESS <= stiffness <= _MAX_STIFFNESS:
             problem = f"bending stiffness E w h^3 / 12 comes out as {stiffness:g}"
             expected = f"values that give {_MIN_STIFFNESS:g} to {_MAX_STIFFNESS:g} N m^2"
@@ -390,22 +390,22 @@ class Experiment:
             if recording.repeat is None:
                 continue
             number = first.setdefault(recording.repeat, index)
-            other = self.recordings[number]
+            earlier = self.recordings[number]
             for key in ("kind", "payload", "gravity"):
-                value, other_value = getattr(recording, key), getattr(other, key)
-                if value != other_value:
-                    place = f"[recording[{number + 1}] {other.file}] with the same repeat label '{recording.repeat}'"
+                value, earlier_value = getattr(recording, key), getattr(earlier, key)
+                if value != earlier_value:
+                    place = f"[recording[{number + 1}] {earlier.file}] with the same repeat label '{recording.repeat}'"
                     problem = f"{shown(value)}, but {place} has another"
                     table, expected = (
                         f"recording[{index + 1}] {recording.file}",
-                        f"{shown(other_value)}, or another label",
+                        f"{shown(earlier_value)}, or another label",
                     )
                     raise ExperimentError(self.file, table, key, problem, expected)
 
     def __repr__(self) -> str:
         lines = [repr(self.rig), *map(repr, self.recordings[:8])]
-        more = len(self.recordings) - 8
-        lines += [f"and {more} more recordings"] if more > 0 else []
+        remaining = len(self.recordings) - 8
+        lines += [f"and {remaining} more recordings"] if remaining > 0 else []
         return "Experiment(" + "\n  ".join(lines) + ")"
 
     @cached_property
@@ -466,8 +466,8 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         expected = "a link with an active joint"
         raise RecordingError(name, None, "input", "the motion of no joint is given: every link is clamped", expected)
     measured = np.isfinite(recording.markers)
-    seen = [measured.any(axis=(1, 2)), *np.isfinite(recording.theta).T, *np.isfinite(recording.tau).T]
-    _check_rate(name, recording.time, (recording.time[rows] for rows in seen))
+    signals = [measured.any(axis=(1, 2)), *np.isfinite(recording.theta).T, *np.isfinite(recording.tau).T]
+    _check_rate(name, recording.time, (recording.time[rows] for rows in signals))
     usable = measured[:, :, 1]
     for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
         if link.markers_frame == "base":
@@ -489,9 +489,9 @@ def _tuple_of(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]
         items = (values,) if isinstance(values, kind) else tuple(values)
     except TypeError:  # not iterable
         items = (values,)
-    strangers = [item for item in items if not isinstance(item, kind)]
-    if strangers or not items:
-        problem = f"got {shown(strangers[0])}" if strangers else "there is none"
+    unsuitable = [item for item in items if not isinstance(item, kind)]
+    if unsuitable or not items:
+        problem = f"got {shown(unsuitable[0])}" if unsuitable else "there is none"
         raise ExperimentError(None, table, key, problem, f"at least one vjm.{kind.__name__}, and nothing else")
     return items
 
@@ -516,12 +516,12 @@ def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[in
 def _check_range(name: str, column: str, values: Array, quantity: str) -> None:
     """Raise a `RecordingError` at the first number (T, ...) of a column that is infinite or beyond any arm's."""
     largest, unit = _LARGEST[quantity]
-    beyond = np.argwhere(np.abs(values) > largest)
-    if beyond.size:
-        value, problem, expected = values[tuple(beyond[0])], "an infinite value", _CELL
+    positions = np.argwhere(np.abs(values) > largest)
+    if positions.size:
+        value, problem, expected = values[tuple(positions[0])], "an infinite value", _CELL
         if np.isfinite(value):
             problem, expected = f"{value:.6g} {unit} is beyond any arm", f"at most {largest:g} {unit}; check its unit"
-        raise RecordingError(name, None, column, problem, expected, int(beyond[0, 0]))
+        raise RecordingError(name, None, column, problem, expected, int(positions[0, 0]))
 
 
 def _check_rate(name: str, time: Array, sensors: Iterable[Array]) -> None:
@@ -575,11 +575,11 @@ def _numbers(name: str, column: str, values: pd.Series) -> Array:
 def check_time(name: str, column: str, time: Array) -> None:
     """Raise a `RecordingError` if a time (T,) is missing or time does not increase."""
     _check_range(name, column, time, "time")
-    bad = np.flatnonzero(np.isnan(time))
-    if bad.size:
-        raise RecordingError(name, None, column, "the time is missing", "a time in every row [s]", int(bad[0]))
-    bad = np.flatnonzero(np.diff(time) <= 0.0)
-    if bad.size:
-        index = int(bad[0]) + 1
+    invalid = np.flatnonzero(np.isnan(time))
+    if invalid.size:
+        raise RecordingError(name, None, column, "the time is missing", "a time in every row [s]", int(invalid[0]))
+    invalid = np.flatnonzero(np.diff(time) <= 0.0)
+    if invalid.size:
+        index = int(invalid[0]) + 1
         problem = f"time does not increase, {time[index]:.9g} after {time[index - 1]:.9g}"
         raise RecordingError(name, None, column, problem, "a time later than the row before", index)

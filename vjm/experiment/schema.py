@@ -53,16 +53,16 @@ def check_fields(record: Any, name: object) -> None:
     model = table_model(kind)
     defaults = {key: field.default for key, field in model.model_fields.items()}
     # A default may be what no table can say, as the rig's gravity.
-    given = {key: value for key, default in defaults.items() if (value := getattr(record, key)) is not default}
+    specified = {key: value for key, default in defaults.items() if (value := getattr(record, key)) is not default}
     try:
-        valid = model.model_validate(plain(given, finite=False))
+        valid = model.model_validate(plain(specified, finite=False))
     except ValidationError as error:
         detail = error.errors(include_url=False)[0]
         key, *items = detail["loc"]
         label = kind.__name__.lower()
         table = f"{label} {name}" if isinstance(name, str) and name else label
         raise ExperimentError(None, table, str(key), *explain(detail, model, str(key), items)) from error
-    for key in given:
+    for key in specified:
         object.__setattr__(record, key, getattr(valid, key))
 
 

@@ -147,8 +147,8 @@ def measure_modes(
         residual, _ = _project(oscillators.columns(values), y)
     std = _standard_errors(oscillators, y, values)
     order = np.argsort(values[:, 0])
-    sure = order[std[order, 0] < _LARGEST_STD * values[order, 0]]
-    return MeasuredModes(values[sure, 0], values[sure, 1], std[sure, 0], std[sure, 1])
+    certain = order[std[order, 0] < _LARGEST_STD * values[order, 0]]
+    return MeasuredModes(values[certain, 0], values[certain, 1], std[certain, 0], std[certain, 1])
 
 
 def match(expected: float, measured: Sequence[MeasuredModes], tolerance: float) -> tuple[float, float, float] | None:
@@ -167,8 +167,8 @@ def match(expected: float, measured: Sequence[MeasuredModes], tolerance: float) 
     if not rows:
         return None
     f, f_std, d, d_std = np.array(rows).T
-    least = 5e-4 * f  # standard error below which recordings are not trusted: amplitudes differ between them
-    weights = 1 / (f_std**2 + least**2)
+    floor = 5e-4 * f  # standard error below which recordings are not trusted: amplitudes differ between them
+    weights = 1 / (f_std**2 + floor**2)
     ratio = np.average(d, weights=1 / np.maximum(d_std, 1e-6) ** 2)
     return float(np.average(f, weights=weights)), float(weights.sum() ** -0.5), float(ratio)
 
@@ -194,8 +194,8 @@ def mode_shapes(
 def _complete(time: ArrayLike, signals: ArrayLike) -> tuple[Array, Array]:
     """Return the frames in which everything was measured; of a very long recording, its beginning."""
     t, y = np.asarray(time, dtype=float), np.asarray(signals, dtype=float)
-    kept = np.flatnonzero(np.isfinite(y).all(axis=1))[:_MOST_FRAMES]
-    return t[kept], y[kept]
+    complete = np.flatnonzero(np.isfinite(y).all(axis=1))[:_MOST_FRAMES]
+    return t[complete], y[complete]
 
 
 def _project(columns: Array, y: Array) -> tuple[Array, Array]:
@@ -266,18 +266,18 @@ def _projected_jacobian(oscillators: Oscillators, y: Array, values: Array) -> Ar
 
 def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> Array:
     """Drop the modes that later ones have made superfluous: they explain no more than noise would."""
-    kept = values
+    retained = values
     for row in values:
-        without = kept[~(kept == row).all(axis=1)]
+        reduced = retained[~(retained == row).all(axis=1)]
         sum_with, sum_without = (
-            float(np.sum(_project(oscillators.columns(v), y)[0] ** 2)) / noise**2 for v in (kept, without)
+            float(np.sum(_project(oscillators.columns(v), y)[0] ** 2)) / noise**2 for v in (retained, reduced)
         )
         freedom = 2 * (1 + len(oscillators.inputs)) * y.shape[1] + 2
         # A model error in the residual counts as noise here: a mode has to stand out of what is left anyway.
         scale = max(sum_with / y.size, 1.0)
         if (sum_without - sum_with) / scale < stats.chi2.isf(_FALSE_ALARM, freedom):
-            kept = without
-    return kept
+            retained = reduced
+    return retained
 
 
 def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array:

@@ -98,9 +98,9 @@ def check(experiment: Experiment) -> Check:
     """
     rig = experiment.rig
     mistakes = find_mistakes(experiment)
-    doubts = [*experiment.warnings, *(str(mistake) for mistake in mistakes if not mistake.certain)]
+    findings = [*experiment.warnings, *(str(mistake) for mistake in mistakes if not mistake.certain)]
     if not experiment.with_role("holdout"):
-        doubts.append("no recording is held out, so that no prediction can be tested: give one the role 'holdout'")
+        findings.append("no recording is held out, so that no prediction can be tested: give one the role 'holdout'")
     problem = "\n".join(str(mistake) for mistake in mistakes if mistake.certain)
     joints = [link.virtual_joints or 6 for link in rig.links]  # enough for the slowest few frequencies
     try:
@@ -111,15 +111,15 @@ def check(experiment: Experiment) -> Check:
         expected = np.empty(0)  # of numbers that are absurd
     overviews = tuple(overview(rig, recording) for recording in experiment.recordings)
     if problem:
-        return Check(experiment, tuple(doubts), expected, (), {}, problem, overviews)
+        return Check(experiment, tuple(findings), expected, (), {}, problem, overviews)
     try:
         data = {kind: TrainingData.of(experiment, kind) for kind in PARAMETRISATIONS}
         identifiable = {kind: _identifiable(training_data) for kind, training_data in data.items()}
     except InsufficientDataError as error:
         problem = str(error)
         about_markers = [text for link in rig.links for text in _marker_warnings(link, link.virtual_joints)]
-        return Check(experiment, (*doubts, *about_markers, problem), expected, (), {}, problem, overviews)
-    warnings = (*doubts, *data_warnings(data["uniform"]))
+        return Check(experiment, (*findings, *about_markers, problem), expected, (), {}, problem, overviews)
+    warnings = (*findings, *data_warnings(data["uniform"]))
     choices = tuple(choice.joints for choice in data["uniform"].joints)
     return Check(experiment, warnings, expected, choices, identifiable, overviews=overviews)
 
@@ -178,13 +178,13 @@ def estimates(
 
 def _uncertain(k: int, parametrisation: Parametrisation, relative_std: float, correlation: Array) -> str:
     """Explain why parameter k has so large a standard error."""
-    others = np.abs(correlation)
-    others[k] = 0.0
-    partner = int(np.argmax(others))
+    magnitudes = np.abs(correlation)
+    magnitudes[k] = 0.0
+    partner = int(np.argmax(magnitudes))
     reason = f"its standard error is {100 * relative_std:.0f} % of its value"
     if relative_std > 100:  # the number itself says nothing
         reason = "the recordings determine it only in combination with other parameters"
-    if others[partner] > 0.9:  # the partner alone explains more than 80 % of the variance
+    if magnitudes[partner] > 0.9:  # the partner alone explains more than 80 % of the variance
         name = parametrisation.coordinates[partner].name
         reason += f"; correlation {correlation[partner]:+.2f} with {name}"
     elif parametrisation.coordinates[k].group == "damping":
@@ -205,8 +205,8 @@ def _remedy(parametrisation: Parametrisation, k: int, x: Array) -> str:
     mode = _mode_to_excite(parametrisation.chain(x), coordinate.link, coordinate.index)
     if group == "stiffness":
         return f"markers nearer to this joint, or a recording that excites {mode}, which bends it most"
-    more = "whose amplitude falls by more in each period" if shared else "which bends this joint most"
-    return f"a longer free decay, or one that excites {mode}, {more}"
+    detail = "whose amplitude falls by more in each period" if shared else "which bends this joint most"
+    return f"a longer free decay, or one that excites {mode}, {detail}"
 
 
 def _mode_to_excite(chain: Chain, link: int, index: int) -> str:
@@ -307,12 +307,12 @@ def _repeat_warnings(data: TrainingData) -> list[str]:
         if recording.repeat is not None:
             groups.setdefault(recording.repeat, []).append(recording)
     warnings = []
-    for label, (first, *others) in groups.items():
-        for other in others:
-            distance, noise = _distance(first, other), data.noise[0]
+    for label, (first, *repeats) in groups.items():
+        for repeat in repeats:
+            distance, noise = _distance(first, repeat), data.noise[0]
             if distance > 3 * np.sqrt(2) * noise:
                 warnings.append(
-                    f"{first.file} and {other.file} are labelled repeats of {label!r}, but their markers are "
+                    f"{first.file} and {repeat.file} are labelled repeats of {label!r}, but their markers are "
                     f"{millimetres(distance)} RMS apart, {ratio(distance / noise)} × noise: something changed between "
                     "them"
                 )
@@ -339,26 +339,26 @@ def failure_of(experiment: Experiment, recordings: Sequence[RecordingComparison]
     names = [column for link in rig.links for column in link.marker_columns]
     reasons = []
     for comparison in recordings:
-        file, used = comparison.recording.file, comparison.recording
+        file, cleaned = comparison.recording.file, comparison.recording
         before, after = (
-            np.isfinite(recording.markers).any(axis=0).ravel().tolist() for recording in (read[file], used)
+            np.isfinite(recording.markers).any(axis=0).ravel().tolist() for recording in (read[file], cleaned)
         )
-        lost = [
+        missing = [
             name
             for name, was_measured, is_measured in zip(names, before, after, strict=True)
             if was_measured and not is_measured
         ]
-        if lost:
-            reasons.append(f"{file}: every value of {', '.join(lost)} was left out as impossible")
+        if missing:
+            reasons.append(f"{file}: every value of {', '.join(missing)} was left out as impossible")
         rms = None if comparison.simulated is None else comparison.simulated.marker_rms
-        if used.role == "holdout" and (rms is None or not np.isfinite(rms)):
+        if cleaned.role == "holdout" and (rms is None or not np.isfinite(rms)):
             reasons.append(f"{file}: held out, but the model could not be simulated over it")
         # Exact data have hardly any noise; what is less than a millionth of the arm is none.
         noise = max(comparison.noise[0], 1e-6 * sum(link.length for link in rig.links))
         if rms is not None and rms > 100 * noise:  # as large as motions are: the model follows nothing
             reasons.append(f"{file}: residual {ratio(rms / noise)} × noise")
-    more = f", and {len(reasons) - 1} more such" if len(reasons) > 1 else ""
-    return f"{reasons[0]}{more}; see the warnings, and what vjm check says" if reasons else ""
+    suffix = f", and {len(reasons) - 1} more such" if len(reasons) > 1 else ""
+    return f"{reasons[0]}{suffix}; see the warnings, and what vjm check says" if reasons else ""
 
 
 def fit_warnings(
@@ -402,9 +402,9 @@ def fit_warnings(
                 comparison.simulated.marker_rms,
                 None if comparison.reference is None else comparison.reference.marker_rms,
             )
-            better = "" if nominal is None or nominal > rms else f"; the nominal model's is {millimetres(nominal)}"
+            suffix = "" if nominal is None or nominal > rms else f"; the nominal model's is {millimetres(nominal)}"
             size = f"{millimetres(rms)} RMS, {ratio(rms / comparison.noise[0])} × noise"
-            warnings.append(f"{comparison.recording.file}: marker residual {size}{better}")
+            warnings.append(f"{comparison.recording.file}: marker residual {size}{suffix}")
         if comparison.simulated is not None and comparison.simulated.status != "converged":
             warnings.append(f"{comparison.recording.file}: no initial state was found that follows the recording")
     missing = [estimate.name for estimate in parameters if not estimate.identifiable]

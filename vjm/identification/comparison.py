@@ -127,11 +127,11 @@ def replay_without_outliers(
 
     Initial states are looked for again near those given; without any, near those found. Also return the recordings.
     """
-    kept, results, outlying = [*observed], replay_each(replay, observed, states), dict[int, Array | None]()
+    cleaned, results, outlying = [*observed], replay_each(replay, observed, states), dict[int, Array | None]()
     for k, result in enumerate(results):
         if not isinstance(result, str) and (clean := trimmed(result[0])) is not observed[k]:
-            kept[k], outlying[k] = clean, states[k] if states else result[0].state
-    repeated = replay_each(replay, [kept[k] for k in outlying], [*outlying.values()])
+            cleaned[k], outlying[k] = clean, states[k] if states else result[0].state
+    repeated = replay_each(replay, [cleaned[k] for k in outlying], [*outlying.values()])
     for k, result in zip(outlying, repeated, strict=True):
         results[k] = result
-    return kept, results
+    return cleaned, results

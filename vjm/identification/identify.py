@@ -135,9 +135,9 @@ def _result(
     nominal = Model(nominal_chain(rig, chain.links), rig, *data.noise)
     torque_model = None if torque is None else Model(torque.chain, rig, *data.noise)
     states = {} if trajectory is None else {run.observed.recording.file: run.state for run in trajectory.point.runs}
-    others = (nominal, torque_model) if baselines else (None, None)
+    references = (nominal, torque_model) if baselines else (None, None)
     step_multiple = 1.0 if trajectory is None else trajectory.point.problem.step_multiple
-    recordings = compare_recordings(experiment, model, others, progress, states, step_multiple)
+    recordings = compare_recordings(experiment, model, references, progress, states, step_multiple)
     compared_modes = _compare_modes(chain, data)
     # The same weights for both models.
     objectives = [

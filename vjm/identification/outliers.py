@@ -25,22 +25,22 @@ def trimmed(run: Run) -> Observations:
     """
     observed, recording = run.observed, run.observed.recording
     markers = observed.arcs.frames(run.arm, run.trajectory, recording.time)
-    wrong = _outliers((recording.markers - markers) / observed.noise[0], recording.time)
-    if not wrong.any():
+    outlying = _outliers((recording.markers - markers) / observed.noise[0], recording.time)
+    if not outlying.any():
         return observed
-    return observed.of_recording(replace(recording, markers=np.where(wrong, np.nan, recording.markers)))
+    return observed.of_recording(replace(recording, markers=np.where(outlying, np.nan, recording.markers)))
 
 
 def _outliers(residual: Array, time: Array) -> Mask:
     """Return (T, k, 2) True where a coordinate's weighted residual stands out; nowhere if too many do."""
-    wrong = np.zeros(residual.shape, dtype=np.bool_)
+    outlying = np.zeros(residual.shape, dtype=np.bool_)
     for index in np.ndindex(residual.shape[1:]):
         values = residual[(slice(None), *index)]
         known = np.flatnonzero(np.isfinite(values))
         if known.size > _SCALE_FRAMES:
-            wrong[(known, *index)] = _outlying(values[known]) | _unpredicted(values[known], time[known])
-    too_many = wrong.sum() > max(1.0, _MAX_SHARE * np.isfinite(residual).sum())
-    return np.zeros_like(wrong) if too_many else wrong
+            outlying[(known, *index)] = _outlying(values[known]) | _unpredicted(values[known], time[known])
+    too_many = outlying.sum() > max(1.0, _MAX_SHARE * np.isfinite(residual).sum())
+    return np.zeros_like(outlying) if too_many else outlying
 
 
 def _outlying(values: Array) -> Mask:
@@ -65,15 +65,15 @@ def _unpredicted(values: Array, time: Array) -> Mask:
     What a model misses smoothly they predict. Of several frames close together, the worst is left out before the others
     are judged: a wrong one disturbs the predictions of seven.
     """
-    wrong = np.zeros(values.size, dtype=np.bool_)
+    outlying = np.zeros(values.size, dtype=np.bool_)
     for _ in range(3):
-        kept = np.flatnonzero(~wrong)
-        error = _prediction_error(values[kept], time[kept])
-        far = (error > _threshold(error)) & (error == maximum_filter(error, 7))
-        if not far.any():
+        inliers = np.flatnonzero(~outlying)
+        error = _prediction_error(values[inliers], time[inliers])
+        peaks = (error > _threshold(error)) & (error == maximum_filter(error, 7))
+        if not peaks.any():
             break
-        wrong[kept[far]] = True
-    return wrong
+        outlying[inliers[peaks]] = True
+    return outlying
 
 
 def _prediction_error(values: Array, time: Array) -> Array:
@@ -87,8 +87,8 @@ def _prediction_error(values: Array, time: Array) -> Array:
             rows = np.arange(max(0, -min(offsets)), values.size - max(0, max(offsets)))
             neighbours = rows[:, None] + np.array(offsets)
             weights = _lagrange_weights(time[neighbours], time[rows])
-            near = np.linalg.norm(weights, axis=1) < 5  # or the prediction is that much noisier than a value
-            rows, neighbours, weights = rows[near], neighbours[near], weights[near]
+            reliable = np.linalg.norm(weights, axis=1) < 5  # or the prediction is that much noisier than a value
+            rows, neighbours, weights = rows[reliable], neighbours[reliable], weights[reliable]
             side[rows] = np.minimum(side[rows], np.abs(values[rows] - np.sum(weights * values[neighbours], axis=1)))
     return np.where(np.isinf(error[:2]).any(axis=0), 0.0, error.min(axis=0))
 
@@ -97,6 +97,6 @@ def _lagrange_weights(nodes: Array, at: Array) -> Array:
     """Return the weights (R, m) of values at nodes (R, m) in the polynomial through them at (R,)."""
     differences = nodes[:, :, None] - nodes[:, None, :]
     distances = np.broadcast_to(at[:, None, None] - nodes[:, None, :], differences.shape)
-    same = np.eye(nodes.shape[1], dtype=np.bool_)
-    weights: Array = np.prod(np.where(same, 1.0, distances / np.where(same, 1.0, differences)), axis=2)
+    diagonal = np.eye(nodes.shape[1], dtype=np.bool_)
+    weights: Array = np.prod(np.where(diagonal, 1.0, distances / np.where(diagonal, 1.0, differences)), axis=2)
     return weights

@@ -81,7 +81,7 @@ class Parametrisation:
     @property
     def linear(self) -> Mask:
         """(p,) True where the torque errors are linear in the coordinate at given lengths and masses."""
-        return np.array([c.group in _LINEAR for c in self.coordinates])
+        return np.array([coordinate.group in _LINEAR for coordinate in self.coordinates])
 
     @property
     def start(self) -> Array:
@@ -92,14 +92,14 @@ class Parametrisation:
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,), (p,) of the coordinates."""
         lowest = {"stiffness": 1e-6, "damping": 0.0, "hub": 0.0}  # K stays positive (eq. 19)
-        lower = np.array([lowest.get(c.group, -_MAX_LOGARITHM) for c in self.coordinates])
+        lower = np.array([lowest.get(coordinate.group, -_MAX_LOGARITHM) for coordinate in self.coordinates])
         return lower, np.where(self.linear, np.inf, _MAX_LOGARITHM)
 
     @property
     def preference(self) -> tuple[Array, Array]:
         """Centre and width (p,) of a weak preference for the template where the data are silent."""
         centre = self.start
-        width = np.array([_WIDTHS[c.group] for c in self.coordinates])
+        width = np.array([_WIDTHS[coordinate.group] for coordinate in self.coordinates])
         # A hundredth of the unit keeps the width away from zero at zero damping.
         return centre, np.where(self.linear, width * np.maximum(np.abs(centre), 1e-2), width)
 
@@ -114,7 +114,7 @@ class Parametrisation:
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,)."""
-        values = x * [self.scale(c) if c.group in _LINEAR else 1.0 for c in self.coordinates]
+        values = x * [self.scale(coordinate) if coordinate.group in _LINEAR else 1.0 for coordinate in self.coordinates]
         links = (self._link(i, link, values) for i, link in enumerate(self.template.links))
         return replace(self.template, links=tuple(links))
 
@@ -151,7 +151,9 @@ class Parametrisation:
 
     def _of_group(self, i: int, group: str, values: Array) -> tuple[list[int], Array]:
         """Return the indices within link i, and values, of one group."""
-        rows = [k for k, c in enumerate(self.coordinates) if c.link == i and c.group == group]
+        rows = [
+            k for k, coordinate in enumerate(self.coordinates) if coordinate.link == i and coordinate.group == group
+        ]
         return [self.coordinates[k].index for k in rows], values[rows]
 
     def _link(self, i: int, link: LinkChain, values: Array) -> LinkChain:

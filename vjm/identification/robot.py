@@ -152,23 +152,23 @@ def identify_stiffness(
         ChoiceError: a marker's frame that the model has not.
         InsufficientDataError: fewer than 40 frames; markers that leave angles of a link open.
     """
-    t, motors, seen, places = checked_motion(
+    t, motors, positions, places = checked_motion(
         model, time, q_active, rates, accelerations, torques, marker_positions_3d, markers, bandwidth
     )
     groups = spring_groups(model, tied)
     tree = marker_tree(model, places)
-    unseen = unseen_coordinates(model, tree, motors["q_active"], groups)
-    shown = np.setdiff1d(model.passive, unseen)
-    q, misfit, noise = angles_from_markers(model, tree, motors["q_active"], seen, shown)
-    kept = np.isfinite(q).all(axis=1)
-    visible = np.isfinite(seen).reshape(t.size, -1)[kept]
-    motor_signals = {name: values[kept] for name, values in motors.items()}
-    signals = sampled_signals(model, tree, q[kept], motor_signals, visible, shown, noise)
-    problem = _Problem(model, groups, shown, t[kept], signals, bandwidth)
+    unobservable = unseen_coordinates(model, tree, motors["q_active"], groups)
+    shown = np.setdiff1d(model.passive, unobservable)
+    q, misfit, noise = angles_from_markers(model, tree, motors["q_active"], positions, shown)
+    complete = np.isfinite(q).all(axis=1)
+    visible = np.isfinite(positions).reshape(t.size, -1)[complete]
+    motor_signals = {name: values[complete] for name, values in motors.items()}
+    signals = sampled_signals(model, tree, q[complete], motor_signals, visible, shown, noise)
+    problem = _Problem(model, groups, shown, t[complete], signals, bandwidth)
     if problem.time.size < FEWEST_FRAMES:
         reason = f"{problem.time.size} frames remain where the filter is cut off at both ends"
         raise InsufficientDataError("stiffness", reason, "record longer, or give a higher bandwidth")
-    return problem.identified(misfit, noise, unseen)
+    return problem.identified(misfit, noise, unobservable)
 
 
 _BESIDE = "put markers beside the link's axis"
@@ -199,15 +199,15 @@ class _Problem:
         first = self.smoothers[0].derivatives(signals.columns[halves[0]], filtering, exponent)
         self.exponent = first.smoothing or 0.0
         second = self.smoothers[1].derivatives(signals.columns[halves[1]], filtering, self.exponent)
-        inside = first.interior & second.interior
-        if inside.any():  # and where frames are missing, as at the ends
-            width = float(instants[inside][0] - time[0])
+        inner = first.interior & second.interior
+        if inner.any():  # and where frames are missing, as at the ends
+            width = float(instants[inner][0] - time[0])
             for half in halves:
-                near = np.subtract(*(np.searchsorted(time[half], instants + side * width) for side in (1, -1)))
-                inside &= near >= _SUPPORT * near.max()
-        self.inside: Mask = inside
-        self.time, self.gains = instants[inside], first.gains
-        self.halves = [self._motion(d.value[inside], d.rate[inside], d.acceleration[inside]) for d in (first, second)]
+                counts = np.subtract(*(np.searchsorted(time[half], instants + side * width) for side in (1, -1)))
+                inner &= counts >= _SUPPORT * counts.max()
+        self.inside: Mask = inner
+        self.time, self.gains = instants[inner], first.gains
+        self.halves = [self._motion(d.value[inner], d.rate[inner], d.acceleration[inner]) for d in (first, second)]
         self.mean = _Motion(*(sum(pair) / 2 for pair in zip(*(vars(h).values() for h in self.halves), strict=True)))
 
     def _motion(self, value: Array, rate: Array, acceleration: Array) -> _Motion:
@@ -226,12 +226,12 @@ class _Problem:
     def equations(self, motion: _Motion) -> tuple[Array, Array]:
         """Return regressors (S, r, p) and right-hand sides (S, r) of the passive rows."""
         springless = _with_springs(self.model, np.zeros(self.model.model.nv), np.zeros(self.model.model.nv))
-        right = -springless.inverse_dynamics(self.model.configuration(motion.q), motion.v, motion.a)
+        right_hand_side = -springless.inverse_dynamics(self.model.configuration(motion.q), motion.v, motion.a)
         matrix = np.zeros((*motion.q.shape, 2 * len(self.groups)))
         for g, group in enumerate(self.groups):
             matrix[:, group.joints, 2 * g] = motion.q[:, group.joints] / group.cells
             matrix[:, group.joints, 2 * g + 1] = motion.v[:, group.joints] / group.cells
-        return matrix[:, self.shown], right[:, self.shown]
+        return matrix[:, self.shown], right_hand_side[:, self.shown]
 
     def error_jacobian(self, model: FlexibleModel) -> list[Array]:
         """Return the derivatives (S, r, nv) of the passive torque errors by angles, rates and accelerations."""
@@ -296,12 +296,12 @@ class _Problem:
         first, second = first[..., free], second[..., free]
         weighted = [np.einsum("rs,tsp->trp", W, matrix) for matrix in (first, second)]
         normal = np.einsum("trp,trq->pq", weighted[1], first) + np.einsum("trp,trq->pq", weighted[0], second)
-        right = np.einsum("trp,tr->p", weighted[1], first_right) + np.einsum("trp,tr->p", weighted[0], second_right)
+        vector = np.einsum("trp,tr->p", weighted[1], first_right) + np.einsum("trp,tr->p", weighted[0], second_right)
         size = np.sqrt(np.maximum(np.abs(np.diag(normal)), 1e-300))
         scaled = normal / np.outer(size, size)
         inverse = np.linalg.pinv(scaled, rcond=SINGULAR) / np.outer(size, size)
         scores = self.score_covariance(factors, (weighted[0] + weighted[1]) / 2)
-        return inverse @ right, inverse @ scores @ inverse.T, float(np.linalg.cond(scaled))
+        return inverse @ vector, inverse @ scores @ inverse.T, float(np.linalg.cond(scaled))
 
     def values(self, model: FlexibleModel) -> Array:
         """Return a model's parameters (p,): stiffness and damping of each group."""
@@ -314,11 +314,11 @@ class _Problem:
             K[group.joints], D[group.joints] = (np.maximum(v, 0.0) / group.cells for v in values[2 * g : 2 * g + 2])
         return _with_springs(self.model, K, D)
 
-    def identified(self, misfit: float, noise: float, unseen: Indices) -> RobotIdentification:
+    def identified(self, misfit: float, noise: float, unobservable: Indices) -> RobotIdentification:
         """Return the estimate. Parameters that the data do not determine are held, the least certain one first."""
         silent: dict[int, tuple[str, str]] = {}
         for g, group in enumerate(self.groups):
-            if np.isin(group.joints, unseen).all():
+            if np.isin(group.joints, unobservable).all():
                 silent[2 * g] = silent[2 * g + 1] = (f"no marker moves with the {group.motion}", _BESIDE)
             else:
                 angle, order = self.angle(group), self.order_of_turns(group)
@@ -371,14 +371,14 @@ class _Problem:
 
     def order_of_turns(self, group: SpringGroup) -> float:
         """Return the RMS of the angle [rad] that the order of turns about the other axes makes: half their product."""
-        beside = [
+        pairs = [
             self.model.indices([name for name in names if name not in group_names])
             for link in self.model.links
             for names in zip(*link.joints.values(), strict=True)
             for group_names in [{self.model.names[k] for k in group.joints}]
             if group_names & set(names) and len(names) == 3
         ]
-        products = [self.mean.q[:, k[0]] * self.mean.q[:, k[1]] / 2 for k in beside]
+        products = [self.mean.q[:, k[0]] * self.mean.q[:, k[1]] / 2 for k in pairs]
         return float(np.sqrt(np.mean(np.square(products)))) if products else 0.0
 
     def record(

@@ -82,12 +82,12 @@ def checked_motion(
         )
     if not np.isfinite(t).all() or (np.diff(t) <= 0).any():
         raise ShapeError("time", "instants that are not finite or do not grow", "(T,) in seconds, growing")
-    given = {"q_active": q_active, "rates": rates, "accelerations": accelerations, "torques": torques}
+    quantities = {"q_active": q_active, "rates": rates, "accelerations": accelerations, "torques": torques}
     if bandwidth is not None and not 0 < bandwidth <= 0.25 / float(np.median(np.diff(t))):
         highest = 0.25 / float(np.median(np.diff(t)))
         raise ShapeError("bandwidth", bandwidth, f"a frequency up to {highest:.4g} Hz, a quarter of the frame rate")
     motors = {}
-    for name, values in given.items():
+    for name, values in quantities.items():
         if values is None and name != "q_active":
             continue
         array = _numbers(name, values)
@@ -108,14 +108,14 @@ def checked_motion(
         if offset.shape != (3,) or not np.isfinite(offset).all():
             raise ShapeError(f"marker in {frame}", offset.tolist(), "an offset of three finite numbers [m]")
         places.append((str(frame), offset))
-    seen = _numbers("marker_positions_3d", positions)
-    if seen.shape != (t.size, len(places), 3):
+    marker_positions = _numbers("marker_positions_3d", positions)
+    if marker_positions.shape != (t.size, len(places), 3):
         raise ShapeError(
-            "marker_positions_3d", f"shape {seen.shape}", f"shape (T, k, 3) = ({t.size}, {len(places)}, 3)"
+            "marker_positions_3d", f"shape {marker_positions.shape}", f"shape (T, k, 3) = ({t.size}, {len(places)}, 3)"
         )
-    if np.isinf(seen).any():
+    if np.isinf(marker_positions).any():
         raise ShapeError("marker_positions_3d", "infinity", "numbers, or NaN where a marker was not seen")
-    return t, motors, seen, places
+    return t, motors, marker_positions, places
 
 
 def _numbers(name: str, values: object) -> Array:
@@ -163,18 +163,18 @@ def unseen_coordinates(model: FlexibleModel, tree: MarkerTree, motors: Array, gr
         ambiguous = moving[(np.abs(vectors[rank:]) > 1e-3).any(axis=0)] if rank < moving.size else moving[:0]
     else:
         ambiguous = moving
-    unseen: Indices = model.passive[unmoved]
+    unobservable: Indices = model.passive[unmoved]
     for group in groups:
-        if np.isin(group.joints, unseen).all():
+        if np.isin(group.joints, unobservable).all():
             continue
-        undetermined = np.isin(group.joints, np.r_[unseen, ambiguous])
+        undetermined = np.isin(group.joints, np.r_[unobservable, ambiguous])
         if undetermined.any():
             names = ", ".join(model.names[k] for k in group.joints[undetermined])
             reason = f"the markers do not tell apart the angles of {names}"
             raise InsufficientDataError(
                 group.stiffness, reason, "add markers, or make the link flexible by fewer joints"
             )
-    return unseen
+    return unobservable
 
 
 def angles_from_markers(
@@ -234,8 +234,8 @@ def _determining_frames(slopes: Array, visible: Mask) -> Mask:
     sets, of_frame = np.unique(visible, axis=0, return_inverse=True)
     size = np.maximum(np.linalg.norm(slopes[visible.any(axis=0)], axis=0), 1e-300)
     scaled = slopes / size
-    ever_seen = scaled[visible.any(axis=0)]
-    values, vectors = np.linalg.eigh(ever_seen.T @ ever_seen)
+    observed = scaled[visible.any(axis=0)]
+    values, vectors = np.linalg.eigh(observed.T @ observed)
     whitened = scaled @ (vectors / np.sqrt(np.maximum(values, SINGULAR * values[-1])))
     information = np.einsum("pm,mi,mj->pij", sets.astype(float), whitened, whitened, optimize=True)
     determined = np.linalg.eigvalsh(information)[:, 0] >= 1 / _LARGEST_VARIANCE
@@ -255,7 +255,7 @@ def sampled_signals(
     encoder = _column_noise(motors["q_active"])
     slopes = tree.positions(q.mean(axis=0)[None])[1][0].reshape(-1, model.model.nv)
     sets, of_frame = np.unique(visible, axis=0, return_inverse=True)
-    further = [motors[name] for name in ("rates", "accelerations", "torques") if name in motors]
+    motor_columns = [motors[name] for name in ("rates", "accelerations", "torques") if name in motors]
     covariances = []
     for markers in sets:
         inverse = np.linalg.pinv(slopes[markers][:, shown])
@@ -266,10 +266,10 @@ def sampled_signals(
         spread[shown] = -inverse @ slopes[markers][:, model.active]
         angles = spread @ np.diag(encoder**2) @ spread.T
         angles[np.ix_(shown, shown)] += noise**2 * inverse @ inverse.T
-        covariances.append(block_diag(angles, *(np.diag(_column_noise(values) ** 2) for values in further)))
-    columns = np.hstack([q, *further])
-    given = "rates" in motors, "accelerations" in motors
-    return RobotSignals(columns, np.array(covariances), of_frame.ravel(), *given)
+        covariances.append(block_diag(angles, *(np.diag(_column_noise(values) ** 2) for values in motor_columns)))
+    columns = np.hstack([q, *motor_columns])
+    measured = "rates" in motors, "accelerations" in motors
+    return RobotSignals(columns, np.array(covariances), of_frame.ravel(), *measured)
 
 
 def _column_noise(values: Array) -> Array:

@@ -36,7 +36,7 @@ class _TorqueProblem:
 
     def vector(self, x: Array) -> Array:
         """Return all residuals to minimise: torque errors, frequencies (section 6.5), and the preference."""
-        parts = [r.ravel() / self.residual_scale for r in self.torque_residuals(x)]
+        parts = [residual.ravel() / self.residual_scale for residual in self.torque_residuals(x)]
         if self.targets:
             frequencies = modes(self.parametrisation.chain(x), self.data.payload, self.data.rig.gravity).frequencies
             mode, measured, std = np.array(self.targets).T
@@ -51,12 +51,12 @@ class _TorqueProblem:
         if start is None:
             start = self.parametrisation.start if self.preference is not None else self._linear_solution()
         lower, upper = self.parametrisation.bounds
-        report, most, count = progress or (lambda *_: None), 100, 0
+        report, maximum, count = progress or (lambda *_: None), 100, 0
 
         def vector(x: Array) -> Array:
             nonlocal count
             count += 1
-            report("fitting torque errors", min(count, most - 1), most)
+            report("fitting torque errors", min(count, maximum - 1), maximum)
             return self.vector(x)
 
         result = least_squares(
@@ -67,9 +67,9 @@ class _TorqueProblem:
             ftol=1e-10,
             xtol=1e-10,
             gtol=1e-10,
-            max_nfev=most,
+            max_nfev=maximum,
         )
-        report("fitting torque errors", most, most)
+        report("fitting torque errors", maximum, maximum)
         return TorqueFit(self, np.asarray(result.x), np.asarray(result.jac), result.status > 0)
 
     def evaluate(self, x: Array) -> TorqueFit:
@@ -115,9 +115,9 @@ class TorqueFit:
 
         Else a model that misses more than the noise, or samples that the filter correlates, would outweigh other terms.
         """
-        residuals = np.concatenate([r.ravel() for r in self.problem.torque_residuals(self.x)])
+        residuals = np.concatenate([residual.ravel() for residual in self.problem.torque_residuals(self.x)])
         prepared = self.problem.data.prepared  # whose filters do not depend on the cuts
-        independent = float(np.mean([p.derivatives.gains[0, 0] for p in prepared]))
+        independent = float(np.mean([recording.derivatives.gains[0, 0] for recording in prepared]))
         scale = np.sqrt(max(float(np.mean(residuals**2)), 1.0) / min(independent, 1.0))
         return replace(self.problem, residual_scale=float(scale))
 
@@ -149,7 +149,7 @@ def fit_torque(
     if not data.prepared:
         raise InsufficientDataError("the torque method", *data.problems[0].rsplit("; ", 1))  # with its remedy
     start = starting_chain(data.rig, data.cuts)
-    hubs = data.driven_hubs([p.recording for p in data.prepared])
+    hubs = data.driven_hubs([prepared.recording for prepared in data.prepared])
     fit = _TorqueProblem(data, Parametrisation(start, "uniform", hubs)).fit(progress)
     problem = fit.rescaled()
     fit = replace(fit, problem=problem, jacobian=fit.jacobian / problem.residual_scale)

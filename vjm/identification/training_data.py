@@ -41,8 +41,8 @@ class PreparedRecording(Record):
 
     def errors(self, chain: Chain, at: Mask | slice = slice(None)) -> Array:
         """Return torque errors (S, nv) of a chain (eq. 14) `at` some instants [N m]; NaN without measured torque."""
-        d, recording = self.derivatives, self.recording
-        state = d.value[at], d.rate[at], d.acceleration[at]
+        derivatives, recording = self.derivatives, self.recording
+        state = derivatives.value[at], derivatives.rate[at], derivatives.acceleration[at]
         return torque_errors(chain, *state, self.torque[at], recording.payload, recording.gravity)
 
     def weighted_errors(self, chain: Chain, weighting: Chain) -> Array:
@@ -55,12 +55,12 @@ class PreparedRecording(Record):
 
     def noise_covariance(self, chain: Chain) -> Array:
         """Return the covariance (nv, nv) that the noise of the angles gives a chain's torque errors [N^2 m^2]."""
-        d, noise = self.derivatives, self.angles.covariance
+        derivatives, noise = self.derivatives, self.angles.covariance
         mechanism = Mechanism(chain, self.recording.payload, self.recording.gravity)
-        inertia = mechanism.mass_matrix(d.value[d.interior].mean(axis=0)[None])[0]
+        inertia = mechanism.mass_matrix(derivatives.value[derivatives.interior].mean(axis=0)[None])[0]
         terms = [np.diag(chain.stiffness), np.diag(chain.damping), inertia]
         pairs = [(i, j) for i in range(3) for j in range(3)]
-        covariance = np.asarray(sum(d.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
+        covariance = np.asarray(sum(derivatives.gains[i, j] * terms[i] @ noise @ terms[j].T for i, j in pairs))
         return np.asarray((covariance + covariance.T) / 2)
 
     @property
@@ -179,15 +179,15 @@ class TrainingData:
                 problems.append(str(error))
         payloads = [p.recording.payload for p in prepared] or [recording.payload for recording in self.recordings]
         payload = max(sorted(set(payloads)), key=payloads.count)
-        most = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
+        mode_count = max(self.shape.orders) + 2  # faster ones may be too faint for shapes
         data = replace(self, prepared=tuple(prepared), problems=tuple(problems), payload=payload)
-        return replace(data, modes=tuple(p.modes(self.noise[0], most) for p in data.freely_moving))
+        return replace(data, modes=tuple(p.modes(self.noise[0], mode_count) for p in data.freely_moving))
 
     @property
     def freely_moving(self) -> tuple[PreparedRecording, ...]:
         """Recordings in which the arm has the modes of the model: with the commonest payload, and no motion given."""
-        same_payload = [p for p in self.prepared if p.recording.payload == self.payload]
-        return tuple(p for p in same_payload if p.recording.input == "torque")
+        same_payload = [prepared for prepared in self.prepared if prepared.recording.payload == self.payload]
+        return tuple(prepared for prepared in same_payload if prepared.recording.input == "torque")
 
     def driven_hubs(self, recordings: Sequence[Recording]) -> tuple[int, ...]:
         """Return the links whose hub inertia shows: their active joint's torque was measured in a recording."""
@@ -289,8 +289,8 @@ def _prepare(
     smoother = None
     if data.derivatives == "smoothing":
         covariance = block_diag(angles.covariance, np.zeros((int(measured.sum()),) * 2))
-        same = before is not None and np.array_equal(angles.time[usable], before.derivatives.time)
-        smoother = before.smoother if before is not None and same else None
+        unchanged = before is not None and np.array_equal(angles.time[usable], before.derivatives.time)
+        smoother = before.smoother if before is not None and unchanged else None
         smoother = smoother or Smoother(angles.time[usable])
         exponent = None if before is None else before.derivatives.smoothing
         filtered = smoother.derivatives(values[usable], covariance, exponent)

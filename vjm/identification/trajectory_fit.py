@@ -96,11 +96,11 @@ class TrajectoryProblem(Record):
     @property
     def longest(self) -> float:
         """Duration of the longest recording [s]."""
-        return max(float(each.recording.time[-1] - each.recording.time[0]) for each in self.observed)
+        return max(float(observed.recording.time[-1] - observed.recording.time[0]) for observed in self.observed)
 
     def until(self, duration: float) -> TrajectoryProblem:
         """Return the problem of the recordings' first `duration` seconds."""
-        parts = [each.truncated(float(each.recording.time[0]) + duration) for each in self.observed]
+        parts = [observed.truncated(float(observed.recording.time[0]) + duration) for observed in self.observed]
         return replace(self, observed=tuple(parts))
 
     def first_horizon(self, x: Array) -> float:
@@ -110,7 +110,7 @@ class TrajectoryProblem(Record):
         the right minimum.
         """
         chain = self.chain(x)
-        return 3 / min(float(modes(chain, o.recording.payload).frequencies[0]) for o in self.observed)
+        return 3 / min(float(modes(chain, observed.recording.payload).frequencies[0]) for observed in self.observed)
 
     def durations(self, first: float) -> list[float]:
         """Return the durations [s] to fit one after another, from `first` to infinite: whole recordings."""
@@ -124,8 +124,11 @@ class TrajectoryProblem(Record):
         """Return the arm at coordinates x (p,) in each of some recordings; None: in the problem's own."""
         chain, present = self.chain(x), self.effects_at(x)
         reference, extended = Arm.of(chain, present[: self.reference_effects]), Arm.of(chain, present)
-        wanted = [each.recording for each in self.observed] if recordings is None else recordings
-        return tuple((reference if one.condition == REFERENCE else extended).in_recording(one) for one in wanted)
+        wanted = [observed.recording for observed in self.observed] if recordings is None else recordings
+        return tuple(
+            (reference if recording.condition == REFERENCE else extended).in_recording(recording)
+            for recording in wanted
+        )
 
     def point(self, x: Array, states: Sequence[Array] | None = None) -> Point:
         """Simulate every recording at coordinates x (p,), from given or from maximum-likelihood initial states (2 nv,).
@@ -141,8 +144,8 @@ class TrajectoryProblem(Record):
     def simulated(self, x: Array, states: Sequence[Array], others: Sequence[Array], scales: Sequence[float]) -> Point:
         """Simulate every recording at x (p,) by `simulate_from_best_states`, its prior at a given scale."""
         arms = self.arms(x)
-        each = zip(arms, self.observed, scales, strict=True)
-        priors = [InitialStatePrior.of(arm, observed.recording, scale) for arm, observed, scale in each]
+        triples = zip(arms, self.observed, scales, strict=True)
+        priors = [InitialStatePrior.of(arm, observed.recording, scale) for arm, observed, scale in triples]
         return Point(
             self, x, tuple(simulate_from_best_states(arms, self.observed, priors, states, others, self.step_multiple))
         )
@@ -227,7 +230,10 @@ class Point(Record):
     def linearizations(self) -> tuple[SquareRootInformation, ...]:
         """Each recording's linearised problem: its initial state first, then the coordinates."""
         moved = self.problem.perturbed_arms(self.x)
-        return tuple(run.linearized(own) for run, own in zip(self.runs, linearize(self.runs, moved), strict=True))
+        return tuple(
+            run.linearized(linearization)
+            for run, linearization in zip(self.runs, linearize(self.runs, moved), strict=True)
+        )
 
     def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
         """Return the linearised problem of the coordinates, initial states eliminated, and each recording's of both."""
@@ -294,8 +300,8 @@ class TrajectoryFit(Record):
 
     def part_of(self, effect: Effect) -> slice:
         """Return the coordinates of one of the effects."""
-        each = zip(self.effects, self.point.problem.parts, strict=True)
-        return next(part for one, part in each if one is effect)
+        pairs = zip(self.effects, self.point.problem.parts, strict=True)
+        return next(part for candidate, part in pairs if candidate is effect)
 
     def sizes_of(self, effect: Effect) -> list[int]:
         """Return the coordinates that are one of the effects' sizes."""
@@ -342,9 +348,9 @@ def fit_trajectory(
 
         def report(iteration: int, misfit: float, k: int = k) -> None:
             if progress is not None:
-                within = 1 - 0.7**iteration  # the number of iterations is not known: an estimate for the progress bar
+                fraction = 1 - 0.7**iteration  # the number of iterations is not known: an estimate for the progress bar
                 text = f"fitting trajectories, residual {ratio(misfit)} × noise"
-                progress(text, int(100 * (k + within) / len(horizons)), 100)
+                progress(text, int(100 * (k + fraction) / len(horizons)), 100)
 
         part = problem if last else problem.until(horizon)
         search = _TrajectorySearch(part.point(x, states), last and not rough, stop, report)
@@ -405,11 +411,11 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
         reduced, parts = point.reduced(damping)
         change = _bounded_change(reduced, point)
         state_changes, own_changes, decreases = [], [], []
-        for run, part, plain in zip(point.runs, parts, point.linearizations, strict=True):
-            modal, alone = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
+        for run, part, undamped in zip(point.runs, parts, point.linearizations, strict=True):
+            modal, uncoupled = (part.solve(part.columns - change.size, by) for by in (change, np.zeros(change.size)))
             state_changes.append(run.basis.states @ modal)
-            own_changes.append(run.basis.states @ alone)
-            decreases.append(plain.decrease(np.concatenate([modal, change])))
+            own_changes.append(run.basis.states @ uncoupled)
+            decreases.append(undamped.decrease(np.concatenate([modal, change])))
         rows, residual = point.problem.prior(point.x)
         prior_decrease = float(residual @ residual - np.sum((residual - rows @ change) ** 2))
         length = float(np.linalg.norm(point.scale * change))

@@ -45,13 +45,13 @@ class TrajectoryMethod:
         planned = tuple(choice.joints for choice in data.joints)
         if all(choice.requested for choice in data.joints):
             return [planned]
-        first = tuple(min(max(order, 2), n) for order, n in zip(data.shape.orders, planned, strict=True))
-        most = max(n - m for n, m in zip(planned, first, strict=True))
+        first = tuple(min(max(order, 2), count) for order, count in zip(data.shape.orders, planned, strict=True))
+        largest = max(count - start for count, start in zip(planned, first, strict=True))
         if data.parameters == "uniform":
-            most += 3  # motion may show modes that the shape functions do not
+            largest += 3  # motion may show modes that the shape functions do not
         return [
-            tuple(link.virtual_joints or m + k for m, link in zip(first, data.rig.links, strict=True))
-            for k in range(most + 1)
+            tuple(link.virtual_joints or start + k for start, link in zip(first, data.rig.links, strict=True))
+            for k in range(largest + 1)
         ]
 
     def fit_from(self, joints: Sequence[int], fit: TrajectoryFit) -> TrajectoryFit:
@@ -156,11 +156,11 @@ class TrajectoryMethod:
         horizon = _first_horizon(problem, starts)
         if self._starts_with_long_steps:
             problem = replace(problem, step_multiple=_first_step_multiple(problem.until(horizon), nominal))
-        stiffness = np.array([c.group == "stiffness" for c in problem.parametrisation.coordinates])
+        stiffness = np.array([coordinate.group == "stiffness" for coordinate in problem.parametrisation.coordinates])
         # Nominal values are taken to be within a factor of four. Nine stiffnesses in that range are factors of 1.41
         # apart, so that one of them is within 19 % of any, and its frequencies within 9 %.
-        others = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
-        fit = _fit_first_periods(problem.until(horizon), starts, others, self.progress)
+        alternatives = [np.where(stiffness, factor * nominal, nominal) for factor in np.geomspace(0.25, 4.0, 9)]
+        fit = _fit_first_periods(problem.until(horizon), starts, alternatives, self.progress)
         start, stop, rough = fit.point, _StallRule(self.rough), self.rough or self._starts_with_long_steps
         return fit_trajectory(problem, start.x, self.progress, start.states, horizon, rough=rough, stop=stop)
 
@@ -210,12 +210,12 @@ def first_fit(
     observed = tuple(Observations.of(data.rig, recording, data.noise, Loss(loss)) for recording in recordings)
     torque = fit_torque(data, progress=progress) if data.prepared else None
     rough = rough or data.parameters != "uniform"
-    used = replace(data, problems=problems)
-    search = TrajectoryMethod(used, observed, data.driven_hubs(recordings), torque, progress, rough)
+    usable_data = replace(data, problems=problems)
+    search = TrajectoryMethod(usable_data, observed, data.driven_hubs(recordings), torque, progress, rough)
     joints = search.joint_counts()[0]
     fit = search._fit_from_far(joints)
     observed = tuple(trimmed(run) for run in fit.point.runs)
-    if any(kept is not original for kept, original in zip(observed, search.observed, strict=True)):
+    if any(cleaned is not original for cleaned, original in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
         fit = search.fit_from(joints, fit)
     return search, fit
@@ -223,15 +223,15 @@ def first_fit(
 
 def simulatable(recordings: Sequence[Recording]) -> tuple[list[Recording], tuple[str, ...]]:
     """Return the recordings whose torques or joint motion were measured, and why others cannot be simulated."""
-    kept, problems = [], []
+    usable, problems = [], []
     for recording in recordings:
         try:
             if recording.input == "torque":
                 measured_torque(recording)
-            kept.append(recording)
+            usable.append(recording)
         except InsufficientDataError as error:
             problems.append(str(error))
-    return kept, tuple(problems)
+    return usable, tuple(problems)
 
 
 def _fit_first_periods(
@@ -339,23 +339,23 @@ def _next_count(counts: Sequence[tuple[int, ...]], k: int, fits: Sequence[Trajec
     return len(counts) - 1
 
 
-def _explains_more(fewer: TrajectoryFit, more: TrajectoryFit) -> bool:
+def _explains_more(smaller: TrajectoryFit, larger: TrajectoryFit) -> bool:
     """Return True if the larger chain has the smaller Bayesian information criterion (BIC), and a visible gain."""
-    count = fewer.point.count
-    gain = count * np.log(fewer.point.chi2 / max(more.point.chi2, 1e-300))
-    added = more.point.x.size - fewer.point.x.size
+    count = smaller.point.count
+    gain = count * np.log(smaller.point.chi2 / max(larger.point.chi2, 1e-300))
+    added = larger.point.x.size - smaller.point.x.size
     return bool(gain > max(added * np.log(count), VISIBLE_GAIN * count))
 
 
-def _joint_note(fewer: TrajectoryFit, more: TrajectoryFit) -> str:
+def _joint_note(smaller: TrajectoryFit, larger: TrajectoryFit) -> str:
     """Say what one virtual joint more would do to the residual and to the parameters."""
-    gain = 1 - float(np.sqrt(more.point.chi2 / fewer.point.chi2))
+    gain = 1 - float(np.sqrt(larger.point.chi2 / smaller.point.chi2))
     reduction = f"reduce the residual by {number(100 * gain, 2)} %" if gain > 0 else "not reduce the residual"
     note = f"one more virtual joint would {reduction}"
-    coarse, fine = (fit.point.problem.parametrisation for fit in (fewer, more))
+    coarse, fine = (fit.point.problem.parametrisation for fit in (smaller, larger))
     if coarse.kind != "uniform":
         return note
-    values, fine_values = coarse.physical(fewer.point.x), fine.physical(more.point.x)
+    values, fine_values = coarse.physical(smaller.point.x), fine.physical(larger.point.x)
     shifts = np.abs(fine_values / np.where(values > 0, values, np.inf) - (values > 0))
     named = zip(coarse.coordinates, shifts.tolist(), strict=True)
     return f"{note}, and would change {listed([f'{c.name} by {number(100 * shift, 2)} %' for c, shift in named])}"
@@ -386,7 +386,7 @@ def search_step_multiple(point: Point, reduced_chi2: float | None = None, larges
     arms, observed, coarse, before = [run.arm for run in point.runs], point.problem.observed, list[Run](), 1.0
     # 3 % of the RMS residual changes chi^2 by a thousandth: a tenth of what decides for one joint more.
     tolerance = 0.03**2 * max(point.misfit**2 if reduced_chi2 is None else reduced_chi2, 1.0) * point.count
-    for multiple in (m for m in (16.0, 8.0, 4.0, 2.0, 1.0) if m <= largest):
+    for multiple in (candidate for candidate in (16.0, 8.0, 4.0, 2.0, 1.0) if candidate <= largest):
         try:
             fine = simulate_runs(arms, observed, None, point.states, multiple)
         except SimulationDivergedError:

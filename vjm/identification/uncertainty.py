@@ -44,8 +44,8 @@ class Information:
             jacobian = fit.jacobian[start : start + residual.size].reshape(*residual.shape, fit.x.size)
             scores = np.einsum("srp,sr->sp", jacobian, residual / problem.residual_scale)
             start += residual.size
-            time, inside = prepared.derivatives.time, prepared.derivatives.interior
-            edge = float(time[inside][0] - time[0]) if inside.any() else 0.0
+            time, interior = prepared.derivatives.time, prepared.derivatives.interior
+            edge = float(time[interior][0] - time[0]) if interior.any() else 0.0
             lags = int(np.ceil(2 * edge / float(np.median(np.diff(time))))) + 1
             score_covariance += _long_run_covariance(scores, lags)
         errors, frequencies = fit.jacobian[:start], fit.jacobian[start : start + len(problem.targets)]
@@ -83,13 +83,13 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     count = point.x.size
     perturbed = point.problem.perturbed_arms(point.x)
     whiteness = tuple(_whiteness(run) for run in point.runs)
-    normal, plain = np.zeros((2, count, count))
+    normal, uncorrelated = np.zeros((2, count, count))
     for linearized, white in zip(point.linearizations, whiteness, strict=True):
         R = linearized.eliminated(linearized.columns - count).R[:, :-1]
         normal += R.T @ R
-        plain += R.T @ R * (max(white.chi2, 1.0) if noise_known else white.chi2)
+        uncorrelated += R.T @ R * (max(white.chi2, 1.0) if noise_known else white.chi2)
     if not any(white.coloured for white in whiteness):
-        return Information(normal, plain), whiteness
+        return Information(normal, uncorrelated), whiteness
     sandwich = np.zeros((count, count))
     for run, linearized, by_parameters in zip(
         point.runs, point.linearizations, linearize(point.runs, perturbed), strict=True
@@ -99,7 +99,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
         starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
         summed = np.add.reduceat(scores, starts, axis=0)
         sandwich += _long_run_covariance(summed, _correlation_length(summed))
-    return Information(normal, _larger(sandwich, plain, normal)), whiteness
+    return Information(normal, _larger(sandwich, uncorrelated, normal)), whiteness
 
 
 def _long_run_covariance(scores: Array, lags: int) -> Array:
@@ -204,26 +204,26 @@ def _profile_end(best: TrajectoryFit, index: int, std: float, quantile: float) -
     R = best.point.reduced()[0].R[:-1, :-1]
     slope = parametrisation.jacobian(best.point.x)[index]
     inflation = max(abs(std) / float(np.linalg.norm(np.linalg.lstsq(R.T, slope, rcond=None)[0])), 1.0)
-    near = best
+    current = best
 
     def excess(offset: float) -> float:
         """Return the standard deviations by which the fit there is less likely than the best one."""
-        nonlocal near
+        nonlocal current
         if offset == 0.0:
             return -quantile
         fixed = (index, value + offset * std, 1e-3 * abs(std) / inflation)
         problem = replace(best.point.problem, fixed=fixed)
-        near = fit_trajectory(problem, near.point.x, states=near.point.states)
-        held = float(problem.prior(near.point.x)[1][-1]) ** 2
-        return float(np.sqrt(max(near.point.cost - held - best.point.cost, 0.0))) / inflation - quantile
+        current = fit_trajectory(problem, current.point.x, states=current.point.states)
+        held = float(problem.prior(current.point.x)[1][-1]) ** 2
+        return float(np.sqrt(max(current.point.cost - held - best.point.cost, 0.0))) / inflation - quantile
 
-    inside, outside = 0.0, 1.1 * quantile  # a parabola's end and a little
-    while excess(outside) < 0:
-        inside, outside = outside, 2 * outside
-        if outside > 30:
+    lower, upper = 0.0, 1.1 * quantile  # a parabola's end and a little
+    while excess(upper) < 0:
+        lower, upper = upper, 2 * upper
+        if upper > 30:
             return float(np.sign(std)) * np.inf
-    near = best
-    return value + std * float(root_scalar(excess, bracket=(inside, outside), xtol=0.02).root)
+    current = best
+    return value + std * float(root_scalar(excess, bracket=(lower, upper), xtol=0.02).root)
 
 
 def bootstrap(

@@ -36,9 +36,9 @@ class Mistake:
         return self.gain > CERTAIN
 
     def __str__(self) -> str:
-        others = len(self.files) - 1
-        more = f" and {others} other recording{'s' if others > 1 else ''}" if others > 0 else ""
-        return f"{self.files[0]}{more}: {self.text}" if self.files else self.text
+        count = len(self.files) - 1
+        suffix = f" and {count} other recording{'s' if count > 1 else ''}" if count > 0 else ""
+        return f"{self.files[0]}{suffix}: {self.text}" if self.files else self.text
 
 
 def negated(column: str) -> str:
@@ -54,8 +54,8 @@ def unit_factors(quantity: str, current: str) -> dict[str, float]:
 def chosen_frames(recording: Recording) -> Indices:
     """Return rows (F,) of a recording in which the camera saw something, at most 2000: more show no more mistakes."""
     frames = recording.frames
-    kept: Indices = frames[np.unique(np.linspace(0, frames.size - 1, min(frames.size, 2000)).astype(np.intp))]
-    return kept
+    chosen: Indices = frames[np.unique(np.linspace(0, frames.size - 1, min(frames.size, 2000)).astype(np.intp))]
+    return chosen
 
 
 def swings(signal: Array) -> int:
@@ -97,11 +97,11 @@ def seen_markers(rig: Rig, markers: Array) -> tuple[Array, Array]:
     arcs, points = np.array(rig.links[0].markers), markers.copy()
     if rig.links[0].markers_frame == "link":  # a lone y will do there
         points[..., 0] = np.where(np.isfinite(points[..., 0]), points[..., 0], arcs)
-    seen: Mask = np.asarray(np.isfinite(points).all(axis=2))
-    used = seen.mean(axis=0) > 0.5 if seen.size else np.zeros(arcs.size, dtype=np.bool_)
-    complete: Mask = np.asarray(seen[:, used].all(axis=1))
+    visible: Mask = np.asarray(np.isfinite(points).all(axis=2))
+    usable = visible.mean(axis=0) > 0.5 if visible.size else np.zeros(arcs.size, dtype=np.bool_)
+    complete: Mask = np.asarray(visible[:, usable].all(axis=1))
     points[~complete] = np.nan
-    return (arcs[used], points[:, used]) if complete.sum() >= 10 else (np.zeros(0), points[:, :0])
+    return (arcs[usable], points[:, usable]) if complete.sum() >= 10 else (np.zeros(0), points[:, :0])
 
 
 def angle_at(recording: Recording, rows: Indices) -> Array:

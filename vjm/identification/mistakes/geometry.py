@@ -86,12 +86,12 @@ def _best_hypothesis(experiment: Experiment, index: int, markers: Array) -> tupl
             places[list(order)] = order[::-1]
         elif order:
             places[1:] = order
-        along = np.abs(arcs[places][first] - arcs[places][second])
-        deviation = np.log(median * factor / along) / np.hypot(_RELATIVE, _SHARE * link.length / along)
+        nominal = np.abs(arcs[places][first] - arcs[places][second])
+        deviation = np.log(median * factor / nominal) / np.hypot(_RELATIVE, _SHARE * link.length / nominal)
         fits = [_log_likelihood(deviation, usable, first, second)] if based else []
         if not based or (inner.any() and link.markers_frame == "base"):
-            elsewhere = 2 * np.log(1 / _ORIGIN) if based else 0.0  # two numbers that would have to be found
-            fits.append(_log_likelihood(deviation, inner, first, second) - elsewhere)
+            origin_cost = 2 * np.log(1 / _ORIGIN) if based else 0.0  # two numbers that would have to be found
+            fits.append(_log_likelihood(deviation, inner, first, second) - origin_cost)
         # A mistake has to make up for the number of those that were looked for.
         cost = np.log(len(scales)) * bool(unit) + np.log(len(orders)) * bool(order)
         prior = _size_prior(arcs[-1], unit if source == "rig" else "")
@@ -118,10 +118,10 @@ def _distance_text(link: Link, key: _Hypothesis, scale: float) -> str:
     order, unit, source = key
     parts, remedies = [], []
     if unit:
-        far = f"distances between the markers of {link.name} are {scale:.4g} times those of its key 'markers'"
+        finding = f"distances between the markers of {link.name} are {scale:.4g} times those of its key 'markers'"
         names = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "m": "metres"}
         parts.append(
-            f"{far}: {'the coordinates look' if source == 'recordings' else 'its lengths look'} like {names[unit]}"
+            f"{finding}: {'the coordinates look' if source == 'recordings' else 'its lengths look'} like {names[unit]}"
         )
         remedies.append(
             f'set [units] length = "{unit}"'
@@ -207,12 +207,12 @@ def _headings(experiment: Experiment, skipped: Sequence[str]) -> tuple[float | N
     for recording in chosen:
         rows = chosen_frames(recording)
         markers, theta = recording.markers[rows][:, rig.marker_slices[0]], angle_at(recording, rows)
-        seen = [root_headings(rig, markers, based) for based in (False, True)]
-        if seen[0] is not None:
-            measured.append((recording.file, theta, seen[0][0]))
+        estimates = [root_headings(rig, markers, based) for based in (False, True)]
+        if estimates[0] is not None:
+            measured.append((recording.file, theta, estimates[0][0]))
             likelihoods = [
                 _slope_likelihoods(np.array(slopes), theta, *estimate, len(chosen))
-                for estimate in seen[-ways:]
+                for estimate in estimates[-ways:]
                 if estimate
             ]
             gains += [likelihood - likelihood[0] for likelihood in likelihoods]
@@ -254,11 +254,11 @@ def origin_mistakes(experiment: Experiment, skipped: Sequence[str]) -> list[Mist
     group = []
     for recording in experiment.recordings:
         markers = recording.markers[chosen_frames(recording)][:, marker_slice]
-        seen = root_headings(experiment.rig, markers)
-        if recording.file in skipped or link.markers_frame == "link" or len(link.markers) < 2 or seen is None:
+        angles = root_headings(experiment.rig, markers)
+        if recording.file in skipped or link.markers_frame == "link" or len(link.markers) < 2 or angles is None:
             continue
         nearest = int(np.argmax(np.isfinite(markers).all(axis=2).mean(axis=0) > 0.5))
-        start = markers[:, nearest] - link.markers[nearest] * np.stack([np.cos(seen[0]), np.sin(seen[0])], axis=1)
+        start = markers[:, nearest] - link.markers[nearest] * np.stack([np.cos(angles[0]), np.sin(angles[0])], axis=1)
         start = start[np.isfinite(start).all(axis=1)]
         # The link bends while it moves, and little of that is evidence of where it starts.
         spread = start.std(axis=0).max() / np.sqrt(swings(start[:, 1]) + 1)
@@ -283,9 +283,9 @@ def _quarter_turns(offset: float, std: float) -> tuple[int | None, float]:
     """Return how many quarter turns explain an offset best (None: another angle), and the gain over no turn."""
     deviations = np.angle(np.exp(1j * (offset - np.arange(4) * np.pi / 2)))
     fits = -0.5 * (deviations / std) ** 2 - np.array([0.0, 1.0, 1.0, 1.0]) * np.log(3.0)
-    other = -float(np.log(2 * np.pi / std))
+    uniform = -float(np.log(2 * np.pi / std))
     best = int(np.argmax(fits))
-    return (None, other - float(fits[0])) if other > fits[best] else (best, float(fits[best] - fits[0]))
+    return (None, uniform - float(fits[0])) if uniform > fits[best] else (best, float(fits[best] - fits[0]))
 
 
 def _heading_text(
@@ -317,8 +317,8 @@ def _heading_text(
     if slope == -1.0 and quarter == 0:
         if torque_sign is not None:
             if torque_sign > 0:
-                seen = f"{theta} falls while the markers, and the torque, turn the link the other way"
-                return f"{seen}: its sign is wrong; {negated(theta)}"
+                finding = f"{theta} falls while the markers, and the torque, turn the link the other way"
+                return f"{finding}: its sign is wrong; {negated(theta)}"
             return _axes_text(
                 conventions, "the markers turn against both the angle and the torque: y points the other way", -1.0, 0
             )
@@ -328,26 +328,26 @@ def _heading_text(
         )
     if quarter is None:
         side = "ahead of" if offset > 0 else "behind"
-        turned = f"the markers of {link.name} are {abs(np.rad2deg(offset)):.3g} degrees {side} where "
-        turned += f"{theta} has them" if slope is not None else "a link along x has them"
+        description = f"the markers of {link.name} are {abs(np.rad2deg(offset)):.3g} degrees {side} where "
+        description += f"{theta} has them" if slope is not None else "a link along x has them"
         unit = conventions.units.angle
         alternative = f", or add {offset / FACTORS['angle'][unit]:.3g} {unit} to {theta}" if slope is not None else ""
         return (
-            f"{turned}: the camera's frame is turned; set [camera] rotation = "
+            f"{description}: the camera's frame is turned; set [camera] rotation = "
             f"{conventions.camera.rotation - offset:.3g}{alternative}"
         )
     direction = {1: "along +y", 2: "along -x", 3: "along -y"}[quarter] if quarter else "along +x"
     likely = {1: "x and y look swapped", 2: "x looks as if it pointed the other way", 3: "x and y look swapped"}
-    seen = f"the link lies {direction} of the camera's frame where it should lie along +x: {likely.get(quarter, '')}"
+    finding = f"the link lies {direction} of the camera's frame where it should lie along +x: {likely.get(quarter, '')}"
     # Of a clamped link nothing tells a swap from a turn; the former is the commoner mistake.
     mirrored = -1.0 if slope is None else slope
     if slope == 1.0:
-        seen = seen.partition(":")[0] + ": its frame is turned"
-    return _axes_text(conventions, seen, mirrored, quarter)
+        finding = finding.partition(":")[0] + ": its frame is turned"
+    return _axes_text(conventions, finding, mirrored, quarter)
 
 
-def _axes_text(conventions: Conventions, seen: str, slope: float, quarter: int) -> str:
-    return f"{seen}; set [camera] axes = {_axes(conventions, slope, quarter)}"
+def _axes_text(conventions: Conventions, finding: str, slope: float, quarter: int) -> str:
+    return f"{finding}; set [camera] axes = {_axes(conventions, slope, quarter)}"
 
 
 def _axes(conventions: Conventions, slope: float, quarter: int) -> str:

@@ -50,8 +50,8 @@ class _Numbers:
 
 def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
     table, hypotheses = f"[[link]] {link.name}", []
-    given = {"width": link.width, "thickness": link.thickness}
-    for key, value in given.items():
+    dimensions = {"width": link.width, "thickness": link.thickness}
+    for key, value in dimensions.items():
         for unit, factor in unit_factors("length", "m").items():
             if value is not None and unit != "in":
                 text, remedy = f"'{key}' looks like {unit}", f"give '{key}' of {table} in metres, {value * factor:.4g}"
@@ -97,12 +97,12 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
             shown = rate / factors["time"] / (2 * expected[:1])
             fit += sum(_normal(float(share), 1.0, _RATE[1]) for share in shown if share < 1.0)
         else:
-            seen = np.log(measured / factors["time"] / expected)
+            deviation = np.log(measured / factors["time"] / expected)
             # A hub's own inertia does not scale with the link's mass: good to the factor that is allowed anyway.
             costs = 2.0 * np.arange(
                 expected.size
             )  # of supposing that the slowest mode seen is not the first, but so many on
-            fit += float(np.max(-0.5 * (seen / _FREQUENCY) ** 2 - costs))
+            fit += float(np.max(-0.5 * (deviation / _FREQUENCY) ** 2 - costs))
         return float(fit)
 
     results: dict[tuple[_Numbers, ...], float] = {(): likelihood()} | {
@@ -119,21 +119,21 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
 def _rig_text(
     link: Link, best: Sequence[_Numbers], rate: float, measured: float | None, nominal: Array, file: str
 ) -> str:
-    seen = []
+    findings = []
     if any(hypothesis.name == "time" for hypothesis in best):
         arm = (
             f" of an arm that swings at {nominal[0]:.3g} Hz, its joints held"
             if measured is None and nominal.size
             else ""
         )
-        seen.append(f"the camera would take {rate:.3g} frames/s{arm}")
+        findings.append(f"the camera would take {rate:.3g} frames/s{arm}")
     elif None not in (link.width, link.thickness):
         volume = link.length * (link.width or 1.0) * (link.thickness or 1.0)
-        seen.append(f"{link.name} would have {link.mass / volume:.3g} kg/m^3")
+        findings.append(f"{link.name} would have {link.mass / volume:.3g} kg/m^3")
     if measured is not None:
-        seen.append(f"its first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz")
+        findings.append(f"its first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz")
     causes = " and ".join(hypothesis.text for hypothesis in best)
-    return f"{', '.join(seen) or link.name}: {causes}; {'; '.join(hypothesis.remedy for hypothesis in best)}"
+    return f"{', '.join(findings) or link.name}: {causes}; {'; '.join(hypothesis.remedy for hypothesis in best)}"
 
 
 def _normal(value: float, median: float, std: float) -> float:
@@ -173,10 +173,10 @@ def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
     order = sorted(moving, key=lambda recording: (recording.kind != "decay", recording.role != "train"))
     try:
         for recording in order[:2] if len(rig.links) == 1 and rig.links[0].markers else []:
-            if (seen := seen_modes(rig, recording, 1)).size:
+            if (frequencies := seen_modes(rig, recording, 1)).size:
                 M, D, K, _ = linearise(chain, recording.payload)
                 if (nominal := modes_of(M, D, K).frequencies[:4]).size:
-                    return float(seen[0]), nominal, recording.file
+                    return float(frequencies[0]), nominal, recording.file
         return None, np.array(locked_joint_frequencies(chain, order[0].payload)[:1]), ""
     except VjmError:  # a link that buckles under its weight
         return None, np.zeros(0), ""
@@ -234,9 +234,9 @@ def sag_mistakes(experiment: Experiment) -> list[Mistake]:
         return []
     ratio = abs(float(np.median(known))) / sag
     expected = (link.markers[-1] / link.length) ** 2  # of the tip's, nearly
-    without = -0.5 * (ratio * sag / (_CURVED * link.length)) ** 2
-    within = -0.5 * (np.log(max(ratio, 1e-300) / expected) / np.log(1.5)) ** 2 - np.log(2.0)
-    gain = float(within - without)
+    without_gravity = -0.5 * (ratio * sag / (_CURVED * link.length)) ** 2
+    with_gravity = -0.5 * (np.log(max(ratio, 1e-300) / expected) / np.log(1.5)) ** 2 - np.log(2.0)
+    gain = float(with_gravity - without_gravity)
     if gain < LIKELY:
         return []
     down = "-9.81" if np.median(known) < 0 else "9.81"

@@ -82,16 +82,16 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
     polar[:, 1:] = polar[:, :1] + np.angle(np.exp(1j * (polar[:, 1:] - polar[:, :1])))
     time = recording.time[rows][complete]
     step = float(np.median(np.diff(time)))
-    even = np.arange(time[0], time[-1], step)
-    momentum, turning = (np.interp(even, time, signal) for signal in (polar @ squares, polar[:, 0]))
-    place = [np.interp(even, time, wave @ firsts) for wave in (np.cos(polar), np.sin(polar))]
-    torque = np.interp(even, recording.time[torque_known], recording.tau[torque_known, 0])
+    instants = np.arange(time[0], time[-1], step)
+    momentum, turning = (np.interp(instants, time, signal) for signal in (polar @ squares, polar[:, 0]))
+    place = [np.interp(instants, time, wave @ firsts) for wave in (np.cos(polar), np.sin(polar))]
+    torque = np.interp(instants, recording.time[torque_known], recording.tau[torque_known, 0])
     coordinate = rig.marker_noise or 1e-3 * rig.links[0].length
     markers_noise = coordinate * np.sqrt(np.sum((squares[1:] / arcs) ** 2))
     bases = np.array([squares[0], squares[0] - rig.links[0].hub_inertia, 1.0])  # inertias that turn with the base
     noises = np.hypot(bases * heading_noise, markers_noise * np.array([1.0, 1.0, 0.0]))
     result, size = [], _SHORTEST
-    while 2 * size <= even.size:
+    while 2 * size <= instants.size:
         phase = np.pi * (np.arange(size) + 0.5) / size
         window = np.sin(phase) ** 4
         second = 4 * np.sin(phase) ** 2 * (3 - 4 * np.sin(phase) ** 2) * (np.pi / (size * step)) ** 2
@@ -114,7 +114,7 @@ def _balances(rig: Rig, recording: Recording) -> list[_Balance]:
                 noise=float(noises[0] * kernel_norm),
                 link_noise=float(noises[1] * kernel_norm),
                 turning_noise=float(noises[2] * kernel_norm),
-                independent=even.size / size,
+                independent=instants.size / size,
             )
         )
         size *= 2
@@ -262,8 +262,10 @@ def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -
     for recording in chosen:
         for balance in recording:
             motion = balance.momentum - balance.torque
-            without, within = (np.median(error**2) for error in (motion, motion - balance.lever @ gravity))
-            ratio = (without + balance.noise**2) / (within + balance.noise**2)
+            without_gravity, with_gravity = (
+                np.median(error**2) for error in (motion, motion - balance.lever @ gravity)
+            )
+            ratio = (without_gravity + balance.noise**2) / (with_gravity + balance.noise**2)
             gain += 0.5 * balance.independent / len(recording) * float(np.log(ratio))
     if gain < LIKELY:
         return None
