@@ -185,9 +185,9 @@ def _headings(fit: ShapeFit, arcs: Array) -> Array:
 def _tip_pose(fit: ShapeFit) -> tuple[Array, Array]:
     """Return position (T, 2) [m] and heading (T,) [rad] of the tip in the link frame, by Gauss-Legendre quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(24)
-    along = np.cos(_headings(fit, fit.length * (1 + nodes) / 2)) @ weights * fit.length / 2
+    abscissa = np.cos(_headings(fit, fit.length * (1 + nodes) / 2)) @ weights * fit.length / 2
     end = np.array([fit.length])
-    return np.stack([along, fit.evaluate(end)[:, 0]], axis=-1), _headings(fit, end)[:, 0]
+    return np.stack([abscissa, fit.evaluate(end)[:, 0]], axis=-1), _headings(fit, end)[:, 0]
 
 
 def _curve_angles(curve: CurveMap, markers: Array, initial: Array) -> Array:
@@ -226,11 +226,11 @@ def solve_angles(locate: Callable[[Array], tuple[Array, Array]], markers: Array,
         residual = np.where(known, values - positions, 0.0).reshape(len(phi), -1)
         jacobian = np.where(known[..., None], slopes, 0.0).reshape(*residual.shape, -1)
         transposed = np.swapaxes(jacobian, 1, 2)
-        normal, right = transposed @ jacobian, (transposed @ residual[..., None])[..., 0]
+        normal, gradient = transposed @ jacobian, (transposed @ residual[..., None])[..., 0]
         # Columns scaled to one before solving: joints near the tip move the markers little.
         size = np.sqrt(np.maximum(np.einsum("tii->ti", normal), 1e-300))
         scaled = normal / (size[:, :, None] * size[:, None, :])
-        step = np.linalg.solve(scaled + ridge, (right / size)[..., None])[..., 0] / size
+        step = np.linalg.solve(scaled + ridge, (gradient / size)[..., None])[..., 0] / size
         largest = np.abs(step).max(axis=1, keepdims=True)
         phi = phi + step * np.minimum(1.0, _LARGEST_TURN / np.maximum(largest, 1e-300))
         if not (largest[enough] > 1e-13).any():  # rad: rounding errors

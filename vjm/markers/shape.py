@@ -115,18 +115,18 @@ def fit_shape(
         order: number of functions, no more than there are markers.
         robust: Huber weights, so that single wild markers do not bend the curve.
     """
-    lateral, along = np.asarray(y, dtype=float), np.asarray(x, dtype=float)
-    known = np.isfinite(lateral) & np.isfinite(along)
-    functions = typical = basis(family, order, along if along.ndim == 1 else np.nanmedian(along, axis=0), length)
-    if along.ndim == 2:
-        functions = basis(family, order, np.where(known, along, 0.0), length)
+    lateral, axial = np.asarray(y, dtype=float), np.asarray(x, dtype=float)
+    known = np.isfinite(lateral) & np.isfinite(axial)
+    functions = typical = basis(family, order, axial if axial.ndim == 1 else np.nanmedian(axial, axis=0), length)
+    if axial.ndim == 2:
+        functions = basis(family, order, np.where(known, axial, 0.0), length)
     coefficients = np.full((len(lateral), order), np.nan)
     usable = known.sum(axis=1) >= order
     functions = np.broadcast_to(functions, (*known.shape, order))[usable]
     coefficients[usable] = _solve(functions, lateral[usable], known[usable], robust)
     inverse = np.linalg.pinv(typical)
     fit = ShapeFit(family, order, length, coefficients, inverse @ inverse.T, np.empty((0, 0)))
-    return replace(fit, residuals=lateral - fit.evaluate(along))
+    return replace(fit, residuals=lateral - fit.evaluate(axial))
 
 
 def _solve(functions: Array, lateral: Array, known: Mask, robust: bool) -> Array:

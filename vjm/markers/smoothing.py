@@ -46,16 +46,16 @@ def interpolate(time: Array, values: Array, step: float = 0.004) -> Derivatives:
 
     Frames with NaN are left out.
     """
-    kept = np.isfinite(values).all(axis=1)
-    t, y = time[kept], values[kept]
+    complete = np.isfinite(values).all(axis=1)
+    t, y = time[complete], values[complete]
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-9) + 1)
     spline = CubicSpline(t, y)
     impulse = np.zeros(t.size)
     impulse[t.size // 2] = 1.0
     response = CubicSpline(t, impulse)
     # Averaged over the grid, the response to one sample says how much noise a grid instant carries.
-    responses = np.stack([response(grid, d) for d in range(3)]) * np.sqrt(t.size / grid.size)
-    value, rate, acceleration = (spline(grid, d) for d in range(3))
+    responses = np.stack([response(grid, order) for order in range(3)]) * np.sqrt(t.size / grid.size)
+    value, rate, acceleration = (spline(grid, order) for order in range(3))
     return Derivatives(grid, value, rate, acceleration, responses @ responses.T, np.ones(grid.size, dtype=bool), None)
 
 
@@ -80,8 +80,8 @@ class Smoother:
         size = knots.size - _DEGREE - 1
 
         def basis(at: Array, order: int) -> csr_array:
-            inside = np.minimum(at, knots[-_DEGREE - 1])
-            matrix = csr_array(BSpline.design_matrix(inside, knots[order : knots.size - order], _DEGREE - order))
+            clipped = np.minimum(at, knots[-_DEGREE - 1])
+            matrix = csr_array(BSpline.design_matrix(clipped, knots[order : knots.size - order], _DEGREE - order))
             return csr_array(matrix @ _differences(size, order) / step**order)
 
         # Matrices from coefficients to values at the data (T, size), and to value, rate and acceleration (S, size).
@@ -106,20 +106,20 @@ class Smoother:
         """
         y, t, whiten = values, self.instants, _whitener(covariance)
         centre = y.mean(axis=0)
-        right = self._data.T @ (y - centre)
+        right_hand_side = self._data.T @ (y - centre)
 
         def excess(trial: float) -> float:
-            residual = (y - centre - self._data @ self._solve(right, trial)) @ whiten
+            residual = (y - centre - self._data @ self._solve(right_hand_side, trial)) @ whiten
             return float(np.log(max(np.sum(residual**2), 1e-300) / y.size))
 
         if exponent is None:
             exponent = _discrepancy_root(excess)
-        coefficients = self._solve(right, exponent)
+        coefficients = self._solve(right_hand_side, exponent)
         gains, half_width = self._gains(exponent)
         half_width -= 0.5 * float(np.median(np.diff(self.time)))  # rounding of the instants must not decide on a frame
-        inside = (t >= self.time[0] + half_width) & (t <= self.time[-1] - half_width)
+        interior = (t >= self.time[0] + half_width) & (t <= self.time[-1] - half_width)
         value, rate, acceleration = (matrix @ coefficients for matrix in self._basis)
-        return Derivatives(t, value + centre, rate, acceleration, gains, inside, exponent)
+        return Derivatives(t, value + centre, rate, acceleration, gains, interior, exponent)
 
     def exponent_of(self, frequency: float) -> float:
         """Return the log10 of the penalty at which a frequency [Hz], below half the sampling rate, passes by half.
@@ -141,18 +141,18 @@ class Smoother:
             weights: of value, rate and acceleration, each (S, m).
             exponent: log10 of the penalty.
         """
-        right = sum(basis.T @ weight for basis, weight in zip(self._basis, weights, strict=True))
-        return np.asarray(self._data @ self._solve(np.asarray(right), exponent))
+        right_hand_side = sum(basis.T @ weight for basis, weight in zip(self._basis, weights, strict=True))
+        return np.asarray(self._data @ self._solve(np.asarray(right_hand_side), exponent))
 
-    def _solve(self, right: Array, exponent: float) -> Array:
+    def _solve(self, right_hand_side: Array, exponent: float) -> Array:
         """Return coefficients (size, m) for a right-hand side (size, m)."""
         matrix = self._gram + 10.0**exponent * self._penalty
         try:
-            return np.asarray(solveh_banded(matrix, right))
+            return np.asarray(solveh_banded(matrix, right_hand_side))
         except np.linalg.LinAlgError:
             # With few frames beside a long pause the matrix is singular up to rounding: add ten times that much.
             matrix[-1] += 10 * np.finfo(float).eps * matrix[-1].max()
-            return np.asarray(solveh_banded(matrix, right))
+            return np.asarray(solveh_banded(matrix, right_hand_side))
 
     def _gains(self, exponent: float) -> tuple[Array, float]:
         """Return the noise covariance (3, 3) of value, rate, acceleration, and the kernel's half width [s].
@@ -182,9 +182,9 @@ def _discrepancy_root(excess: Callable[[float], float]) -> float:
 def _whitener(covariance: Array) -> Array:
     """Return W (m, m) such that samples @ W have unit, uncorrelated noise; directions without noise are left out."""
     values, vectors = np.linalg.eigh(covariance)
-    kept = values > 1e-12 * max(float(values.max()), 1e-300)
-    whitener = vectors * np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
-    return np.asarray(whitener * np.sqrt(values.size / kept.sum()))
+    noisy = values > 1e-12 * max(float(values.max()), 1e-300)
+    whitener = vectors * np.where(noisy, 1 / np.sqrt(np.where(noisy, values, 1.0)), 0.0)
+    return np.asarray(whitener * np.sqrt(values.size / noisy.sum()))
 
 
 def _differences(size: int, order: int) -> csr_array:

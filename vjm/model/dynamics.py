@@ -53,7 +53,7 @@ class RigidBodies:
             ShapeError: arrays that are not (T, nv).
         """
         sizes = self.model.nq, self.model.nv, self.model.nv
-        batches = [self._batch(*given) for given in zip(("q", "v", "a"), (q, v, a), sizes, strict=True)]
+        batches = [self._batch(*arguments) for arguments in zip(("q", "v", "a"), (q, v, a), sizes, strict=True)]
         count = len(batches[0])
         if any(len(batch) != count for batch in batches):
             raise ShapeError("q, v, a", [batch.shape for batch in batches], "the same number of samples")
@@ -167,8 +167,8 @@ def _add_chain(model: pin.Model, chain: Chain, payload: float) -> None:
             if j > 0:
                 angle = link.rest_curvature * float(link.cells[j - 1])
                 joint, offset, angle = add_joint(), 0.0, 0.0
-            carried = link.carried_inertia if j == 0 else 0.0
-            add_body(float(link.masses[j]), float(link.mass_centers[j]), float(link.inertias[j]) + carried)
+            carried_inertia = link.carried_inertia if j == 0 else 0.0
+            add_body(float(link.masses[j]), float(link.mass_centers[j]), float(link.inertias[j]) + carried_inertia)
             offset += length
         add_body(link.payload + (payload if i == len(chain.links) - 1 else 0.0), 0.0, 0.0)
 

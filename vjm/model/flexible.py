@@ -205,10 +205,10 @@ class FlexibleModel:
         if gravity is None and "gravity" in extension.attributes:  # of an identified arm, in its plane
             gravity = np.r_[document.numbers(extension.attributes["gravity"], "gravity", 2), 0.0]
         if gravity is not None:
-            down = np.asarray(gravity, dtype=float)
-            if down.shape != (3,) or not np.isfinite(down).all():
+            vector = np.asarray(gravity, dtype=float)
+            if vector.shape != (3,) or not np.isfinite(vector).all():
                 raise ShapeError("gravity", gravity, "three finite numbers [m/s^2]")
-            model.gravity = pin.Motion(down, np.zeros(3))
+            model.gravity = pin.Motion(vector, np.zeros(3))
         stiffness, armature, damping = np.zeros(model.nv), np.array(model.armature), np.array(model.damping)
         for spring in springs:
             stiffness[model.joints[model.getJointId(spring.joint)].idx_v] = spring.stiffness
@@ -248,8 +248,8 @@ class FlexibleModel:
             selected += matches
         return np.array(selected, dtype=np.intp)
 
-    def _of_coordinates(self, name: str, given: ArrayLike, chosen: Indices, low: float = 0.0) -> Array:
-        values = np.asarray(given, dtype=float)
+    def _of_coordinates(self, name: str, value: ArrayLike, chosen: Indices, low: float = 0.0) -> Array:
+        values = np.asarray(value, dtype=float)
         if values.shape not in ((), (chosen.size,)):
             raise ShapeError(name, f"shape {values.shape}", f"one value, or shape ({chosen.size},)")
         if not np.isfinite(values).all() or (values < low).any():
@@ -266,9 +266,9 @@ class FlexibleModel:
     def _data(self) -> pin.Data:
         return self.model.createData()
 
-    def _rows(self, **given: ArrayLike) -> tuple[bool, list[Array]]:
+    def _rows(self, **vectors: ArrayLike) -> tuple[bool, list[Array]]:
         """Return whether single vectors are given, and all as batches (T, n): q of nq numbers, others of nv."""
-        arrays = {name: np.asarray(values, dtype=float) for name, values in given.items()}
+        arrays = {name: np.asarray(values, dtype=float) for name, values in vectors.items()}
         single = all(array.ndim == 1 for array in arrays.values())
         batches = []
         for name, array in arrays.items():
@@ -280,14 +280,14 @@ class FlexibleModel:
             batches.append(np.ascontiguousarray(np.atleast_2d(array)))
         count = max(len(batch) for batch in batches)
         if any(len(batch) not in (1, count) for batch in batches):
-            raise ShapeError(", ".join(given), [len(batch) for batch in batches], "the same number of samples")
+            raise ShapeError(", ".join(vectors), [len(batch) for batch in batches], "the same number of samples")
         return single, [np.ascontiguousarray(np.broadcast_to(batch, (count, batch.shape[1]))) for batch in batches]
 
     def _spread(self, torque: Array) -> Array:
         """Return torques of all coordinates (..., nv) from those of the active ones (..., n_a)."""
-        whole = np.zeros((*torque.shape[:-1], self.model.nv))
-        whole[..., self.active] = torque
-        return whole
+        all_torques = np.zeros((*torque.shape[:-1], self.model.nv))
+        all_torques[..., self.active] = torque
+        return all_torques
 
     def displacements(self, q: ArrayLike) -> Array:
         """Return angles (nv,) or (T, nv) [rad] of the coordinates from zero; zero for joints that have none."""
@@ -420,11 +420,11 @@ class FlexibleModel:
             q: (nq,) configuration: the active joints', and where the search starts.
             loads: by frame, a force (3,) [N] or force and moment (6,) [N, N m], constant in the world's axes.
         """
-        start, p, zero = self._rows(q=q)[1][0][0], self.passive, np.zeros(self.model.nv)
+        start, passive, zero = self._rows(q=q)[1][0][0], self.passive, np.zeros(self.model.nv)
 
         def configuration(turns: Array) -> Array:
             step = zero.copy()
-            step[p] = turns
+            step[passive] = turns
             return np.asarray(pin.integrate(self.model, start, step))
 
         def unbalanced(turns: Array) -> Array:
@@ -432,9 +432,9 @@ class FlexibleModel:
             return self.inverse_dynamics(posture, zero, zero) - self.load_torques(posture, loads or {})[0]
 
         def tangent(turns: Array) -> Array:
-            return self._tangent_stiffness(configuration(turns), loads)[np.ix_(p, p)]
+            return self._tangent_stiffness(configuration(turns), loads)[np.ix_(passive, passive)]
 
-        solution = balance(lambda turns: unbalanced(turns)[p], tangent, np.zeros(p.size))
+        solution = balance(lambda turns: unbalanced(turns)[passive], tangent, np.zeros(passive.size))
         torque = unbalanced(solution.position)[self.active]
         return StaticEquilibrium(
             configuration(solution.position), torque, solution.status, solution.iterations, solution.residual
@@ -513,8 +513,8 @@ class FlexibleModel:
             if joint not in self.cells:
                 raise ChoiceError("joint with a cell", joint, self.cells or ["none"])
             rows[name] = distance / self.cells[joint] * unit[self.indices([joint])[0]]
-        for name, given in (outputs or {}).items():
-            rows[name] = np.asarray(given, dtype=float)
+        for name, coefficients in (outputs or {}).items():
+            rows[name] = np.asarray(coefficients, dtype=float)
             if rows[name].shape != (self.model.nv,):
                 raise ShapeError(f"outputs[{name!r}]", f"shape {rows[name].shape}", f"shape ({self.model.nv},)")
         size = chosen.size

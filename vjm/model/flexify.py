@@ -250,15 +250,15 @@ def _inertial_edits(document: UrdfDocument, link: Element, body: BodyInertia) ->
 
 def _carries_mass(document: UrdfDocument, name: str) -> bool:
     """Return True if a link, or any link that it carries, has mass."""
-    carried, seen = [name], set()
-    while carried:
-        current = carried.pop()
-        if current in seen:
+    pending, visited = [name], set()
+    while pending:
+        current = pending.pop()
+        if current in visited:
             continue
-        seen.add(current)
+        visited.add(current)
         if _inertia(document, _named(document, "link", current)) is not None:
             return True
-        carried += [_end(joint, "child") for joint in document.robot.all("joint") if _end(joint, "parent") == current]
+        pending += [_end(joint, "child") for joint in document.robot.all("joint") if _end(joint, "parent") == current]
     return False
 
 
@@ -269,13 +269,13 @@ def _children(document: UrdfDocument, link: Element) -> list[Element]:
 
 def _tip(document: UrdfDocument, link: Element, child: str | None) -> Element | None:
     """Return the joint at a link's far end: the only one that moves, or the only one; None where there is none."""
-    carried = {joint.attributes.get("name", ""): joint for joint in _children(document, link)}
+    children = {joint.attributes.get("name", ""): joint for joint in _children(document, link)}
     if child is not None:
-        if child not in carried:
-            raise ChoiceError(f"child joint of {link.attributes['name']}", child, carried or ["none"])
-        return carried[child]
-    moving = {name: joint for name, joint in carried.items() if joint.attributes.get("type") != "fixed"}
-    candidates = moving or carried
+        if child not in children:
+            raise ChoiceError(f"child joint of {link.attributes['name']}", child, children or ["none"])
+        return children[child]
+    moving = {name: joint for name, joint in children.items() if joint.attributes.get("type") != "fixed"}
+    candidates = moving or children
     if len(candidates) > 1:
         raise ShapeError(
             f"link {link.attributes['name']}", "a link that branches", f"child, one of: {', '.join(candidates)}"
@@ -419,12 +419,12 @@ def _beam(document: UrdfDocument, link: Element, options: _LinkOptions) -> tuple
     joints = options.joints
     if joints is None or joints < 1 or int(joints) != joints:
         raise ShapeError("joints", joints, "at least 1 virtual joint")
-    carried = [
+    children = [
         child
         for child in _children(document, link)
         if (document.pose(child)[0] - start) @ direction > length / 2 and _carries_mass(document, _end(child, "child"))
     ]
-    cuts = layout(length, int(joints), distal="joined" if carried else "free")
+    cuts = layout(length, int(joints), distal="joined" if children else "free")
     # A rod twists: each joint stands for what is between the middles of its links (finite volumes, second order).
     twist = layout_of_lengths(cuts.lengths, cuts.distal).cells
     beam = _Beam(start, direction, cuts.lengths, cuts.cells, twist, axes)
@@ -528,8 +528,8 @@ def _with_flexible_joint(
 
 def _inserted(document: UrdfDocument, element: Element, parts: Sequence[_Joint | _Body]) -> Edit:
     """Return the edit that writes further joints and links behind an element."""
-    taken = {child.attributes.get("name") for child in document.robot.children if child.tag in ("link", "joint")}
-    duplicates = [part.name for part in parts if part.name in taken]
+    existing = {child.attributes.get("name") for child in document.robot.children if child.tag in ("link", "joint")}
+    duplicates = [part.name for part in parts if part.name in existing]
     if duplicates:
         name = element.attributes["name"]
         raise ShapeError(

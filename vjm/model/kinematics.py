@@ -136,7 +136,7 @@ def _on_curve(model: FlexibleModel, frame: str, offset: Array) -> tuple[str, Arr
         place = offset + origins[names.index(frame)]
         arc = float((place - link.start) @ link.direction)
         piece, on_beam = int(np.searchsorted(arcs, arc)), float(np.clip(arc, 0.0, link.length))
-        beside = place - link.start - on_beam * link.direction
+        lateral = place - link.start - on_beam * link.direction
         curve = curve_map(cuts, [on_beam])
         for axis, joints in link.joints.items():
             if axis == "torsion":
@@ -152,7 +152,7 @@ def _on_curve(model: FlexibleModel, frame: str, offset: Array) -> tuple[str, Arr
                 k = model.indices([name])[0]
                 # In the frames of the virtual links, which are all parallel at rest.
                 axis_vector = np.asarray(data.joints[model.model.getJointId(name)].S).ravel()[3:]
-                slope[:, k] += move * np.cross(axis_vector, link.direction) + turn * np.cross(axis_vector, beside)
+                slope[:, k] += move * np.cross(axis_vector, link.direction) + turn * np.cross(axis_vector, lateral)
         return names[piece], place - origins[piece], slope
     return frame, offset, slope
 

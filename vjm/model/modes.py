@@ -79,23 +79,23 @@ def _linearised(
 
 def _rest_position(chain: Chain, mechanism: Mechanism, start: Array) -> Array:
     """Return the joint angles (nv,) [rad] at which the passive joints rest under gravity, the active ones held."""
-    q, p, K = start.copy(), chain.passive, np.diag(chain.stiffness)
+    q, passive, K = start.copy(), chain.passive, np.diag(chain.stiffness)
 
     def residual(phi: Array) -> Array:
-        q[p] = phi
+        q[passive] = phi
         zero = np.zeros((1, chain.size))
         unbalanced: Array = mechanism.inverse_dynamics(q[None], zero, zero)[0] + K @ q
-        return unbalanced[p]
+        return unbalanced[passive]
 
     def tangent(phi: Array) -> Array:
-        q[p] = phi
-        return np.asarray((K + mechanism.gravity_stiffness(q))[np.ix_(p, p)])
+        q[passive] = phi
+        return np.asarray((K + mechanism.gravity_stiffness(q))[np.ix_(passive, passive)])
 
-    solution = balance(residual, tangent, q[p])
+    solution = balance(residual, tangent, q[passive])
     # An unstable equilibrium is no position of rest.
     if solution.status != "converged":
         raise InsufficientDataError("position of rest", "none was found", "check gravity, masses and bending stiffness")
-    q[p] = solution.position
+    q[passive] = solution.position
     return q
 
 
@@ -114,9 +114,9 @@ def modes_of(M: Array, D: Array, K: Array) -> Modes:
         squares, shapes = linalg.eigh(K, M)
     except linalg.LinAlgError as error:
         raise ShapeError("M", "a matrix that is not positive definite", "positive masses and inertias") from error
-    kept = squares > _RIGID**2 * max(float(np.abs(squares).max()), 1e-300)
-    omega = np.sqrt(squares[kept])
-    shapes = shapes[:, kept]
+    elastic = squares > _RIGID**2 * max(float(np.abs(squares).max()), 1e-300)
+    omega = np.sqrt(squares[elastic])
+    shapes = shapes[:, elastic]
     ratios = np.einsum("im,ij,jm->m", shapes, D, shapes) / (2 * omega)
     return Modes(omega / (2 * np.pi), ratios, shapes)
 

@@ -148,20 +148,20 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
     """Yield all joints with the bodies that they carry, from the base, their parent, outwards."""
     if chain.base is not None:
         radius, mass, axis = 0.1 * chain.links[0].length, chain.base.mass, chain.base.axis
-        across = mass * radius**2 / 4  # a disc's; nothing turns it
-        table = _Body("base_table", _Inertial(mass, 0.0, across, across, 2 * across))
+        transverse = mass * radius**2 / 4  # a disc's; nothing turns it
+        table = _Body("base_table", _Inertial(mass, 0.0, transverse, transverse, 2 * transverse))
         slide = (float(axis[0]), float(axis[1]), 0.0)
         yield _Joint("base_slide", "prismatic", parent, 0.0, table, chain.base.damping, 0.0, 0.0, slide, radius)
         parent = table.name
     for link in chain.links:
         name, dry = link.name, friction.get(link.name, 0.0)
         body = _virtual_link(link, 0)
-        carried = body if link.root_stiffness is None else _hub(link)
+        carried_body = body if link.root_stiffness is None else _hub(link)
         kind = "continuous" if link.joint == "revolute" else "fixed"
         damping = link.joint_damping if link.joint_damping or dry else None
-        yield _Joint(f"{name}_joint", kind, parent, 0.0, carried, damping, friction=dry)
+        yield _Joint(f"{name}_joint", kind, parent, 0.0, carried_body, damping, friction=dry)
         if link.root_stiffness is not None:
-            yield _Joint(f"{name}_root", "revolute", carried.name, 0.0, body, link.root_damping)
+            yield _Joint(f"{name}_root", "revolute", carried_body.name, 0.0, body, link.root_damping)
         for j in range(1, link.virtual_joints + 1):
             parent, body, x = body.name, _virtual_link(link, j), link.lengths[j - 1]
             yaw = link.rest_curvature * link.cells[j - 1]
@@ -383,8 +383,8 @@ def _with_payloads(joints: Sequence[_Joint]) -> list[_Joint]:
         mass = body.mass + point.mass
         center = (body.mass * body.center + point.mass * tip.x) / mass
         added = body.mass * (body.center - center) ** 2 + point.mass * (tip.x - center) ** 2
-        whole = _Inertial(mass, center, body.ixx, body.iyy + added, body.izz + added)
-        merged[tip.parent] = carrier._replace(body=carrier.body._replace(inertial=whole))
+        combined = _Inertial(mass, center, body.ixx, body.iyy + added, body.izz + added)
+        merged[tip.parent] = carrier._replace(body=carrier.body._replace(inertial=combined))
         massless = _Body(joint.body.name, shapes=joint.body.shapes)
         merged[joint.body.name] = joint._replace(body=massless)
     return list(merged.values())

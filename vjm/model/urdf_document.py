@@ -306,10 +306,10 @@ def _elements(data: bytes) -> Element:
         opened.append((tag, attributes, place, match.end(), []))
 
     def end(_: str) -> None:
-        tag, attributes, start, inside, children = opened.pop()
-        empty = data[inside - 2 : inside] == b"/>"
-        stop = inside if empty else data.index(b">", parser.CurrentByteIndex) + 1
-        (opened[-1][-1] if opened else top).append(Element(tag, attributes, start, inside, stop, tuple(children)))
+        tag, attributes, start, content, children = opened.pop()
+        empty = data[content - 2 : content] == b"/>"
+        stop = content if empty else data.index(b">", parser.CurrentByteIndex) + 1
+        (opened[-1][-1] if opened else top).append(Element(tag, attributes, start, content, stop, tuple(children)))
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.Parse(data, True)

@@ -51,9 +51,9 @@ def diagnosis_page(diagnosis: Diagnosis, pictures: Sequence[Picture] | None = No
     if diagnosis.budget.exhausted and diagnosis.budget.not_tried:
         titles = {candidate.effect.id: in_sentence(candidate.effect.title) for candidate in diagnosis.candidates}
         untried = listed([titles.get(name, name) for name in diagnosis.budget.not_tried[:MOST_NAMED]])
-        more = len(diagnosis.budget.not_tried) - MOST_NAMED
-        others = f" and {counted(more, 'other')}" if more > 0 else ""
-        headline, grade = f"{headline} Out of time before trying {untried}{others}.", "poor"
+        count = len(diagnosis.budget.not_tried) - MOST_NAMED
+        remainder = f" and {counted(count, 'other')}" if count > 0 else ""
+        headline, grade = f"{headline} Out of time before trying {untried}{remainder}.", "poor"
     points = _minor_points(diagnosis) + _cause_points(diagnosis) + _gain_points(diagnosis) + _residual_points(diagnosis)
     if diagnosis.verdict == "none":
         points += _small_effect_points(diagnosis)
@@ -104,8 +104,8 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
         limits = f" Detection limits: {', '.join(small)}." if small else ""
         return f"No cause found: none of the {counted(testable, 'candidate')} improves the model.{limits}", "good"
     if kind == "insufficient":
-        why = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "the recordings show too little"
-        return f"Not enough data for a diagnosis: {why}.", "poor"
+        reason = diagnosis.warnings[0].rstrip(".") if diagnosis.warnings else "the recordings show too little"
+        return f"Not enough data for a diagnosis: {reason}.", "poor"
     main = diagnosis.main_causes
     causes = "; ".join(clause(cause.effect, diagnosis.model, cause.parameters) for cause in main)
     opening = "Cause found" if len(main) == 1 else f"{len(main)} causes found"
@@ -137,10 +137,10 @@ def _minor_points(diagnosis: Diagnosis) -> list[str]:
 
 def _choice(cause: Cause, model: Model) -> str:
     main_clause = clause(cause.effect, model, cause.parameters)
-    others = [clause(alternative.effect, model) for alternative in cause.alternatives[:2]]
-    more = len(cause.alternatives) - len(others)
-    others += [f"{counted(more, 'other')} (see below)"] if more else []
-    return f"{main_clause}, or {', or '.join(others)}" if others else main_clause
+    alternatives = [clause(alternative.effect, model) for alternative in cause.alternatives[:2]]
+    count = len(cause.alternatives) - len(alternatives)
+    alternatives += [f"{counted(count, 'other')} (see below)"] if count else []
+    return f"{main_clause}, or {', or '.join(alternatives)}" if alternatives else main_clause
 
 
 def _detectable(diagnosis: Diagnosis) -> list[str]:
@@ -178,11 +178,11 @@ def _gain_points(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.causes:
         return [f"Held-out error {millimetres(gain.before)}, noise {millimetres(gain.noise)}."]
     low, high = (f"{100 * bound:.0f}" for bound in gain.interval)
-    less = f"{abs(100 * gain.reduction):.0f} % {'less' if gain.reduction >= 0 else 'more'}"
-    text = f"Held-out error: {less} (95 % interval of the reduction {low} … {high} %)"
+    change = f"{abs(100 * gain.reduction):.0f} % {'less' if gain.reduction >= 0 else 'more'}"
+    text = f"Held-out error: {change} (95 % interval of the reduction {low} … {high} %)"
     if gain.next_best is not None:
-        others = listed([in_sentence(effect.title) for effect in diagnosis.next_best])
-        text += f"; next best explanation{f' ({others})' if others else ''}: {millimetres(gain.next_best)}"
+        explanations = listed([in_sentence(effect.title) for effect in diagnosis.next_best])
+        text += f"; next best explanation{f' ({explanations})' if explanations else ''}: {millimetres(gain.next_best)}"
     return [f"{text}."]
 
 
@@ -200,8 +200,8 @@ def _residual_points(diagnosis: Diagnosis) -> list[str]:
 
 def _small_effect_points(diagnosis: Diagnosis) -> list[str]:
     """Return what else would have been detected, and what is significant but too small to matter."""
-    more = _detectable(diagnosis)[2 : 2 + MOST_NAMED]
-    points = [f"Further detection limits: {', '.join(more)}."] if more else []
+    limits = _detectable(diagnosis)[2 : 2 + MOST_NAMED]
+    points = [f"Further detection limits: {', '.join(limits)}."] if limits else []
     # Each p-value is of the whole search, of all candidates: one in a hundred of such searches is wrong.
     certain = [item.effect.title for item in diagnosis.candidates if item.p_value is not None and item.p_value < 0.01]
     names = [in_sentence(title) for title in dict.fromkeys(certain)][:MOST_NAMED]
@@ -219,33 +219,33 @@ def _alternative_points(diagnosis: Diagnosis) -> list[str]:
         cause_clause = capital(clause(cause.effect, diagnosis.model))
         for alternative in cause.alternatives:
             increase = alternative.chi2_increase
-            worse = f"chi² larger by {number(increase, 2)}" if increase >= 0 else "chi² no larger"
-            points.append(f"{cause_clause}, or {clause(alternative.effect, diagnosis.model)} ({worse}).")
-            apart = alternative.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
-            points += [f"{alternative.effect.title} would be distinguished by {apart}."] if apart else []
+            comparison = f"chi² larger by {number(increase, 2)}" if increase >= 0 else "chi² no larger"
+            points.append(f"{cause_clause}, or {clause(alternative.effect, diagnosis.model)} ({comparison}).")
+            experiment = alternative.effect.distinguishing_experiment or cause.effect.distinguishing_experiment
+            points += [f"{alternative.effect.title} would be distinguished by {experiment}."] if experiment else []
     return points + (_next_points(diagnosis) if diagnosis.next_experiment not in diagnosis.warnings else [])
 
 
-def _symptom_points(diagnosis: Diagnosis, most: int) -> list[str]:
+def _symptom_points(diagnosis: Diagnosis, count: int) -> list[str]:
     symptoms = diagnosis.symptoms
-    return [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines(most)]
+    return [] if symptoms is None else [symptom.sentence for symptom in symptoms.headlines(count)]
 
 
 def _recording_table(diagnosis: Diagnosis) -> Table:
     if diagnosis.causes:
         return recording_table(diagnosis.recordings, "with", "without", "next best")
-    alone = [RecordingComparison(item.recording, item.noise, item.reference) for item in diagnosis.recordings]
-    return recording_table(alone, "residual", "without")
+    comparisons = [RecordingComparison(item.recording, item.noise, item.reference) for item in diagnosis.recordings]
+    return recording_table(comparisons, "residual", "without")
 
 
 def _cause_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for cause in diagnosis.causes:
-        where = place(cause.effect, diagnosis.model) or "whole system"
+        location = place(cause.effect, diagnosis.model) or "whole system"
         for name, size in cause.parameters.items():
             value, everyday = with_error(size.value, size.std), quantity(size.value, size.std, size.unit, 4)
             gained = UNKNOWN if cause.holdout_gain is None else number(1e3 * cause.holdout_gain, 2)
-            rows.append((cause.effect.title, name, everyday, gained, where, cause.role, value, unit(size.unit)))
+            rows.append((cause.effect.title, name, everyday, gained, location, cause.role, value, unit(size.unit)))
     headers = ("cause", "parameter", "estimate ± standard error", "held-out gain [mm]", "where", "role")
     optional = ("in SI units", "unit", "role", "where")
     return Table("Causes", (*headers, "in SI units", "unit"), tuple(rows), words=2, optional=optional)
@@ -254,14 +254,14 @@ def _cause_table(diagnosis: Diagnosis) -> Table:
 _BOUNDS = {None: "", "lower": "≥ ", "upper": "≤ "}
 
 
-def _candidate_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
+def _candidate_table(diagnosis: Diagnosis, count: int | None = None) -> Table:
     """Return testable candidates as judged beside the model without effects, causes first; so many, or all."""
     causes = {cause.effect.key: cause for cause in diagnosis.causes}
     testable = [candidate for candidate in diagnosis.candidates if candidate.testable]
-    shown = sorted(testable, key=lambda candidate: candidate.effect.key not in causes)[:most]
+    shown = sorted(testable, key=lambda candidate: candidate.effect.key not in causes)[:count]
     held_out, rows, notes = diagnosis.held_out_alone, [], []
     for candidate in shown:
-        effect, alone = candidate.effect, held_out.get(candidate.effect.key)
+        effect, error = candidate.effect, held_out.get(candidate.effect.key)
         estimate = sizes_text(effect, candidate.sizes) if candidate.z != 0 else "wrong sign"
         row = (
             effect.title,
@@ -270,7 +270,7 @@ def _candidate_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
             number(candidate.z, 3),
             _probability(candidate.p_value),
             UNKNOWN if candidate.residual is None else _BOUNDS[candidate.bound] + ratio(candidate.residual),
-            UNKNOWN if alone is None else number(1e3 * alone, 2),
+            UNKNOWN if error is None else number(1e3 * error, 2),
             estimate,
             sizes_text(effect, candidate.smallest_detectable, from_null=True),
         )
@@ -291,8 +291,8 @@ def _why_it_differs(cause: Cause | None, estimate: str) -> str:
     fitted = sizes_text(cause.effect, {name: size.value for name, size in cause.parameters.items()})
     if fitted == estimate:
         return ""
-    why = "which is nonlinear and has all causes; this row's estimate is linearised, for this cause alone"
-    return f"{fitted} in the fit, {why}"
+    reason = "which is nonlinear and has all causes; this row's estimate is linearised, for this cause alone"
+    return f"{fitted} in the fit, {reason}"
 
 
 def _untestable_points(diagnosis: Diagnosis) -> list[str]:

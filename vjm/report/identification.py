@@ -192,19 +192,19 @@ def _closeness(comparisons: Sequence[RecordingComparison], name: str) -> tuple[s
 
 def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
     points = []
-    for role, words, most in (("holdout", "held out", MOST_NAMED), ("train", "training", 1)):
+    for role, words, count in (("holdout", "held out", MOST_NAMED), ("train", "training", 1)):
         group = [comparison for comparison in comparisons if comparison.recording.role == role]
         # The worst first; at rest, any model follows.
         group.sort(key=lambda comparison: (comparison.recording.kind != "quiet", _ratio(comparison)), reverse=True)
         shown = [(comparison, comparison.simulated) for comparison in group if comparison.simulated is not None]
         name = words if len(shown) == 1 or role == "holdout" else f"worst {words} recording"
-        for comparison, simulated in shown[:most]:
+        for comparison, simulated in shown[:count]:
             recording = comparison.recording
             duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
-            others = [("torque method", comparison.alternative), ("nominal", comparison.reference)]
-            beside = ", ".join(f"{label} {millimetres(sim.marker_rms)}" for label, sim in others if sim is not None)
+            models = [("torque method", comparison.alternative), ("nominal", comparison.reference)]
+            errors = ", ".join(f"{label} {millimetres(sim.marker_rms)}" for label, sim in models if sim is not None)
             rms = f"{millimetres(simulated.marker_rms)} RMS over all {duration}, open loop"
-            text = f"{short(recording.file)} ({name}): {rms}{f' ({beside})' if beside else ''}"
+            text = f"{short(recording.file)} ({name}): {rms}{f' ({errors})' if errors else ''}"
             points.append(f"{text}; camera noise {millimetres(comparison.noise[0])}.")
     return points
 
@@ -217,8 +217,8 @@ def _stiffness_points(fit: Identification) -> list[str]:
         value, std = bending["value"], bending["std"]
         error = None if std is None else math.hypot(std, bending["std_discretisation"] or 0.0)
         change = 100 * (value / nominal.bending_stiffness - 1)
-        beside = f"{abs(change):.1f} % {'above' if change > 0 else 'below'} nominal"
-        text = f"{link.name}: bending stiffness {with_error(value, error)} N m², {beside}"
+        deviation = f"{abs(change):.1f} % {'above' if change > 0 else 'below'} nominal"
+        text = f"{link.name}: bending stiffness {with_error(value, error)} N m², {deviation}"
         points.append(f"{text}; {counted(link.virtual_joints, 'virtual joint')}.")
     return points
 
@@ -249,9 +249,9 @@ def _share(estimates: Sequence[Estimate]) -> str:
     text = f"{len(estimates) - len(missing)} of {len(estimates)} parameters determined"
     if not missing:
         return text
-    few, most = len(missing) <= 2, 2 * MOST_NAMED
-    names = [_explained(estimate) if few else estimate.name for estimate in missing[:most]]
-    return f"{text}; not {', '.join(names)}{' …' if len(missing) > most else ''}"
+    brief, limit = len(missing) <= 2, 2 * MOST_NAMED
+    names = [_explained(estimate) if brief else estimate.name for estimate in missing[:limit]]
+    return f"{text}; not {', '.join(names)}{' …' if len(missing) > limit else ''}"
 
 
 def _explained(estimate: Estimate) -> str:
@@ -399,8 +399,8 @@ def _settings(fit: Identification) -> list[tuple[str, str]]:
         rows += [(f"Shape functions, {link.name}", f"{shape.family}, order {shape.order}") for shape in shapes]
     for data in fit.torque_data:
         smoothing = data.derivatives.smoothing
-        how = "interpolated" if smoothing is None else f"smoothing spline, penalty {number(10**smoothing, 2)}"
-        text = f"{data.angles.time.size} frames, {data.angles.unsolved} unsolved; {how}"
+        filtering = "interpolated" if smoothing is None else f"smoothing spline, penalty {number(10**smoothing, 2)}"
+        text = f"{data.angles.time.size} frames, {data.angles.unsolved} unsolved; {filtering}"
         noise = data.derivatives.noise(np.sqrt(np.diag(data.angles.covariance))).max(axis=1)
         values = f"{number(1e3 * noise[0], 2)} mrad, {number(noise[1], 2)} rad/s, {number(noise[2], 2)} rad/s²"
         rows.append((f"Used from {data.recording.file}", text))

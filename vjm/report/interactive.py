@@ -70,7 +70,7 @@ def arm_animation(
     curves = {
         role: _magnified(chain, sim.simulation.q[rows], _arcs(chain), factor)[0] for role, (chain, sim) in arms.items()
     }
-    places, measured, seen = _markers(rig, judged, simulated, rows, factor)
+    places, measured, visible = _markers(rig, judged, simulated, rows, factor)
     points = np.concatenate(
         [positions.reshape(-1, 2) for positions in (*curves.values(), places, measured, np.zeros(2))]
     )
@@ -101,9 +101,9 @@ def arm_animation(
         "joints": [_path(drawn(curves[judged_role][:, root])) for root in roots],
         "simulated": [_path(drawn(places[:, k])) for k in range(places.shape[1])],
         "measured": [
-            {**_path(drawn(measured[:, k])), "seen": seen[:, k].astype(int).tolist()}
+            {**_path(drawn(measured[:, k])), "seen": visible[:, k].astype(int).tolist()}
             for k in range(places.shape[1])
-            if seen[:, k].any()
+            if visible[:, k].any()
         ],
     }
 
@@ -112,9 +112,9 @@ def _frame_rows(recording: Recording, window: Window) -> Indices:
     """Return rows of at most so many camera frames of a recording, evenly over a window [s]."""
     frames = recording.frames
     time = recording.time[frames]
-    inside = frames[(time >= window[0]) & (time <= window[1])]
-    chosen = np.unique(np.linspace(0, inside.size - 1, min(inside.size, _MOST_FRAMES)).round().astype(int))
-    rows: Indices = inside[chosen]
+    shown_frames = frames[(time >= window[0]) & (time <= window[1])]
+    chosen = np.unique(np.linspace(0, shown_frames.size - 1, min(shown_frames.size, _MOST_FRAMES)).round().astype(int))
+    rows: Indices = shown_frames[chosen]
     return rows
 
 
@@ -152,8 +152,8 @@ def _markers(
     _, own_headings = marker_poses(chain, q, arcs, [link.markers_frame == "link" for link in rig.links])
     residual = simulated.marker_residual[rows]
     offset = rotate(np.nan_to_num(residual), headings - own_headings)
-    seen: Mask = np.asarray(np.isfinite(residual).any(axis=2))
-    return places, places + factor * offset, seen
+    visible: Mask = np.asarray(np.isfinite(residual).any(axis=2))
+    return places, places + factor * offset, visible
 
 
 def _pace(slower: float) -> str:
@@ -190,8 +190,8 @@ def time_histories(
     if not ranked:
         return None
     series = (len(labels) + 1) * (2 * sum(len(link.markers) for link in rig.links) + len(rig.active_links))
-    most = max(1, _MOST_VALUES // (series * _LEAST_INSTANTS))
-    kept = [comparison for comparison in comparisons if any(comparison is chosen for chosen in ranked[:most])]
+    limit = max(1, _MOST_VALUES // (series * _LEAST_INSTANTS))
+    kept = [comparison for comparison in comparisons if any(comparison is chosen for chosen in ranked[:limit])]
     instants = min(_MOST_INSTANTS, _MOST_VALUES // (series * len(kept)))
     recordings = [_plotted_recording(rig, comparison, simulations(comparison, labels), instants) for comparison in kept]
     return {
@@ -204,11 +204,11 @@ def time_histories(
 
 
 def _plotted_recording(
-    rig: Rig, comparison: RecordingComparison, simulated: Mapping[str, SimulatedRecording], most: int
+    rig: Rig, comparison: RecordingComparison, simulated: Mapping[str, SimulatedRecording], count: int
 ) -> dict[str, Any]:
     recording, outermost = comparison.recording, Signal.of(rig, comparison.recording)
     signals = [
-        _plotted_signal(measured, comparison.noise, simulated, most) for measured in measured_signals(rig, recording)
+        _plotted_signal(measured, comparison.noise, simulated, count) for measured in measured_signals(rig, recording)
     ]
     times: list[list[float]] = []  # markers mostly share theirs
     for signal in signals:
@@ -219,10 +219,10 @@ def _plotted_recording(
 
 
 def _plotted_signal(
-    signal: Signal, noise: tuple[float, float], simulated: Mapping[str, SimulatedRecording], most: int
+    signal: Signal, noise: tuple[float, float], simulated: Mapping[str, SimulatedRecording], count: int
 ) -> dict[str, Any]:
     residuals = {role: signal.residual(simulation) for role, simulation in simulated.items()}
-    rows = _extreme_rows(np.nan_to_num(np.stack([signal.value, *residuals.values()], axis=1)), most)
+    rows = _extreme_rows(np.nan_to_num(np.stack([signal.value, *residuals.values()], axis=1)), count)
     (factor, unit), sigma, time = signal.unit, noise[0 if signal.is_marker else 1], signal.time[rows]
     step = _ROUNDING * sigma
     digits = 2 - math.floor(math.log10(float(np.diff(time).min()))) if time.size > 1 else 3
@@ -238,15 +238,15 @@ def _plotted_signal(
     }
 
 
-def _extreme_rows(values: Array, most: int) -> Indices:
+def _extreme_rows(values: Array, count: int) -> Indices:
     """Return at most so many rows of values (F, s), increasing: in each of even stretches the extremes of each column.
 
     Both extremes of a stretch are what a line drawn through all its rows covers on a screen.
     """
-    if len(values) <= most:
+    if len(values) <= count:
         return np.arange(len(values))
     rows = [0, len(values) - 1]
-    for stretch in np.array_split(np.arange(len(values)), max(1, (most - 2) // (2 * values.shape[1]))):
+    for stretch in np.array_split(np.arange(len(values)), max(1, (count - 2) // (2 * values.shape[1]))):
         rows += [*stretch[values[stretch].argmin(axis=0)], *stretch[values[stretch].argmax(axis=0)]]
     return np.unique(rows)
 

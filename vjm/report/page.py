@@ -49,9 +49,9 @@ class Table:
 
     def without(self, *columns: str) -> Table:
         """Return the table without the named columns."""
-        kept = [name not in columns for name in self.headers]
-        headers, *rows = (tuple(compress(row, kept)) for row in (self.headers, *self.rows))
-        return replace(self, headers=headers, rows=tuple(rows), words=sum(kept[: self.words]))
+        selected = [name not in columns for name in self.headers]
+        headers, *rows = (tuple(compress(row, selected)) for row in (self.headers, *self.rows))
+        return replace(self, headers=headers, rows=tuple(rows), words=sum(selected[: self.words]))
 
     def without_empty(self, *columns: str) -> Table:
         """Return the table without those of the named columns that hold nothing but dashes."""
@@ -148,10 +148,10 @@ class Page:
             for table in section.tables:
                 _print_table(console, table)
         if self.warnings:
-            more = len(self.warnings) - _MOST_WARNINGS
+            count = len(self.warnings) - _MOST_WARNINGS
             console.print(Text("Warnings:", style="bold yellow"))
             _print_points(console, self.warnings[:_MOST_WARNINGS], "!")
-            _print_points(console, [f"… and {more} more, see the report"] if more > 0 else [], "!")
+            _print_points(console, [f"… and {count} more, see the report"] if count > 0 else [], "!")
 
 
 def _embedded(picture: Picture) -> str:
@@ -184,8 +184,8 @@ def _item(text: str, width: int, mark: str = "-") -> str:
 
 def _with_short_names(table: Table, width: int) -> Table:
     """Return the table with names of recordings as short as it takes to fit; they are in full in the report."""
-    first, *others = table.widths()
-    room = width - sum(others) - 2 * len(table.headers)
+    first, *remaining = table.widths()
+    room = width - sum(remaining) - 2 * len(table.headers)
     if table.headers[0] != _RECORDING or first <= room or room < _SHORTEST_NAME:
         return table
     return replace(table, rows=tuple((short(row[0], room), *row[1:]) for row in table.rows))
@@ -201,15 +201,15 @@ def _print_table(console: Console, table: Table) -> None:
     rich = RichTable(box=box.SIMPLE_HEAD, title=table.caption, title_justify="left", title_style="bold")
     rich.collapse_padding = True
     rich.pad_edge = False
-    least = table.widths(wrapped=sum(table.widths()) + 2 * len(table.headers) > console.width)
-    fits = sum(least) + 2 * len(least) <= console.width
-    roomy = sum(map(max, least, map(len, table.headers))) + 2 * len(least) <= console.width
-    for k, (header, width) in enumerate(zip(table.headers, least, strict=True)):
+    widths = table.widths(wrapped=sum(table.widths()) + 2 * len(table.headers) > console.width)
+    fits = sum(widths) + 2 * len(widths) <= console.width
+    roomy = sum(map(max, widths, map(len, table.headers))) + 2 * len(widths) <= console.width
+    for k, (header, width) in enumerate(zip(table.headers, widths, strict=True)):
         justify: Literal["left", "right"] = "left" if k < table.words else "right"
         fixed = None if roomy or (console.is_terminal and not fits) else width
         rich.add_column(Text(header), justify=justify, overflow="fold", min_width=fixed, max_width=fixed)
     # Names are copied: they are not broken even where other cells have to be.
-    rich.columns[0].no_wrap = least[0] < 30
+    rich.columns[0].no_wrap = widths[0] < 30
     for row in table.rows[:_MOST_ROWS]:
         rich.add_row(*map(Text, row))
     console.print(rich, crop=False)

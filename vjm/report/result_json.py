@@ -205,7 +205,7 @@ def _check(check: Check) -> Result:
     joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
     return {
         "problem": check.problem,
-        "links": [{"name": link.name, "virtual_joints": n} for link, n in zip(rig.links, joints, strict=True)],
+        "links": [{"name": link.name, "virtual_joints": count} for link, count in zip(rig.links, joints, strict=True)],
         "frequencies_hz": [{"model": frequency, "measured": None} for frequency in check.modes],
         "recordings": [
             {

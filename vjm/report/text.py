@@ -48,11 +48,11 @@ def clause(effect: Effect, model: Model, sizes: Mapping[str, Estimate] | None = 
             if size.std is not None and abs(size.value) > _KNOWN * size.std:
                 known.add(parameter.name)
     if effect.clause:
-        kept = _OPTIONAL.sub(lambda part: part[1] if known.issuperset(_NAME.findall(part[1])) else "", effect.clause)
-        return kept.format(link=place(effect, model) or model.chain.links[0].name, **texts)
+        phrase = _OPTIONAL.sub(lambda part: part[1] if known.issuperset(_NAME.findall(part[1])) else "", effect.clause)
+        return phrase.format(link=place(effect, model) or model.chain.links[0].name, **texts)
     values = ", ".join(f"{name} {text}" for name, text in texts.items())
-    where = f" ({place(effect, model)})" if effect.link is not None else ""
-    return f"{effect.description or effect.id}{where}{': ' if values else ''}{values}"
+    location = f" ({place(effect, model)})" if effect.link is not None else ""
+    return f"{effect.description or effect.id}{location}{': ' if values else ''}{values}"
 
 
 def sizes_text(effect: Effect, sizes: Mapping[str, float], from_null: bool = False) -> str:

@@ -126,10 +126,10 @@ class Arm:
         steps = np.diff(time, axis=0)[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
             missing = np.where(steps > 0, np.diff(q, axis=0) / steps, 0.0) - (v[:-1] + v[1:]) / 2
-        for k, (step, more) in enumerate(zip(steps, missing, strict=True) if states.size else ()):
-            slope = self.state_rates(time[k], q[k], v[k] + more, states[k])
-            later = self.state_rates(time[k + 1], q[k + 1], v[k + 1] + more, states[k] + step * slope)
-            states[k + 1] = self.update_states(q[k], states[k] + step / 2 * (slope + later), q[k + 1])
+        for k, (step, correction) in enumerate(zip(steps, missing, strict=True) if states.size else ()):
+            slope = self.state_rates(time[k], q[k], v[k] + correction, states[k])
+            end_slope = self.state_rates(time[k + 1], q[k + 1], v[k + 1] + correction, states[k] + step * slope)
+            states[k + 1] = self.update_states(q[k], states[k] + step / 2 * (slope + end_slope), q[k + 1])
         return states
 
     def urdf(self) -> str:

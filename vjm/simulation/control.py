@@ -67,8 +67,8 @@ def _through_actuators(effects: tuple[Effect, ...], time: Array, torque: Array) 
 
 
 def _recording(time: Array, torque: Array, gravity: tuple[float, float], payload: float, markers: int) -> Recording:
-    unseen = np.full((time.size, markers, 2), np.nan)
-    return Recording(time, unseen, tau=torque, kind="driven", gravity=gravity, payload=payload)
+    missing = np.full((time.size, markers, 2), np.nan)
+    return Recording(time, missing, tau=torque, kind="driven", gravity=gravity, payload=payload)
 
 
 def simulate_motion(

@@ -122,10 +122,10 @@ def refine_initial_states(
             trials += [(k, run.prior.rest), *([(k, state_at(earlier, run.observed))] if earlier else [])]
     if trials:
         try:
-            others = _simulate_again([best[k] for k, _ in trials], [state for _, state in trials], step_multiple)
+            restarted = _simulate_again([best[k] for k, _ in trials], [state for _, state in trials], step_multiple)
         except SimulationDivergedError:
             return best
-        for (k, _), run in zip(trials, _continue_search(others, step_multiple), strict=True):
+        for (k, _), run in zip(trials, _continue_search(restarted, step_multiple), strict=True):
             best[k] = min(best[k], run, key=lambda run: run.cost)
     return best
 

@@ -79,8 +79,8 @@ def simulate_trajectories(
         states = np.stack([arms[k].initial_states(np.asarray(q[k])) if z is None else z[k] for k in group])
         with np.errstate(over="ignore", invalid="ignore"):  # divergence is noticed, and raised
             batch = _integrate(system, angles, rates, states, drive)
-        for c, (k, count) in enumerate(zip(group, counts, strict=True)):
-            motion = (values[: count + 1, c] for values in batch.motion)
+        for copy, (k, count) in enumerate(zip(group, counts, strict=True)):
+            motion = (values[: count + 1, copy] for values in batch.motion)
             trajectories[k] = Trajectory(driven[k].time[0] + batch.time[: count + 1], *motion, start=starts[k])
     return [trajectories[k] for k in range(len(arms))]
 
@@ -199,7 +199,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         p = _multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
         a, z1 = accelerate(k, x, z, p[:, :n], start[k])
         record(k, x[:, :n], x[:, n:], a + _multiply(missing[k], weights.response), z)
-        half, whole, remainder = p[:, 2 * n : 4 * n], p[:, 4 * n :], a - p[:, n : 2 * n]
+        half, full, remainder = p[:, 2 * n : 4 * n], p[:, 4 * n :], a - p[:, n : 2 * n]
         x2, x3, x4, x5, to = (_multiply(remainder, weights.first).reshape(len(x), 5, 2 * n)).transpose(1, 0, 2)
         x2 = half + x2
         remainder, z2 = stage(k + 0.5, x2, update(x, z + step / 2 * z1, x2), middle[k], weights)
@@ -207,13 +207,13 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         x3 = half + x3 + p[:, : 2 * n]
         remainder, z3 = stage(k + 0.5, x3, update(x, z + step / 2 * z2, x3), middle[k], weights)
         p = p[:, 2 * n :] + _multiply(remainder, weights.third)
-        x4 = whole + x4 + p[:, : 2 * n]
+        x4 = full + x4 + p[:, : 2 * n]
         remainder, z4 = stage(k + 1, x4, update(x, z + step / 2 * (z2 + z3), x4), end[k], weights)
         last = _multiply(remainder, weights.fourth)
         x5 = half + x5 + p[:, 2 * n :] + last[:, : 2 * n]
         z5 = update(x, z + step / 4 * z1 + step / 8 * (z2 + z3), x5)
         remainder, z5 = stage(k + 0.5, x5, z5, middle[k], weights)
-        to = whole + to + last[:, 2 * n :] + _multiply(remainder, weights.fifth)
+        to = full + to + last[:, 2 * n :] + _multiply(remainder, weights.fifth)
         z = update(x, z + step / 6 * (z1 + z4 + 4 * z5), to)
         x = to
     springs = _multiply(x, propagator.at(x).rate)[:, :n]
@@ -277,23 +277,23 @@ class _LinearPropagator:
         return self.current[1]
 
     def _gathered(self, places: Array) -> _Weights:
-        keys = [(0 if self.equal else c, *place) for c, place in enumerate(places.astype(int).tolist())]
-        new = {key: c for c, key in enumerate(keys) if key not in self.known}
-        if new:
-            copies = np.array([*new.values()])
+        keys = [(0 if self.equal else copy, *place) for copy, place in enumerate(places.astype(int).tolist())]
+        missing = {key: copy for copy, key in enumerate(keys) if key not in self.known}
+        if missing:
+            copies = np.array([*missing.values()])
             computed = self._weights(self._inertia(places[copies], copies), copies)
-            self.known |= {key: _Weights(*parts) for key, *parts in zip(new, *computed, strict=True)}
+            self.known |= {key: _Weights(*parts) for key, *parts in zip(missing, *computed, strict=True)}
         if len(set(keys)) == 1:
             return _Weights(*(part[None] for part in self.known[keys[0]]))
         if self.gathered is None:
             chosen = zip(*(self.known[key] for key in keys), strict=True)
             self.gathered = keys, _Weights(*(np.stack(parts) for parts in chosen))
         current_keys, weights = self.gathered
-        for c, key in enumerate(keys):
-            if key != current_keys[c]:
-                current_keys[c] = key
+        for copy, key in enumerate(keys):
+            if key != current_keys[copy]:
+                current_keys[copy] = key
                 for part, matrix in zip(weights, self.known[key], strict=True):
-                    part[c] = matrix
+                    part[copy] = matrix
         return weights
 
     def _inertia(self, places: Array, copies: Indices) -> Array:
@@ -322,8 +322,8 @@ class _LinearPropagator:
         L[:, :n, n:] = np.eye(n)
         L[:, n:] = rate = inverse @ springs
         half_flow, *half = phi_functions(L, step / 2, n)
-        flow, *whole = _of_twice_the_step(half_flow, *half)
-        (half1, half2, half3), (phi1, phi2, phi3) = ([step * phi[:, :, n:] for phi in phis] for phis in (half, whole))
+        flow, *full = _of_twice_the_step(half_flow, *half)
+        (half1, half2, half3), (phi1, phi2, phi3) = ([step * phi[:, :, n:] for phi in phis] for phis in (half, full))
         late = half2 / 2 - phi3 + phi2 / 4 - half3 / 2
         last = half2 / 4 - late
         first = (half1 / 2, half1 / 2 - half2, phi1 - 2 * phi2, half1 / 2 - 2 * late - last, phi1 - 3 * phi2 + 4 * phi3)
@@ -367,8 +367,8 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
     flow = identity + X @ phi1
     for _ in range(halvings):
         flow, phi1, phi2, phi3 = _of_twice_the_step(flow, phi1, phi2, phi3)
-    back = units[:, None] / units
-    return flow * back, phi1 * back, phi2 * back, phi3 * back
+    scaling = units[:, None] / units
+    return flow * scaling, phi1 * scaling, phi2 * scaling, phi3 * scaling
 
 
 def _of_twice_the_step(flow: Array, phi1: Array, phi2: Array, phi3: Array) -> tuple[Array, Array, Array, Array]:

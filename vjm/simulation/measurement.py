@@ -69,20 +69,20 @@ class MarkerArcs:
         step, count = 1e-6, directions.shape[1]
         moved = np.concatenate([q, *(q + step * direction for direction in directions.T)], axis=-2)
         instants = np.tile(time, count + 1)  # all directions in one batch
-        base, *others = np.split(self.measured_positions(arm, moved, instants), count + 1)
-        slopes: Array = (np.stack(others, axis=-1) - base[..., None]) / step
+        base, *perturbed = np.split(self.measured_positions(arm, moved, instants), count + 1)
+        slopes: Array = (np.stack(perturbed, axis=-1) - base[..., None]) / step
         return slopes.reshape(len(base), -1, count)
 
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
-        seen = time
+        exposures = time
         shifting = [effect for effect in arm.sensors if type(effect).camera_instants is not Effect.camera_instants]
         if shifting:
             stamps = trajectory.elapsed(time)
             positions = self.positions(arm.chain, trajectory.angles(time))
             for effect in shifting:
-                seen = seen + (effect.camera_instants(stamps, positions).T - stamps)
-        return seen
+                exposures = exposures + (effect.camera_instants(stamps, positions).T - stamps)
+        return exposures
 
     def frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return the (F, k, 2) marker positions [m] in frames stamped (F,) [s] of a trajectory."""
@@ -131,10 +131,10 @@ def _smoothest(time: Array, values: Array, noise: float) -> BSpline:
         return float(np.log(max(float(np.std(values - spline(exponent)(time))), 1e-300) / noise))
 
     # The penalty is a time cubed: from a thousandth of an interval, which interpolates, to all of the recording.
-    least, most = 3 * np.log([1e-3 * float(np.diff(time).min()), float(np.ptp(time))])
-    if excess(least) >= 0:
-        return spline(least)
-    return spline(most if excess(most) <= 0 else brentq(excess, least, most, rtol=1e-3))
+    lowest, highest = 3 * np.log([1e-3 * float(np.diff(time).min()), float(np.ptp(time))])
+    if excess(lowest) >= 0:
+        return spline(lowest)
+    return spline(highest if excess(highest) <= 0 else brentq(excess, lowest, highest, rtol=1e-3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +155,10 @@ class PrecedingMotion:
 
     def internal_states(self, arm: Arm, time: float, q: Array) -> Array:
         """Return the internal states (nz,) of an arm's effects at a time [s] and angles q (nv,) [rad]."""
-        later = int(np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1))
-        share = np.clip((time - self.time[later - 1]) / (self.time[later] - self.time[later - 1]), 0.0, 1.0)
+        index = int(np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1))
+        share = np.clip((time - self.time[index - 1]) / (self.time[index] - self.time[index - 1]), 0.0, 1.0)
         angles, states = (
-            values[later - 1] + share * (values[later] - values[later - 1]) for values in self._along(arm)
+            values[index - 1] + share * (values[index] - values[index - 1]) for values in self._along(arm)
         )
         return arm.update_states(angles, states, q)
 
@@ -212,9 +212,9 @@ class Observations:
         if recording.input == "motion" and recording.acceleration is None:
             recording = replace(recording, acceleration=_given_acceleration(recording, noise[1]))
         frames = recording.frames
-        seen, theta = recording.markers[frames].ravel(), recording.theta.ravel()
-        markers, angles = np.flatnonzero(np.isfinite(seen)), np.flatnonzero(np.isfinite(theta))
-        values = np.concatenate([seen[markers], theta[angles]])
+        coordinates, theta = recording.markers[frames].ravel(), recording.theta.ravel()
+        markers, angles = np.flatnonzero(np.isfinite(coordinates)), np.flatnonzero(np.isfinite(theta))
+        values = np.concatenate([coordinates[markers], theta[angles]])
         arcs = rig if isinstance(rig, MarkerArcs) else MarkerArcs.of(rig)
         return cls(recording, arcs, frames, markers, angles, values, noise, loss)
 
@@ -326,16 +326,16 @@ class Observations:
             start=self.began,
         )
 
-    def _only(self, kept: NDArray[np.bool_]) -> Self:
+    def _only(self, mask: NDArray[np.bool_]) -> Self:
         """Return part of the values, by a mask (N_m + N_t,)."""
-        offset, (markers, angles) = self.discretization_offset, np.split(kept, [self.markers.size])
+        offset, (markers, angles) = self.discretization_offset, np.split(mask, [self.markers.size])
         return replace(
             self,
             markers=self.markers[markers],
             angles=self.angles[angles],
-            values=self.values[kept],
-            whitening=None if self.whitening is None else self.whitening[kept][:, kept],
-            discretization_offset=None if offset is None else offset[kept],
+            values=self.values[mask],
+            whitening=None if self.whitening is None else self.whitening[mask][:, mask],
+            discretization_offset=None if offset is None else offset[mask],
         )
 
     def rows_between(self, first: int, last: int) -> tuple[slice, slice, slice]:

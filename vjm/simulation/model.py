@@ -88,8 +88,8 @@ class Model(Record):
             ShapeError: a number of joints below one, or a time below zero.
         """
         if virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
-            given = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
-            raise ShapeError("model", given, "a whole number from 1, and a time, zero or positive [s]")
+            value = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
+            raise ShapeError("model", value, "a whole number from 1, and a time, zero or positive [s]")
         cuts = rig_layouts(rig, [link.virtual_joints or virtual_joints for link in rig.links])
         markers = rig.marker_noise or DEFAULT_NOISE * max(link.length for link in rig.links)
         return cls(nominal_chain(rig, cuts, kelvin_voigt), rig, markers, rig.encoder_noise or DEFAULT_NOISE)
@@ -224,11 +224,11 @@ class Model(Record):
         file = Path(path)
         if simulator not in SIMULATORS:
             raise ChoiceError("simulator", simulator, SIMULATORS)
-        beside = file.with_suffix(SIMULATORS[simulator])
-        if beside == file:
+        simulator_file = file.with_suffix(SIMULATORS[simulator])
+        if simulator_file == file:
             raise ShapeError("path", str(file), f"a file that does not end in {file.suffix}, as the one beside it does")
         markers = [link.markers for link in self.rig.links]
         text = self.arm.simulator_file(simulator, file.name, markers)
         self.to_urdf(file)
-        write_text(beside, text)
-        return file, beside
+        write_text(simulator_file, text)
+        return file, simulator_file

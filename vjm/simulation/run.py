@@ -168,10 +168,10 @@ class Run:
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
-        arm, kept = self.arm.smooth
+        arm, smooth_states = self.arm.smooth
         trajectory = self.trajectory
-        if kept.size < trajectory.z.shape[1]:
-            trajectory = replace(trajectory, z=trajectory.z[:, kept])
+        if smooth_states.size < trajectory.z.shape[1]:
+            trajectory = replace(trajectory, z=trajectory.z[:, smooth_states])
         smooth = [PerturbedArm(perturbed_arm.smooth[0], step) for perturbed_arm, step in perturbed]
         return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride)
 

@@ -64,7 +64,7 @@ class Linearization:
         stride: int,
     ) -> Self:
         """Linearize a motion; arguments as the attributes."""
-        moved = tuple(with_added_joints(trajectory, arm.chain, other, observed) for other, _ in perturbed)
+        moved = tuple(with_added_joints(trajectory, arm.chain, other_arm, observed) for other_arm, _ in perturbed)
         return cls(observed, arm, basis, perturbed, trajectory, stride, moved)
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
@@ -78,13 +78,13 @@ class Linearization:
         # With a late or early camera a frame may show the arm in the chunk before or the next.
         exposures = observed.arcs.exposure_times(self.arm, self.trajectory, time[observed.frames])
         delays = time[observed.frames] - exposures
-        behind, ahead = float(np.max(delays, initial=0.0)), float(np.max(-delays, initial=0.0))
+        largest_delay, largest_lead = float(np.max(delays, initial=0.0)), float(np.max(-delays, initial=0.0))
         first = 0
         part: Trajectory | None = None
         for chunk in self._chunks():
-            part = chunk if part is None else _join_trajectories(part, chunk, behind + ahead)
+            part = chunk if part is None else _join_trajectories(part, chunk, largest_delay + largest_lead)
             at_end = part.time[-1] >= self.trajectory.time[-1]
-            last = time.size if at_end else int(np.searchsorted(time, part.time[-1] - ahead, side="left"))
+            last = time.size if at_end else int(np.searchsorted(time, part.time[-1] - largest_lead, side="left"))
             if last <= first:
                 continue
             camera, markers, angles = observed.rows_between(first, last)
@@ -122,7 +122,7 @@ class Linearization:
             a = coefficients.by_state[::2, :size] @ states
             a[:, :, 2 * slow_count :] += coefficients.accelerations[::2]
             columns = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
-            copies = (np.ascontiguousarray(np.swapaxes(x, 1, 2)) for x in columns)
+            copies = (np.ascontiguousarray(np.swapaxes(column, 1, 2)) for column in columns)
             yield Trajectory(trajectory.time[part[::2]], *copies)
 
     @cached_property
@@ -167,13 +167,13 @@ class Linearization:
             slopes = (by_marker @ np.swapaxes(modes, 0, 1)).reshape(*by_modes.shape[:2], modes.shape[-1])
         base: Array | None = None
         first = slopes.shape[2] - len(self.perturbed)
-        for k, (other, step) in enumerate(self.perturbed, start=first):
+        for k, (arm, step) in enumerate(self.perturbed, start=first):
             # Markers are measured at the same places unless sensors, joints or curves differ.
             chain, path = self.arm.chain, self.trajectories[k - first]
-            alike = chain.size == other.chain.size and have_equal_links(chain, other.chain, _OF_CURVES)
-            if self.arm.sensors != other.sensors or not alike:
+            unchanged = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
+            if self.arm.sensors != arm.sensors or not unchanged:
                 base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
-                changed = arcs.frames(other, path, stamps)
+                changed = arcs.frames(arm, path, stamps)
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
@@ -188,10 +188,10 @@ class Linearization:
         theta = Trajectory(part.time, part.q @ by_active, part.v @ by_active, part.a @ by_active, part.z)
         all_slopes = theta.angles(observed.recording.time[instants])
         slopes: Array = np.take_along_axis(all_slopes, joints[:, None, None], axis=2)[:, :, 0]
-        seen = self.trajectory.angles(observed.recording.time)[:, active]
-        for k, (other, step) in enumerate(self.perturbed, start=slopes.shape[1] - len(self.perturbed)):
-            if other.sensors != self.arm.sensors:
-                change = other.encoder_angles(seen) - self.arm.encoder_angles(seen)
+        simulated = self.trajectory.angles(observed.recording.time)[:, active]
+        for k, (arm, step) in enumerate(self.perturbed, start=slopes.shape[1] - len(self.perturbed)):
+            if arm.sensors != self.arm.sensors:
+                change = arm.encoder_angles(simulated) - self.arm.encoder_angles(simulated)
                 slopes[:, k] += change.ravel()[observed.angles[rows]] / step
         return slopes
 
@@ -199,23 +199,23 @@ class Linearization:
 def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
     """Yield linearizations with their coefficients; those of neighbouring short ones of the same arm in one batch."""
     group: list[Linearization] = []
-    for each in linearizations:
-        if group and not _is_compatible(group, each):
+    for linearization in linearizations:
+        if group and not _is_compatible(group, linearization):
             yield from _with_shared_coefficients(group)
             group = []
-        group.append(each)
+        group.append(linearization)
     yield from _with_shared_coefficients(group)
 
 
-def _is_compatible(group: Sequence[Linearization], other: Linearization) -> bool:
+def _is_compatible(group: Sequence[Linearization], added: Linearization) -> bool:
     """Return True if a linearization has the arms of a group and its number of modes, and fits into memory with it."""
-    first, (one, two) = group[0], (group[0].observed.recording, other.observed.recording)
-    arms = [(first.arm, other.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, other.perturbed, strict=True))]
+    first, (reference, recording) = group[0], (group[0].observed.recording, added.observed.recording)
+    arms = [(first.arm, added.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, added.perturbed, strict=True))]
     return (
         all(a is b for a, b in arms)
-        and first.basis.shapes.shape == other.basis.shapes.shape
-        and (one.payload, one.gravity) == (two.payload, two.gravity)
-        and sum(each.rows.size for each in (*group, other)) <= first.max_chunk
+        and first.basis.shapes.shape == added.basis.shapes.shape
+        and (reference.payload, reference.gravity) == (recording.payload, recording.gravity)
+        and sum(member.rows.size for member in (*group, added)) <= first.max_chunk
     )
 
 
@@ -223,31 +223,31 @@ def _with_shared_coefficients(group: Sequence[Linearization]) -> Iterator[Linear
     if len(group) < 2:
         yield from group
         return
-    for each, coefficients in zip(group, _coefficients_of(group, [each.rows for each in group]), strict=True):
-        yield replace(each, coefficients=coefficients)
+    for member, coefficients in zip(group, _coefficients_of(group, [member.rows for member in group]), strict=True):
+        yield replace(member, coefficients=coefficients)
 
 
 def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) -> list[Coefficients]:
     """Return the coefficients of linearizations of the same arm, each at some rows of its trajectory."""
-    observed = [each.observed for each in group]
+    observed = [member.observed for member in group]
 
     def motions(paths: Sequence[Trajectory]) -> Motions:
-        return Motions.of([path.at(own) for path, own in zip(paths, rows, strict=True)], observed)
+        return Motions.of([path.at(indices) for path, indices in zip(paths, rows, strict=True)], observed)
 
     motion, changed = (
-        motions([each.trajectory for each in group]),
-        zip(*(each.trajectories for each in group), strict=True),
+        motions([member.trajectory for member in group]),
+        zip(*(member.trajectories for member in group), strict=True),
     )
     # Most perturbed arms have no joint of their own, and move as the arm does.
-    others = [motion if paths[0] is group[0].trajectory else motions(paths) for paths in changed]
-    return coefficients_along(group[0].arm, [each.basis for each in group], group[0].perturbed, motion, others)
+    perturbed = [motion if paths[0] is group[0].trajectory else motions(paths) for paths in changed]
+    return coefficients_along(group[0].arm, [member.basis for member in group], group[0].perturbed, motion, perturbed)
 
 
 def _join_trajectories(before: Trajectory, after: Trajectory, overlap: float) -> Trajectory:
     """Prepend the last `overlap` seconds of a chunk to the next one."""
     if overlap <= 0:
         return after
-    kept = before.time < after.time[0] - 1e-12
-    kept &= before.time >= after.time[0] - overlap - 2 * after.step
+    overlapping = before.time < after.time[0] - 1e-12
+    overlapping &= before.time >= after.time[0] - overlap - 2 * after.step
     parts = zip((before.time, *before.motion), (after.time, *after.motion), strict=True)
-    return Trajectory(*(np.concatenate([one[kept], two]) for one, two in parts))
+    return Trajectory(*(np.concatenate([earlier[overlapping], later]) for earlier, later in parts))

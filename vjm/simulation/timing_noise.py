@@ -85,21 +85,21 @@ class TimingNoise:
         Rao's statistic, the square of the squares' excess, promises much more than large errors of time explain. The
         unit is what the residuals are across the velocities: noise larger than it was given is no error of time.
         """
-        squares, along = self._errors(residual)
-        along = along / self._mean_square_across(residual)
+        squares, projections = self._errors(residual)
+        projections = projections / self._mean_square_across(residual)
         best, change = 0.0, np.inf
         for _ in range(_MOST_STEPS):
             spread = 1 + best * squares
             information = squares / spread
-            score, curvature = information @ (along / spread - 1), information @ information
+            score, curvature = information @ (projections / spread - 1), information @ information
             change = max(float(score / curvature), -best) if curvature > 0 else 0.0
             best += change
             if abs(change) <= _TOLERANCE * best:
                 break
         if not best > 0:
-            return _score(squares, along)
+            return _score(squares, projections)
         shares = best * squares / (1 + best * squares)
-        decrease = float(np.sqrt(max(along @ shares - np.sum(np.log1p(best * squares)), 0.0)))
+        decrease = float(np.sqrt(max(projections @ shares - np.sum(np.log1p(best * squares)), 0.0)))
         return decrease / best, decrease
 
     def _mean_square_across(self, residual: Array) -> float:
@@ -114,13 +114,13 @@ class TimingNoise:
         """Return squared lengths of moving frames' directions in white residuals (N,), and squares of these along."""
         moving = self._squares > 0
         squares = self._squares[moving]
-        along = (self.velocities @ residual)[moving] ** 2 / squares
-        return squares / (1 + self.variance * squares), along
+        projections = (self.velocities @ residual)[moving] ** 2 / squares
+        return squares / (1 + self.variance * squares), projections
 
 
-def _score(squares: Array, along: Array) -> tuple[float, float]:
+def _score(squares: Array, projections: Array) -> tuple[float, float]:
     """Return slope and residual of the variance's row, from what `TimingNoise._errors` returns."""
     if not squares.size:
         return 0.0, 0.0
     slope = float(np.linalg.norm(squares) / np.sqrt(2))
-    return slope, float(squares @ (along - 1)) / (2 * slope)
+    return slope, float(squares @ (projections - 1)) / (2 * slope)

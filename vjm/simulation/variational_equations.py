@@ -125,10 +125,12 @@ class Motions(NamedTuple):
             [np.minimum(np.arange(longest), part.stop - part.start - 1) + part.start for part in self.parts]
         )
         time, q, v = (values[shown.T] for values in (self.elapsed, self.q, self.v))
-        start = [each.internal_states(arm, path.q[0]) for each, path in zip(self.observed, self.paths, strict=True)]
+        start = [
+            observed.internal_states(arm, path.q[0]) for observed, path in zip(self.observed, self.paths, strict=True)
+        ]
         z = arm.follow(time, q, v, np.stack(start))
-        own = [z[: len(path.time), k] for k, path in enumerate(self.paths)]
-        return self._replace(z=np.concatenate(own))
+        states = [z[: len(path.time), k] for k, path in enumerate(self.paths)]
+        return self._replace(z=np.concatenate(states))
 
 
 class _EquationsOfMotion:
@@ -136,7 +138,7 @@ class _EquationsOfMotion:
 
     def __init__(self, arm: Arm, motions: Motions) -> None:
         self.arm = arm
-        self.driven = [arm.inputs(each.recording) for each in motions.observed]
+        self.driven = [arm.inputs(observed.recording) for observed in motions.observed]
         self.gravity, payload = self.driven[0].gravity, self.driven[0].payload
         self.mechanism = mechanism_of(arm.chain, payload, self.gravity)
         self.force = arm.forces(payload)
@@ -147,10 +149,10 @@ class _EquationsOfMotion:
 
     def inertia(self, motion: Motions, joints: Indices) -> Array:
         """Return columns (I, nv, r) of the mass matrices: torques on all joints by unit accelerations of r of them."""
-        rest = np.zeros(motion.v.shape)
-        still, every = self.mechanism.inverse_dynamics(motion.q, rest, rest), np.arange(motion.v.shape[1])
-        units = (np.broadcast_to((every == joint).astype(float), rest.shape) for joint in joints.tolist())
-        return np.stack([self.mechanism.inverse_dynamics(motion.q, rest, unit) - still for unit in units], axis=2)
+        zeros = np.zeros(motion.v.shape)
+        bias, indices = self.mechanism.inverse_dynamics(motion.q, zeros, zeros), np.arange(motion.v.shape[1])
+        units = (np.broadcast_to((indices == joint).astype(float), zeros.shape) for joint in joints.tolist())
+        return np.stack([self.mechanism.inverse_dynamics(motion.q, zeros, unit) - bias for unit in units], axis=2)
 
     def further_torque(self, motion: Motions) -> Array:
         """Return the effects' forces, with reversed sign (I, nv)."""
@@ -239,7 +241,7 @@ def coefficients_along(
     Those by parameters, and those of effects' forces, are forward differences.
     """
     equations, chain = _EquationsOfMotion(arm, motion), arm.chain
-    inertial, further = equations.inertial_torque(motion), equations.further_torque(motion)
+    inertial, further_torque = equations.inertial_torque(motion), equations.further_torque(motion)
     state_rates = equations.state_rates(motion)
     lengths = [len(path.time) for path in motion.paths]
     shapes = np.repeat(np.stack([basis.shapes for basis in bases]), lengths, axis=0)  # (I, nv, m)
@@ -254,35 +256,35 @@ def coefficients_along(
     for j in range(m) if nz or equations.force is not None else ():
         shape, step = shapes[:, :, j], steps[:, j, None]
         turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
-        for column, other in ((j, turned), (m + j, sped)):
+        for column, varied in ((j, turned), (m + j, sped)):
             if equations.force is not None:
-                forces[:, :, column] += (equations.further_torque(other) - further) / step
+                forces[:, :, column] += (equations.further_torque(varied) - further_torque) / step
             if nz:
-                rates[:, :, column] = (equations.state_rates(other) - state_rates) / step
+                rates[:, :, column] = (equations.state_rates(varied) - state_rates) / step
     for k, step_z in enumerate(DIFFERENCE_STEP * np.eye(nz)):
-        other = motion._replace(z=motion.z + step_z)
-        forces[:, :, 2 * m + k] = (equations.further_torque(other) - further) / DIFFERENCE_STEP
-        rates[:, :, 2 * m + k] = (equations.state_rates(other) - state_rates) / DIFFERENCE_STEP
+        varied = motion._replace(z=motion.z + step_z)
+        forces[:, :, 2 * m + k] = (equations.further_torque(varied) - further_torque) / DIFFERENCE_STEP
+        rates[:, :, 2 * m + k] = (equations.state_rates(varied) - state_rates) / DIFFERENCE_STEP
     forcing: list[tuple[int, Array, Motions, Indices]] = []  # parameter, torques (I, nv, r) by accelerations, of joints
     # A motion that is given is kept up by a heavy armature: its inertia and its torque cancel where they are sampled
     # at the same instants only.
     impulsive = is_nonsmooth(arm.effects) and not chain.armature
     at_rest = equations.inertial_torque(motion._replace(a=np.zeros(motion.a.shape))) if impulsive else inertial
-    for k, (moved, other) in enumerate(zip(perturbed, others, strict=True)):
-        every, added = np.arange(other.a.shape[1]), _added_joints(chain, moved.arm.chain)
+    for k, (moved, varied) in enumerate(zip(perturbed, others, strict=True)):
+        indices, added = np.arange(varied.a.shape[1]), _added_joints(chain, moved.arm.chain)
         # Accelerations that may jump, or peak in impacts, are not forces to be interpolated between instants.
         changed = impulsive and (added.size > 0 or not have_equal_links(chain, moved.arm.chain, _OF_BODIES))
-        apart = every if changed else added
-        held = other._replace(a=np.where(np.isin(every, apart), 0.0, other.a))
-        nominal = (at_rest if changed else inertial, further, state_rates)
+        separate = indices if changed else added
+        held = varied._replace(a=np.where(np.isin(indices, separate), 0.0, varied.a))
+        nominal = (at_rest if changed else inertial, further_torque, state_rates)
         change = _parameter_derivatives(equations, moved, held, nominal)
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
-        if apart.size:
-            kept = np.delete(every, added)
-            by_unit = _EquationsOfMotion(moved.arm, held).inertia(held, apart)[:, kept]
+        if separate.size:
+            shared = np.delete(indices, added)
+            by_unit = _EquationsOfMotion(moved.arm, held).inertia(held, separate)[:, shared]
             if changed:
-                by_unit[:, :, kept] -= inertia
-            forcing.append((k, by_unit / moved.step, other, apart))
+                by_unit[:, :, shared] -= inertia
+            forcing.append((k, by_unit / moved.step, varied, separate))
     transposed = np.swapaxes(shapes, 1, 2)
     modal = transposed @ inertia @ shapes
     lower = np.concatenate([-np.linalg.solve(modal, transposed @ forces), rates], axis=1)
@@ -295,7 +297,7 @@ def coefficients_along(
         Coefficients(
             lower[part, :, : 2 * m + nz],
             lower[part, :, 2 * m + nz :],
-            tuple(each.during(part) for each in inertial_forcing),
+            tuple(term.during(part) for term in inertial_forcing),
         )
         for part in motion.parts
     ]
@@ -308,37 +310,37 @@ def _parameter_derivatives(
 
     The motions are the perturbed arm's, with joints that only it has.
     """
-    inertial, further, state_rates = nominal
+    inertial, further_torque, state_rates = nominal
     chain, (other_arm, step) = equations.arm.chain, perturbed
-    other, nz = other_arm.chain, state_rates.shape[1]
-    kept = np.delete(np.arange(other.size), _added_joints(chain, other))
-    forces = motion.q[:, kept] * (other.stiffness[kept] - chain.stiffness)
-    forces += motion.v[:, kept] * (other.damping[kept] - chain.damping)
+    other_chain, nz = other_arm.chain, state_rates.shape[1]
+    shared = np.delete(np.arange(other_chain.size), _added_joints(chain, other_chain))
+    forces = motion.q[:, shared] * (other_chain.stiffness[shared] - chain.stiffness)
+    forces += motion.v[:, shared] * (other_chain.damping[shared] - chain.damping)
     rates = np.zeros(state_rates.shape)
-    if other_arm.effects == equations.arm.effects and have_equal_links(chain, other, _OF_BODIES):
-        if equations.force is not None and not np.array_equal(other.stiffness, chain.stiffness):
-            forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further
+    if other_arm.effects == equations.arm.effects and have_equal_links(chain, other_chain, _OF_BODIES):
+        if equations.force is not None and not np.array_equal(other_chain.stiffness, chain.stiffness):
+            forces = forces + _EquationsOfMotion(other_arm, motion).further_torque(motion) - further_torque
         return forces / step, rates
     changed = _EquationsOfMotion(other_arm, motion)
-    alike = chain.size == other.size and have_equal_links(chain, other, _OF_BODIES)
-    if changed.gravity != equations.gravity or not alike:
-        forces = forces + changed.inertial_torque(motion)[:, kept] - inertial
+    unchanged = chain.size == other_chain.size and have_equal_links(chain, other_chain, _OF_BODIES)
+    if changed.gravity != equations.gravity or not unchanged:
+        forces = forces + changed.inertial_torque(motion)[:, shared] - inertial
     if sum(other_arm.states) > nz:  # internal states that only the perturbed arm has follow the motion as it is
         motion = motion.followed(other_arm)
     if equations.force is not None or changed.force is not None:
-        forces = forces + changed.further_torque(motion)[:, kept] - further
+        forces = forces + changed.further_torque(motion)[:, shared] - further_torque
     if nz:
         rates = changed.state_rates(motion)[:, :nz] - state_rates
-    for part, path, given, really in zip(motion.parts, motion.paths, equations.driven, changed.driven, strict=True):
-        if not np.array_equal(really.tau, given.tau, equal_nan=True):
-            forces[part, chain.active] -= torque_at(really, path.time) - torque_at(given, path.time)
+    for part, path, before, after in zip(motion.parts, motion.paths, equations.driven, changed.driven, strict=True):
+        if not np.array_equal(after.tau, before.tau, equal_nan=True):
+            forces[part, chain.active] -= torque_at(after, path.time) - torque_at(before, path.time)
     return forces / step, rates / step
 
 
-def _added_joints(chain: Chain, other: Chain) -> Indices:
+def _added_joints(chain: Chain, extended: Chain) -> Indices:
     """Coordinates of joints that another chain has in addition."""
     known = set(chain.joint_names)
-    return np.array([k for k, name in enumerate(other.joint_names) if name not in known], dtype=np.intp)
+    return np.array([k for k, name in enumerate(extended.joint_names) if name not in known], dtype=np.intp)
 
 
 def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: Observations) -> Trajectory:
@@ -349,25 +351,25 @@ def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: 
     With a joint that moves nothing, as that of a motor without inertia, no arm can be simulated: the motion is NaN, as
     it is where a reaction is not finite.
     """
-    other = arm.chain
-    added = _added_joints(chain, other)
+    extended = arm.chain
+    added = _added_joints(chain, extended)
     if not added.size:
         return trajectory
-    kept = np.delete(np.arange(other.size), added)
-    q, v, a = (np.zeros((len(trajectory.time), other.size)) for _ in range(3))
-    q[:, kept], v[:, kept], a[:, kept] = trajectory.q, trajectory.v, trajectory.a
-    still = Motions.of([replace(trajectory, q=q, v=v, a=a)], [observed])
+    shared = np.delete(np.arange(extended.size), added)
+    q, v, a = (np.zeros((len(trajectory.time), extended.size)) for _ in range(3))
+    q[:, shared], v[:, shared], a[:, shared] = trajectory.q, trajectory.v, trajectory.a
+    motion = Motions.of([replace(trajectory, q=q, v=v, a=a)], [observed])
     if sum(arm.states) > trajectory.z.shape[1]:
-        still = still.followed(arm)
-    equations = _EquationsOfMotion(arm, still)
-    reactions = equations.inertial_torque(still) + equations.further_torque(still)
+        motion = motion.followed(arm)
+    equations = _EquationsOfMotion(arm, motion)
+    reactions = equations.inertial_torque(motion) + equations.further_torque(motion)
     inertia = equations.mechanism.mass_matrix(q[:1])[0]
-    if np.linalg.matrix_rank(inertia, hermitian=True) < other.size or not np.isfinite(reactions[:, added]).all():
+    if np.linalg.matrix_rank(inertia, hermitian=True) < extended.size or not np.isfinite(reactions[:, added]).all():
         return replace(trajectory, q=np.full_like(q, np.nan), v=v, a=a)
     elapsed = trajectory.step * np.arange(len(trajectory.time))
     for joint in added.tolist():
-        mass, stiffness, damping = inertia[joint, joint], other.stiffness[joint], other.damping[joint]
-        if joint >= other.base_size:
+        mass, stiffness, damping = inertia[joint, joint], extended.stiffness[joint], extended.damping[joint]
+        if joint >= extended.base_size:
             turn = CubicSpline(elapsed, -reactions[:, joint] / stiffness)
             q[:, joint], v[:, joint], a[:, joint] = (turn(elapsed, order) for order in range(3))
             continue
@@ -384,7 +386,7 @@ def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
     if chain.base != other.base:
         return False
     links = list(zip(chain.links, other.links, strict=True))
-    return all(np.array_equal(getattr(one, field), getattr(two, field)) for one, two in links for field in fields)
+    return all(np.array_equal(getattr(left, field), getattr(right, field)) for left, right in links for field in fields)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -406,13 +408,13 @@ def propagators(coefficients: Coefficients, interval: float) -> tuple[Array, Arr
     F = np.zeros((3, len(L) // 2, size, forcing.shape[2]))
     for values, part, elapsed in zip(F, parts, (0.0, interval / 2, interval), strict=True):
         values[:, upper:] = forcing[part]
-        for each in inertial:
-            carried = each.carried(first, part, elapsed, each.inertia[middle])
-            values[:, upper:, each.column] -= _times(state[part, :, : 2 * upper], carried)
-            values[:, upper : 2 * upper, each.column] -= _times(each.inertia[part] - each.inertia[middle], each.a[part])
+        for term in inertial:
+            carried = term.carried(first, part, elapsed, term.inertia[middle])
+            values[:, upper:, term.column] -= _times(state[part, :, : 2 * upper], carried)
+            values[:, upper : 2 * upper, term.column] -= _times(term.inertia[part] - term.inertia[middle], term.a[part])
     (L1, L2, L3), (F1, F2, F3) = (L[part] for part in parts), F
     flow, phi1, phi2, phi3 = phi_functions((L1 + 4 * L2 + L3) / 6, interval, upper)
     forced = interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
-    for each in inertial:
-        forced[:, : 2 * upper, each.column] -= each.carried(first, last, interval, each.inertia[middle])
+    for term in inertial:
+        forced[:, : 2 * upper, term.column] -= term.carried(first, last, interval, term.inertia[middle])
     return flow, forced

@@ -35,26 +35,26 @@ def check_picture(check: Check) -> Picture:
 def _draw(check: Check) -> Figure:
     rig, link = check.experiment.rig, check.experiment.rig.links[0]
     figure = Figure(figsize=(9.2, 6.4), layout="constrained")
-    good = not check.problem
+    valid = not check.problem
     turns = "; the paths should end at the dashed lines" if link.joint == "revolute" else ""
     title = check.problem or f"Each dot should lie in the ring of its number{turns}."
     lines = textwrap.wrap(title.replace("\n", " "), 100)
-    figure.suptitle("\n".join(lines), x=0.011, ha="left", color="black" if good else _WRONG)
+    figure.suptitle("\n".join(lines), x=0.011, ha="left", color="black" if valid else _WRONG)
     axes = figure.subplots()
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x of the base frame [m]", ylabel="y of the base frame [m]")
     if link.markers_frame == "link":
         axes.set(xlabel=f"x of {link.name}'s own frame [m]", ylabel=f"y of {link.name}'s own frame [m]")
     shown = max(check.overviews, key=lambda overview: overview.motion)
-    still = next((overview for overview in check.overviews if overview.recording.kind == "quiet"), shown)
+    resting = next((overview for overview in check.overviews if overview.recording.kind == "quiet"), shown)
     markers = _filled(link, shown.recording.markers[shown.recording.frames][:, rig.marker_slices[0]])
     colors = colormaps["viridis"](np.linspace(0.0, 0.85, len(link.markers)))
     _draw_paths(axes, markers, colors, shown)
     # Beside recordings in millimetres a link in metres is a dot, which its labels would hide.
     labelled = bool(np.nanmax(np.abs(markers), initial=0.0) < _MOST_LENGTHS * link.length)
-    angles = _draw_link(axes, rig, shown, still, labelled)
+    angles = _draw_link(axes, rig, shown, resting, labelled)
     _draw_frame(axes, rig, angles, labelled)
-    _draw_rest(axes, rig, still, colors)
+    _draw_rest(axes, rig, resting, colors)
     axes.margins(0.12)
     axes.update_datalim([(0.0, -0.12 * link.length)])  # room for the numbers below the link
     axes.autoscale_view()
@@ -76,7 +76,7 @@ def _draw_paths(axes: Axes, markers: Array, colors: Array, shown: RecordingOverv
 
 
 def _draw_link(
-    axes: Axes, rig: Rig, shown: RecordingOverview, still: RecordingOverview, labelled: bool
+    axes: Axes, rig: Rig, shown: RecordingOverview, resting: RecordingOverview, labelled: bool
 ) -> tuple[float, float, float]:
     """Draw the straight link where the encoder has it, at rest and at the ends of its travel; return those [rad]."""
     link = rig.links[0]
@@ -84,7 +84,7 @@ def _draw_link(
     rest_angle = low = high = 0.0
     if link.joint == "revolute" and link.markers_frame == "base":
         low, high = float(np.nanmin(theta[:, 0])), float(np.nanmax(theta[:, 0]))
-        rest_angle = float(still.recording.initial_theta[0])
+        rest_angle = float(resting.recording.initial_theta[0])
     # An end at which the link rests is not drawn again.
     ends = [angle for angle in (low, high) if abs(angle - rest_angle) > 0.05 * (high - low) > 0]
     for k, angle in enumerate(ends):
@@ -136,7 +136,7 @@ def _draw_frame(axes: Axes, rig: Rig, angles: tuple[float, float, float], labell
         arc: dict[str, Any] = {"color": "black", "linewidth": 1.8, "zorder": 6}
         axes.add_patch(Arc((0, 0), 2 * radius, 2 * radius, theta1=first, theta2=first + span - 4, **arc))
         end, before = np.deg2rad(first + span), np.deg2rad(first + span - 4)
-        tip, tail = ((radius * float(np.cos(a)), radius * float(np.sin(a))) for a in (end, before))
+        tip, tail = ((radius * float(np.cos(angle)), radius * float(np.sin(angle))) for angle in (end, before))
         axes.annotate("", tip, tail, arrowprops={**arrow, "color": "black", "shrinkA": 0, "shrinkB": 0}, zorder=6)
         label_place = (1.06 * tip[0], 1.06 * tip[1])
         axes.annotate(
@@ -151,14 +151,14 @@ def _draw_frame(axes: Axes, rig: Rig, angles: tuple[float, float, float], labell
         axes.annotate("gravity", start, (-4, 4), textcoords="offset points", ha="right", color=Color.NOMINAL)
 
 
-def _draw_rest(axes: Axes, rig: Rig, still: RecordingOverview, colors: Array) -> None:
+def _draw_rest(axes: Axes, rig: Rig, resting: RecordingOverview, colors: Array) -> None:
     """Draw the markers where they were at the beginning of a recording, at rest if there is a quiet one."""
-    link, recording = rig.links[0], still.recording
+    link, recording = rig.links[0], resting.recording
     first = recording.frames[: 10 if recording.kind == "quiet" else 1]
     places = _filled(link, np.nanmedian(recording.markers[first][:, rig.marker_slices[0]], axis=0))
-    when = "at rest" if recording.kind == "quiet" else "in the first frame"
+    instant = "at rest" if recording.kind == "quiet" else "in the first frame"
     for k, (place, color) in enumerate(zip(places, colors, strict=True), start=1):
-        label = f"recorded: markers {when} ({short(Path(recording.file).name, 24)})" if k == 1 else None
+        label = f"recorded: markers {instant} ({short(Path(recording.file).name, 24)})" if k == 1 else None
         axes.plot(*place, "o", color=color, markersize=13, zorder=5, label=label, linestyle="none")
         style: dict[str, Any] = {"ha": "center", "va": "center", "color": "white", "fontweight": "bold", "zorder": 8}
         if np.isfinite(place).all():

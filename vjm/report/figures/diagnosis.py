@@ -38,12 +38,12 @@ def _cause_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
         return
     for k, cause in enumerate(diagnosis.causes[:4]):
         shown = [first, *(comparison for comparison in diagnosis.recordings if comparison is not first)]
-        beside = "the model fitted without it"
+        reference = "the model fitted without it"
         if len(diagnosis.causes) > 1:
             shown = [first if cause.without is None else replace(first, reference=cause.without)]
-            beside = "the same model without this cause"
+            reference = "the same model without this cause"
         caption = (
-            f"{cause.effect.title}, in the recording with the largest gain, compared with {beside}. Left: residual "
+            f"{cause.effect.title}, in the recording with the largest gain, compared with {reference}. Left: residual "
             "against the quantity on which this cause depends. Right: residual without the cause against its "
             "contribution to the simulation; equal on the dashed line."
         )
@@ -184,8 +184,8 @@ def _draw_added(axes: Axes, before: SimulatedRecording, after: SimulatedRecordin
     residual, added = before.marker_residual, after.simulation.markers - before.simulation.markers
     known = np.isfinite(residual)
     x, y, noise = 1e3 * added[known], 1e3 * residual[known], 1e3 * before.noise[0]
-    most = max(float(np.percentile(np.abs(x), 99.5)), 3 * noise) * 1.15
-    ends = np.array([-most, most])
+    limit = max(float(np.percentile(np.abs(x), 99.5)), 3 * noise) * 1.15
+    ends = np.array([-limit, limit])
     axes.fill_between(ends, ends - 2 * noise, ends + 2 * noise, color=Color.BAND, linewidth=0, label="noise")
     axes.plot(ends, ends, "--", color=Color.MEASURED, linewidth=1.2, label="residual = contribution")
     axes.plot(*_thinned(x, y), ".", color=Color.IDENTIFIED, markersize=2.2, zorder=3)

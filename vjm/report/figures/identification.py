@@ -73,14 +73,14 @@ def _replay_pictures(comparisons: Sequence[RecordingComparison], model: Model, n
     pictures = [Picture("fit", caption, partial(rms_figure, title, comparisons[:_MOST_ROWS], labels, in_noise=True))]
     shown = _shown_tips(model.rig, comparisons)
     for k, (comparison, signal) in enumerate(shown):
-        more = "" if k or len(shown) == len(comparisons) else f" {len(shown)} of {len(comparisons)} recordings shown."
-        caption = f"{signal.name} in {short(comparison.recording.file)}, measured and simulated; residual below.{more}"
+        note = "" if k or len(shown) == len(comparisons) else f" {len(shown)} of {len(comparisons)} recordings shown."
+        caption = f"{signal.name} in {short(comparison.recording.file)}, measured and simulated; residual below.{note}"
         pictures.append(Picture(f"tip_{k + 1}", caption, partial(_tip_figure, comparison, signal, labels)))
     return pictures
 
 
-def _first_of(comparisons: Sequence[RecordingComparison], most: int) -> str:
-    return f" The first {most} recordings of {len(comparisons)}." if len(comparisons) > most else ""
+def _first_of(comparisons: Sequence[RecordingComparison], count: int) -> str:
+    return f" The first {count} recordings of {len(comparisons)}." if len(comparisons) > count else ""
 
 
 def _rms_title(comparisons: Sequence[RecordingComparison], labels: dict[str, str]) -> str:
@@ -111,9 +111,9 @@ def _tip_figure(comparison: RecordingComparison, signal: Signal, labels: dict[st
     simulated = simulations(comparison, labels)
     rms = {role: signal.rms(simulation) for role, simulation in simulated.items()}
     # A second residual is drawn where it is neither hidden by the first one nor hides it.
-    least: tuple[tuple[str, float], ...] = (("alternative", 1.05), ("reference", 0.0))
+    limits: tuple[tuple[str, float], ...] = (("alternative", 1.05), ("reference", 0.0))
     judged_rms = rms["simulated"]  # zero where nothing moves
-    second = [role for role, low in least if low * judged_rms < rms.get(role, np.nan) <= 4 * judged_rms][:1]
+    second = [role for role, low in limits if low * judged_rms < rms.get(role, np.nan) <= 4 * judged_rms][:1]
     sizes = [f"{labels[role]} {signal.rms_text(simulated[role])}" for role in reversed(simulated)]
     title = f"{recording_label(comparison.recording)}: residual of {signal.name} alone, RMS: {', '.join(sizes)}"
     hidden = {"alternative", "reference"} - {*second}
@@ -201,18 +201,18 @@ def _residual_spectra(
     judged = [pair for pair in spectra if pair[0].recording.file not in white] or spectra
     comparison, spectrum = max(judged, key=lambda pair: float(np.max(pair[1].amplitude / pair[1].limit)))
     title = "Residual spectrum: no peak above noise"
-    if (where := _peak(model, comparison, spectrum, white)) is not None:
+    if (peak := _peak(model, comparison, spectrum, white)) is not None:
         times = f"{number(float(spectrum.amplitude.max() / spectrum.white), 2)} × white noise"
-        title = f"Residual spectrum: largest {where} in {short(comparison.recording.file)}, {times}"
+        title = f"Residual spectrum: largest {peak} in {short(comparison.recording.file)}, {times}"
     page = PanelFigure.grid(title, len(spectra), (2.8, 2.3))
     for axes, (comparison, spectrum) in zip(page.axes[0], spectra, strict=True):
         torque_spectrum = None if comparison.alternative is None else Spectrum.of(comparison.alternative)
         drawn = [(torque_spectrum, "torque method", Color.TORQUE)] if torque_spectrum is not None else []
         modes = model.modes(comparison.recording.payload).frequencies
         Spectrum.draw(axes, [*drawn, (spectrum, "identified model", Color.IDENTIFIED)], modes)
-        where = _peak(model, comparison, spectrum, white)
+        peak = _peak(model, comparison, spectrum, white)
         axes.set_title(
-            f"{recording_label(comparison.recording, 20)}: {'noise only' if where is None else f'largest {where}'}"
+            f"{recording_label(comparison.recording, 20)}: {'noise only' if peak is None else f'largest {peak}'}"
         )
     return page.finish()
 
@@ -239,15 +239,15 @@ def _correlation_pictures(estimates: Sequence[Estimate], covariance: Array) -> I
     if covariance.shape != (len(names), len(names)):
         return
     variance = np.diag(covariance)
-    kept = np.flatnonzero(np.isfinite(covariance).all(axis=1) & (variance > 0))
-    if kept.size > 1:
-        std = np.sqrt(variance[kept])
-        correlation = np.clip(covariance[np.ix_(kept, kept)] / np.outer(std, std), -1.0, 1.0)
+    determined = np.flatnonzero(np.isfinite(covariance).all(axis=1) & (variance > 0))
+    if determined.size > 1:
+        std = np.sqrt(variance[determined])
+        correlation = np.clip(covariance[np.ix_(determined, determined)] / np.outer(std, std), -1.0, 1.0)
         caption = (
             "Correlation of the estimates' errors. Near +1 or −1 the recordings determine only one combination of the "
             "two parameters."
         )
-        yield Picture("correlations", caption, partial(_correlation_map, [names[k] for k in kept], correlation))
+        yield Picture("correlations", caption, partial(_correlation_map, [names[k] for k in determined], correlation))
 
 
 def _correlation_map(names: Sequence[str], matrix: Array) -> Figure:
@@ -314,19 +314,19 @@ def _motion(rig: Rig, recording: Recording) -> float:
     return 0.0 if signal is None else float(np.std(signal.value))
 
 
-def _spread_over(recordings: Sequence[Recording], most: int) -> list[Recording]:
+def _spread_over(recordings: Sequence[Recording], count: int) -> list[Recording]:
     """Return at most so many recordings, in order; one of each set of repeats and every role and kind come first."""
-    seen: Counter[tuple[str | None, ...]] = Counter()
+    counts: Counter[tuple[str | None, ...]] = Counter()
     ranks = []
     for recording in recordings:
         group = (recording.role, recording.kind, recording.repeat)
-        ranks.append(seen[group])
-        seen[group] += 1
-    return [recordings[k] for k in np.sort(np.argsort(ranks, kind="stable")[:most])]
+        ranks.append(counts[group])
+        counts[group] += 1
+    return [recordings[k] for k in np.sort(np.argsort(ranks, kind="stable")[:count])]
 
 
-def _evenly(count: int, most: int) -> list[int]:
-    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+def _evenly(count: int, limit: int) -> list[int]:
+    return [int(k) for k in np.unique(np.linspace(0, count - 1, min(count, limit)).round())]
 
 
 def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
@@ -337,7 +337,7 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
     page = PanelFigure.grid(title, len(panels), (2.8, 1.9), max(len(links), 2))
     for axes, (recording, link) in zip(page.axes[0], panels, strict=True):
         signal = Signal.of(rig, recording)
-        start, stop = whole = float(recording.time[0]), float(recording.time[-1])
+        start, stop = interval = float(recording.time[0]), float(recording.time[-1])
         if signal is not None and recording.kind not in ("quiet", "static"):
             start, stop = liveliest_window(signal.time, signal.value)
         rows = recording.frames
@@ -348,7 +348,7 @@ def _raw_markers(rig: Rig, recordings: Sequence[Recording]) -> Figure:
         for k in _evenly(markers.shape[1], 6):  # a marker lost for a moment leaves a gap in its line
             axes.plot(recording.time[rows], markers[:, k, axis], linewidth=1.1, label=f"marker {k + 1}", **dots)
         axes.set(xlabel="time [s]", ylabel=f"{'xy'[axis]} [mm]")
-        length, duration = stop - start, whole[1] - whole[0]
+        length, duration = stop - start, interval[1] - interval[0]
         part = "" if length > 0.99 * duration else f", {length:.2g} s of {duration:.3g} s"
         heading = f"{short(recording.file, 22)} ({recording.kind}, {ROLES[recording.role]}{part})"
         if len(links) > 1:
@@ -403,27 +403,27 @@ def _instants(data: PreparedRecording, deflection: Array) -> Indices:
     if complete.size <= 5:
         return complete
     start, stop = liveliest_window(time[complete], deflection[complete])
-    near = complete[(time[complete] >= start) & (time[complete] <= stop)]
-    levels = np.linspace(deflection[near].min(), deflection[near].max(), 5)
-    return np.unique([near[np.argmin(np.abs(deflection[near] - level))] for level in levels])
+    frames = complete[(time[complete] >= start) & (time[complete] <= stop)]
+    levels = np.linspace(deflection[frames].min(), deflection[frames].max(), 5)
+    return np.unique([frames[np.argmin(np.abs(deflection[frames] - level))] for level in levels])
 
 
 def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
     links, parts = range(min(len(chain.links), _MOST_LINKS)), chain.passive_slices
-    derivatives, inside = data.derivatives, data.derivatives.interior  # the noise is known there
+    derivatives, interior = data.derivatives, data.derivatives.interior  # the noise is known there
     noise = derivatives.noise(np.sqrt(np.diag(data.angles.covariance)))
     signals = np.stack([derivatives.value, derivatives.rate, derivatives.acceleration])
-    known = signals[:, inside][..., chain.passive]
+    known = signals[:, interior][..., chain.passive]
     std = np.std(known, axis=1)
     ratios = np.max(std / np.maximum(noise[:, chain.passive], 1e-300), axis=1)
     times = listed([f"{ratio:.0f}" if ratio >= 2 else f"{ratio:.1f}" for ratio in ratios])
-    window = liveliest_window(derivatives.time[inside], known[0][:, int(np.argmax(std[0]))])
+    window = liveliest_window(derivatives.time[interior], known[0][:, int(np.argmax(std[0]))])
     title = f"Virtual joint angles of {short(data.recording.file)}: signal/noise of angle, rate and acceleration "
     page = PanelFigure.of(f"{title}{times}", [(1.75, len(links))] * 3)
     time = np.linspace(*window, 800)  # a camera may take no more than four frames a period
     lines = CubicSpline(derivatives.time, signals, axis=1)(time)
     frames = (data.angles.time >= window[0]) & (data.angles.time <= window[1])
-    alike = len({parts[i].stop - parts[i].start for i in links}) == 1  # else a label would stand for several looks
+    equal = len({parts[i].stop - parts[i].start for i in links}) == 1  # else a label would stand for several looks
     for i in links:
         joints = _evenly(parts[i].stop - parts[i].start, 4)
         for kind, unit in enumerate(("angle [rad]", "rate [rad/s]", "acceleration [rad/s²]")):
@@ -435,7 +435,7 @@ def _joint_angles(chain: Chain, data: PreparedRecording) -> Figure:
                 axes.fill_between(
                     time, line - 2 * sigma, line + 2 * sigma, color=Color.BAND, linewidth=0, label="±2σ noise"
                 )
-                axes.plot(time, line, linewidth=1.2, label=f"joint {joint + 1}" if alike else None)
+                axes.plot(time, line, linewidth=1.2, label=f"joint {joint + 1}" if equal else None)
             for k, joint in reversed([*enumerate(joints)]) if kind == 0 else ():
                 angles = data.angles.q[frames, parts[i].start + joint]
                 axes.plot(data.angles.time[frames], angles, ".", markersize=4, color=f"C{k}", label="single frame")

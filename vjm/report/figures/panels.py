@@ -229,20 +229,20 @@ class Spectrum:
         residual, least_values = residual.reshape(len(residual), -1), 8
         rows = np.flatnonzero(np.isfinite(residual).any(axis=1))
         counts = np.isfinite(residual).sum(axis=0)
-        kept = counts >= least_values
-        if not kept.any():
+        usable = counts >= least_values
+        if not usable.any():
             return None
         time = simulated.recording.time[rows]
         step = float(np.median(np.diff(time)))
         place = np.round((time - time[0]) / step).astype(int)  # frames that the camera dropped leave gaps
-        even = np.zeros((int(place[-1]) + 1, int(kept.sum())))
-        even[place] = np.nan_to_num(residual[np.ix_(rows, kept)])
-        even *= len(even) / counts[kept]
+        even = np.zeros((int(place[-1]) + 1, int(usable.sum())))
+        even[place] = np.nan_to_num(residual[np.ix_(rows, usable)])
+        even *= len(even) / counts[usable]
         frequency, powers = periodogram(even, 1 / step, detrend=False, scaling="spectrum", axis=0)
         power: Array = 2 * powers[1:-1].mean(axis=1)  # a sine of amplitude a has the power a^2 / 2
         # The mean of c squared magnitudes of white noise is chi-squared with 2 c degrees of freedom.
-        white = simulated.noise[encoder] ** 2 * float(np.mean(4 / counts[kept]))
-        freedom = 2 * int(kept.sum())
+        white = simulated.noise[encoder] ** 2 * float(np.mean(4 / counts[usable]))
+        freedom = 2 * int(usable.sum())
         limit = white * float(stats.chi2.isf(FALSE_ALARM / power.size, freedom)) / freedom
         return cls(frequency[1:-1], np.sqrt(power), float(np.sqrt(white)), float(np.sqrt(limit)))
 
@@ -267,10 +267,10 @@ class Spectrum:
         for frequency in modes:
             if low <= frequency <= high:
                 axes.axvline(float(frequency), label="natural frequency of the model", **look)
-        least = min(last.white, *(float(np.quantile(spectrum.amplitude, 0.02)) for spectrum, *_ in spectra))
+        smallest = min(last.white, *(float(np.quantile(spectrum.amplitude, 0.02)) for spectrum, *_ in spectra))
         largest = max(last.limit, *(float(spectrum.amplitude.max()) for spectrum, *_ in spectra))
         log_axis(axes.xaxis, low, high)
-        log_axis(axes.yaxis, 0.7e6 * least, 1.5e6 * largest)
+        log_axis(axes.yaxis, 0.7e6 * smallest, 1.5e6 * largest)
         axes.set(xlabel="frequency [Hz]", ylabel=f"amplitude [{unit}]")
 
 

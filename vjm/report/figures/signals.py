@@ -86,8 +86,8 @@ class Signal:
             stop = float(self.time[moving[-1]])
         length, legible = _few_periods(self.time, self.value)
         if stop - start <= legible:
-            whole = self.is_whole((start, stop))
-            return [((start, stop), "" if whole else f"First {stop - start:.2g} s of {end - start:.3g} s")]
+            complete = self.is_whole((start, stop))
+            return [((start, stop), "" if complete else f"First {stop - start:.2g} s of {end - start:.3g} s")]
         first = f"First {length:.2g} s of {end - start:.3g} s"
         last = f"Last {length:.2g} s{'' if stop == end else ' before it dies out'}"
         return [((start, start + length), first), ((stop - length, stop), last)]
@@ -138,12 +138,12 @@ def _few_periods(time: Array, value: Array) -> tuple[float, float]:
 def liveliest_window(time: Array, value: Array) -> Window:
     """Return the few periods of a signal (F,) that move most; the whole of it where it is short."""
     length, _ = _few_periods(time, value)
-    whole = np.flatnonzero(time + length <= time[-1])
-    if not whole.size:
+    starts = np.flatnonzero(time + length <= time[-1])
+    if not starts.size:
         return float(time[0]), float(time[-1])
     squares = np.cumsum(np.r_[0.0, (value - np.mean(value)) ** 2])
-    stops = np.searchsorted(time, time[whole] + length, side="right")
-    best = float(time[whole[np.argmax(squares[stops] - squares[whole])]])
+    stops = np.searchsorted(time, time[starts] + length, side="right")
+    best = float(time[starts[np.argmax(squares[stops] - squares[starts])]])
     return best, best + length
 
 
@@ -181,10 +181,10 @@ def ranked_recordings(comparisons: Sequence[RecordingComparison], roles: Collect
 
 def one_of_each_repeat(items: Iterable[_Item], recording: Callable[[_Item], Recording]) -> list[_Item]:
     """Return the items in order, of those whose recordings repeat one experiment the first one only."""
-    kept: dict[object, _Item] = {}
+    unique: dict[object, _Item] = {}
     for item in items:
-        kept.setdefault(recording(item).repeat or id(item), item)
-    return list(kept.values())
+        unique.setdefault(recording(item).repeat or id(item), item)
+    return list(unique.values())
 
 
 def _motion_panel(
@@ -193,12 +193,12 @@ def _motion_panel(
 ) -> None:  # fmt: skip
     """Draw a measured signal and labelled simulations of it in a window; with many frames as a broad grey line."""
     start, stop = window or (float(signal.time[0]), float(signal.time[-1]))
-    inside = (signal.time >= start) & (signal.time <= stop)
+    visible = (signal.time >= start) & (signal.time <= stop)
     scale, unit = signal.unit
     look: dict[str, Any] = {"color": "#bdbdbd", "linewidth": 4.0, "solid_capstyle": "round"}
-    if np.count_nonzero(inside) <= most_circles:
+    if np.count_nonzero(visible) <= most_circles:
         look = {"linestyle": "", "marker": "o", "markersize": 4.5, "markerfacecolor": "white", "color": Color.MEASURED}
-    axes.plot(signal.time[inside], scale * signal.value[inside], label="measured", **look)
+    axes.plot(signal.time[visible], scale * signal.value[visible], label="measured", **look)
     for role, simulated in reversed(simulations(comparison, labels).items()):
         instants = simulated.simulation.time
         path = CubicSpline(instants, _channel(simulated.simulation, signal.index))

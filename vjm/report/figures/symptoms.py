@@ -90,8 +90,8 @@ def _times_noise(recording: RecordingSymptoms) -> float:
     return float(np.sqrt(recording.misfit / max(sum(int(sensor.known.sum()) for sensor in recording.sensors), 1)))
 
 
-def _file(recording: RecordingSymptoms, most: int) -> str:
-    return short(recording.simulated.recording.file, most)
+def _file(recording: RecordingSymptoms, length: int) -> str:
+    return short(recording.simulated.recording.file, length)
 
 
 def _overview(title: str, symptoms: Symptoms, shown: Sequence[RecordingSymptoms]) -> Figure:
@@ -122,21 +122,21 @@ def _modes(title: str, symptoms: Symptoms, rows: Sequence[RecordingSymptoms]) ->
         rest_column = ["rest"] if heading.startswith("amplitude") else []  # the motion outside the modes
         table = np.full((len(rows), len(modes) + len(rest_column)), np.nan)
         levels = table.copy()
-        for r, recording in enumerate(rows):
+        for row, recording in enumerate(rows):
             cells = {modes.index(mode.mode): estimate(mode) for mode in recording.modes.modes if mode.mode in modes}
             if rest_column and recording.modes.slow_gain.known:
                 cells[len(modes)] = recording.modes.slow_gain
             for column, value in cells.items():
-                table[r, column] = (100 * _sure(value)) if column == len(modes) else scaled(_sure(value))
-                levels[r, column] = _significance(value)
+                table[row, column] = (100 * _sure(value)) if column == len(modes) else scaled(_sure(value))
+                levels[row, column] = _significance(value)
         names = [_frequency(symptoms, mode, 2) for mode in modes] + rest_column
         files = [_file(recording, 22) for recording in rows]
         heatmap(axes, table, (colors, Normalize(-1.0, 1.0)), (files, names), _signed, 8.0, levels)
         axes.tick_params(labelleft=k == 0)
         axes.set(title=heading, xlabel="mode, or rest of motion [Hz]" if rest_column else "mode [Hz]")
     page.axes[0][0].set_ylabel("recording")
-    same = "0: within three standard errors"
-    areas = {"above the model": colors(0.99), same: colors(0.5), "below": colors(0.01), "no motion": Color.BAND}
+    equal = "0: within three standard errors"
+    areas = {"above the model": colors(0.99), equal: colors(0.5), "below": colors(0.01), "no motion": Color.BAND}
     return page.finish(areas=areas)
 
 
@@ -180,29 +180,29 @@ def _free_motion(symptoms: Symptoms) -> _FreeMotions:
             if all(group[0].unit == free.unit for group in groups.values()):
                 groups.setdefault(free.condition, []).append(free)
     counts = {mode: sum(f.time.size for group in groups.values() for f in group) for mode, groups in modes.items()}
-    kept = sorted(sorted(modes, key=lambda mode: -counts[mode])[:3])
-    return {mode: modes[mode] for mode in kept}
+    chosen = sorted(sorted(modes, key=lambda mode: -counts[mode])[:3])
+    return {mode: modes[mode] for mode in chosen}
 
 
 def _with_amplitude(title: str, symptoms: Symptoms, modes: _FreeMotions) -> Figure:
     conditions = list(dict.fromkeys(condition for groups in modes.values() for condition in groups))
-    looks: dict[str, Any] = {}
+    styles: dict[str, Any] = {}
     for k, (condition, marker) in enumerate(zip(conditions, "osD^v<>ph*" * len(conditions), strict=False)):
         color = f"C{round(5 * k / max(len(conditions) - 1, 1))}"  # of the cycle's six
-        looks[condition] = {"color": color, "linestyle": ("-", "--", ":", "-.")[k % 4], "marker": marker}
+        styles[condition] = {"color": color, "linestyle": ("-", "--", ":", "-.")[k % 4], "marker": marker}
     page = PanelFigure.of(title, [(2.1, len(modes)), (2.35, len(modes))])
     for upper, lower, (mode, groups) in zip(*page.axes, modes.items(), strict=True):
         scale, unit = _UNITS[next(iter(groups.values()))[0].unit]
         for condition, group in groups.items():
-            amplitude, look = scale * np.concatenate([f.amplitude for f in group]), looks[condition]
-            rates, std = np.concatenate([f.rates for f in group]), np.concatenate([f.std for f in group])
+            amplitude, look = scale * np.concatenate([free.amplitude for free in group]), styles[condition]
+            rates, std = np.concatenate([free.rates for free in group]), np.concatenate([free.std for free in group])
             first = rates[np.argmin(amplitude), 1, 0]  # relative to the model's there, conditions lie on one axis
             _draw_trend(upper, amplitude, 100 * (rates[..., 0] / first - 1), 100 * std[:, 0] / first, 2, look)
             _draw_trend(lower, amplitude, rates[..., 1], std[:, 1], 1, look)
-        all_amplitudes = scale * np.concatenate([f.amplitude for group in groups.values() for f in group])
-        for axes, least in ((upper, 0.05), (lower, 2e-5)):  # per cent, and a ratio: or nothing but noise is magnified
+        all_amplitudes = scale * np.concatenate([free.amplitude for group in groups.values() for free in group])
+        for axes, span in ((upper, 0.05), (lower, 2e-5)):  # per cent, and a ratio: or nothing but noise is magnified
             low, high = axes.get_ylim()
-            margin = max(least - (high - low), 0.0) / 2
+            margin = max(span - (high - low), 0.0) / 2
             axes.set_ylim(low - margin, high + margin)
             log_axis(axes.xaxis, float(all_amplitudes.min()) / 1.15, float(all_amplitudes.max()) * 1.15)
             axes.ticklabel_format(axis="y", useOffset=False)
@@ -212,7 +212,7 @@ def _with_amplitude(title: str, symptoms: Symptoms, modes: _FreeMotions) -> Figu
     marks: Any = {"linestyle": "", "marker": "o"}
     legend = [("measured, with error", marks | {"color": Color.MEASURED}), ("model", {"color": Color.MEASURED})]
     if len(conditions) > 1:
-        legend += [(short(condition or "other recordings", 24), looks[condition]) for condition in conditions]
+        legend += [(short(condition or "other recordings", 24), styles[condition]) for condition in conditions]
     for label, look in legend:
         page.axes[0][0].plot([], [], label=label, **look, markerfacecolor="white")
     return page.finish()
@@ -248,8 +248,8 @@ def _profiles(title: str, symptoms: Symptoms, shown: Sequence[JointProfile]) -> 
     for row, profile in zip(page.axes, shown, strict=True):
         _draw_profile(row, profile)
         several = np.unique(profile.recording).size > 1
-        where = "all recordings" if several else _file(symptoms.recordings[int(profile.recording[0])], 16)
-        row[0].set_title(f"{short(profile.sensor, 18)}, {where}")
+        source = "all recordings" if several else _file(symptoms.recordings[int(profile.recording[0])], 16)
+        row[0].set_title(f"{short(profile.sensor, 18)}, {source}")
     return page.finish()
 
 
@@ -282,9 +282,9 @@ def _draw_profile(row: Sequence[Axes], profile: JointProfile) -> None:
 
 def _draw_means(axes: Axes, x: Array, values: Array, spread: float = 0.0) -> None:
     """Draw single values, scattered sideways by so much, and their means with two standard errors."""
-    thin = slice(None, None, max(1, x.size // 600))
+    thinned = slice(None, None, max(1, x.size // 600))
     scattered = x + spread * np.random.default_rng(0).uniform(-1, 1, x.size)
-    axes.plot(scattered[thin], values[thin], ".", color=_DOTS, markersize=3, zorder=1, label="single values")
+    axes.plot(scattered[thinned], values[thinned], ".", color=_DOTS, markersize=3, zorder=1, label="single values")
     axes.axhline(0.0, color=Color.AXIS, linewidth=0.6, zorder=1)
     centres, means, errors = binned_means(x, values, min(24 if x.size > 1000 else 10, x.size // 6))
     bars: Any = {"linestyle": "", "marker": "o", "markersize": 4, "color": Color.IDENTIFIED, "elinewidth": 1.1}
