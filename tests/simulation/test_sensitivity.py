@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly, make_interp_spline
-from scipy.linalg import expm
+from scipy.linalg import eigh, expm
 
 from tests.diagnosis.rigs import RIG, chain_of, recorded
 from tests.simulation.setups import (
@@ -26,6 +27,7 @@ from tests.simulation.setups import (
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects import Backlash, BaseCompliance, ClampCompliance, CoulombFriction, Effect, GearElasticity, TipPayload
+from vjm.model.modes import linearise
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import phi_functions, simulate_trajectories
@@ -302,6 +304,32 @@ def test_a_state_told_in_another_chain_s_joints_looks_the_same(given_joints: int
     q, p = state[: one.size], moved[: other.size]
     np.testing.assert_allclose(seen.arcs.positions(other, p[None]), seen.arcs.positions(one, q[None]), atol=2e-5)
     assert moved[other.size] == 0.5
+
+
+def locked_modes(chain: Chain) -> tuple[Array, Array]:
+    """Mass matrix of the passive joints and their modes, slowest first."""
+    M, _, K, _ = linearise(chain, 0.0, (0.0, 0.0))
+    passive = np.ix_(chain.passive, chain.passive)
+    return M[passive], np.asarray(eigh(K[passive], M[passive])[1])
+
+
+@pytest.mark.parametrize("joint", ["revolute", "clamped"])
+def test_rates_of_fast_modes_do_not_reach_slower_ones_of_another_chain(joint: Literal["revolute", "clamped"]) -> None:
+    """As noise has them, where it alone determines the fastest mode."""
+    chain, finer = arm_of(steel_link(4, joint)), arm_of(steel_link(12, joint))
+    (_, shapes), (finer_inertia, finer_shapes) = locked_modes(chain), locked_modes(finer)
+    recording = recording_of(chain, np.arange(3) / 100.0)
+
+    def modal_rates(amplitudes: list[float]) -> Array:
+        state = np.zeros(2 * chain.size)
+        state[chain.size + chain.passive] = shapes @ amplitudes
+        rates = run_of(chain, recording, state).transferred_state(Arm(finer))[finer.size :]
+        return finer_shapes.T @ finer_inertia @ rates[finer.passive]
+
+    assert abs(modal_rates([0.01, 0.0, 0.0, 0.0])[0]) == pytest.approx(0.01, rel=0.01)
+    noisy = modal_rates([0.0, 0.0, 0.0, 0.05])
+    assert noisy[:3] == pytest.approx(0.0, abs=1e-12)
+    assert abs(noisy[3]) > 0.01
 
 
 def test_a_torque_s_moments_survive_its_steps() -> None:

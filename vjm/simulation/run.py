@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
@@ -151,20 +152,35 @@ class Run:
     def transferred_state(self, arm: Arm) -> Array:
         """Transfer the initial state (2 nv,) to an arm with other virtual joints, keeping the active joints' momentum.
 
-        Chains differ in their fast modes, and so in their initial rates: without the momentum's correction a joint that
-        turns freely would drift.
+        Recordings hardly determine the rates of fast modes, which interpolation between joints would pass on to slower
+        ones: that part is left out. Without the momentum's correction a joint that turns freely would drift.
         """
-        state = transfer_state(self.chain, arm.chain, self.state)
+        q, v = np.split(self.state, 2)
+        other_q, other_v = np.split(transfer_state(self.chain, arm.chain, self.state), 2)
+        passive, other_passive = self.chain.passive, arm.chain.passive
+        (inertia, shapes), (other_inertia, other_shapes) = self._locked_modes(self.arm), self._locked_modes(arm)
+        rates = np.zeros((2 * self.chain.size, passive.size))
+        rates[self.chain.size + passive] = shapes
+        interpolated = transfer_state(self.chain, arm.chain, rates)[arm.chain.size + other_passive]
+        # Row j, column k: how much of the other arm's mode j there is in mode k; slower modes come first.
+        by_modes = np.tril(other_shapes.T @ other_inertia @ interpolated)
+        other_v[other_passive] = other_shapes @ (by_modes @ (shapes.T @ inertia @ v[passive]))
         active = arm.chain.active
         if not active.size:
-            return state
+            return np.concatenate([other_q, other_v])
         recording = self.observed.recording
-        (q, v), (other_q, other_v) = np.split(self.state, 2), np.split(state, 2)
         mass = mechanism_of(self.chain, self.arm.inputs(recording).payload).mass_matrix(q[None])[0]
         other_mass = mechanism_of(arm.chain, arm.inputs(recording).payload).mass_matrix(other_q[None])[0]
         lost_momentum = (mass @ v)[self.chain.active] - (other_mass @ other_v)[active]
         other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], lost_momentum)
         return np.concatenate([other_q, other_v])
+
+    def _locked_modes(self, arm: Arm) -> tuple[Array, Array]:
+        """Return the inertia (p, p) of an arm's passive joints and their modes (p, p), active joints being locked."""
+        driven = arm.inputs(self.observed.recording)
+        M, _, K, _ = linearise(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
+        passive = np.ix_(arm.chain.passive, arm.chain.passive)
+        return M[passive], np.asarray(linalg.eigh(K[passive], M[passive])[1])
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
