@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import ncx2
 
 from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
 from vjm.diagnosis import selection
@@ -322,10 +322,12 @@ def test_friction_that_leaves_only_noise_does_not_hide_a_small_effect() -> None:
     # What a poor fit leaves may be friction still, up to a hundredth of what that explains; not if one more effect
     # explains nearly all of it.
     assert wrong.chi2 > 1e5
-    # The excess is known to the scatter of chi^2 only.
-    excess = wrong.chi2 - wrong.point.expected_chi2 + norm.ppf(0.95) * np.sqrt(2 * wrong.point.count)
     assert search.least_decrease(wrong) == search.negligible(wrong) == pytest.approx(1e4)
-    assert search.least_decrease(wrong, np.array([0.0, excess - 6e3])) == pytest.approx([1e4, 6e3])
+    # What would be left is known to the scatter of chi^2 only.
+    excess, count = wrong.chi2 - wrong.point.expected_chi2, wrong.point.count
+    largest, limit = search.least_decrease(wrong, np.array([0.0, excess - 6e3]))
+    assert largest == pytest.approx(1e4)
+    assert ncx2.cdf(count + 6e3, count, limit) == pytest.approx(0.05, abs=0.005)
 
 
 def test_without_an_effect_the_linear_model_predicts_what_a_fit_leaves() -> None:

@@ -293,17 +293,19 @@ class Search:
         """Return the decrease of chi^2 from which a further effect matters beside a model.
 
         It is what is negligible; less beside stick-slip and play, if that is more than would be left beyond noise. What
-        their fits leave must not be taken for another effect, but an effect that explains most of it is one. What is
-        left is known to the scatter sqrt(2 n) of chi^2: its upper limit counts, at a confidence of 95 %.
+        their fits leave must not be taken for another effect, but an effect that explains most of it is one. What would
+        be left, x, is known to the scatter sqrt(2 n + 4 x) of a noncentral chi^2: its upper limit counts, at a
+        confidence of 95 %.
 
         Args:
             fit: the model.
             gained: (...) decreases of chi^2 by the effect that are not in the model yet.
         """
-        scatter = norm.ppf(0.95) * np.sqrt(2 * fit.point.count)
-        unexplained = np.maximum(fit.chi2 + scatter - fit.point.expected_chi2 - gained, 0.0)
+        excess = np.asarray(fit.chi2 - fit.point.expected_chi2 - gained, dtype=np.float64)
+        scatter = np.sqrt(2 * fit.point.count + 4 * np.maximum(excess, 0.0))
         minimum = self.options.least_decrease(fit.chi2)
-        return np.asarray(np.clip(unexplained, minimum, max(minimum, self.negligible(fit))))
+        limit: Array = np.clip(excess + norm.ppf(0.95) * scatter, minimum, max(minimum, self.negligible(fit)))
+        return limit
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.
