@@ -30,7 +30,7 @@ from vjm.effects import Backlash, BaseCompliance, ClampCompliance, CoulombFricti
 from vjm.model.modes import linearise
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import phi_functions, simulate_trajectories
+from vjm.simulation.integrate import flow_and_response, phi_functions, simulate_trajectories
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
@@ -264,6 +264,12 @@ def test_phi_functions(size: float) -> None:
         expected = expm(block)[:4].reshape(4, 4, 4)
         for order in range(4):
             np.testing.assert_allclose(found[order][k], expected[:, order], rtol=1e-10, atol=1e-11)
+    forcing = [rng.normal(size=(3, 4, 2)) for _ in range(3)]
+    flow, response = flow_and_response(matrices, 1.0, 2, (forcing[0], forcing[1], forcing[2]))
+    np.testing.assert_allclose(flow, found[0], rtol=1e-12, atol=1e-13)
+    combined = sum(phi @ part for phi, part in zip(found[1:], forcing, strict=True))
+    np.testing.assert_allclose(response, combined, rtol=1e-10, atol=1e-11)
+    assert flow_and_response(matrices, 1.0, 2, (np.zeros((3, 4, 0)),) * 3)[1].shape == (3, 4, 0)
 
 
 # The triangle

@@ -105,6 +105,11 @@ class Arm:
             rates[..., part] = function(time, q, v, z[..., part])
         return rates
 
+    @property
+    def has_rate_independent_states(self) -> bool:
+        """True if `update_states` changes any internal state."""
+        return bool(self._state_updates)
+
     def update_states(self, q: Array, z: Array, to: Array) -> Array:
         """Return internal states (..., nz) after a change of angles (..., nv); only rate-independent ones change."""
         updated = z.copy()

@@ -65,6 +65,7 @@ def simulate_trajectories(
     starts = [float(recording.time[0]) for recording in driven] if began is None else began
     trajectories: dict[int, Trajectory] = {}
     for group in _similar(arms, driven):
+        group = _adjacent(group, arms, driven)
         first, copies = driven[group[0]], [arms[k] for k in group]
         h = step_multiple * default_step(copies[0].chain, first.payload) if step is None else step
         if not 0 < h < np.inf:
@@ -100,6 +101,17 @@ def _similar(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[
         else:
             groups.append([k])
     return groups
+
+
+def _adjacent(group: list[int], arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[int]:
+    """Return the runs, the first one first, in an order in which those of the same arm and payload are adjacent."""
+    places: dict[tuple[int | float, ...], int] = {}
+
+    def place(k: int) -> tuple[int, int]:
+        mechanism = id(arms[k].chain), recordings[k].payload
+        return places.setdefault(mechanism, len(places)), places.setdefault((id(arms[k].effects),), len(places))
+
+    return sorted(group, key=place)
 
 
 def _duration(recording: Recording) -> float:
@@ -349,6 +361,35 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
     phi_k(z) = (phi_{k-1}(z) - 1 / (k - 1)!) / z with phi_0 = exp (Hochbruck and Ostermann 2010).
     L is (K, m, m) [1/s]. The first `size` unknowns are angles, the next their rates, which are balanced with them.
     """
+    units, halvings, (flow, phi1, phi2, phi3) = _of_halved_step(L, step, size)
+    for _ in range(halvings):
+        flow, phi1, phi2, phi3 = _of_twice_the_step(flow, phi1, phi2, phi3)
+    back = units[:, None] / units
+    return flow * back, phi1 * back, phi2 * back, phi3 * back
+
+
+def flow_and_response(L: Array, step: float, size: int, forcing: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Return exp(step L) and the sum of phi_k(step L) F_k of forcing F_1, F_2, F_3 (K, m, p); L and size as above.
+
+    Doubling the forcing in place of the matrices, of which it has fewer columns, gives the same.
+    """
+    units, halvings, (flow, *phis) = _of_halved_step(L, step, size)
+    flows = [flow]
+    for _ in range(halvings):
+        flows.append(flows[-1] @ flows[-1])
+    F1, F2, F3 = (part / units[:, None] for part in forcing)
+    if F1.shape[2]:
+        for half in reversed(flows[:-1]):
+            F1, F2, F3 = (half @ F1 + F1) / 2 + F2 / 4 + F3 / 16, (half @ F2 + F2) / 4 + F3 / 8, (half @ F3 + F3) / 8
+    response = sum(phi @ part for phi, part in zip(phis, (F1, F2, F3), strict=True))
+    return flows[-1] * (units[:, None] / units), response * units[:, None]
+
+
+def _of_halved_step(L: Array, step: float, size: int) -> tuple[Array, int, tuple[Array, Array, Array, Array]]:
+    """Return the balanced unknowns' units (m,), and exp, phi_1, phi_2, phi_3 of a step that was halved so many times.
+
+    Arguments as of `phi_functions`.
+    """
     stiffness = float(np.abs(L[:, size : 2 * size, :size]).sum(axis=-1).max(initial=0.0))
     units = np.ones(L.shape[-1])
     units[size : 2 * size] = max(float(np.sqrt(stiffness)), 1e-6)
@@ -364,11 +405,7 @@ def phi_functions(L: Array, step: float, size: int) -> tuple[Array, Array, Array
     phi3 = c[0] * identity + c[1] * X + c[2] * X2 + X3 @ phi3
     phi2 = identity / 2 + X @ phi3
     phi1 = identity + X @ phi2
-    flow = identity + X @ phi1
-    for _ in range(halvings):
-        flow, phi1, phi2, phi3 = _of_twice_the_step(flow, phi1, phi2, phi3)
-    scaling = units[:, None] / units
-    return flow * scaling, phi1 * scaling, phi2 * scaling, phi3 * scaling
+    return units, halvings, (identity + X @ phi1, phi1, phi2, phi3)
 
 
 def _of_twice_the_step(flow: Array, phi1: Array, phi2: Array, phi3: Array) -> tuple[Array, Array, Array, Array]:

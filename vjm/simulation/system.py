@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
@@ -164,6 +166,10 @@ class System:
         """True if anything acts beyond springs, dampers and torques."""
         return bool(self.acting)
 
+    @cached_property
+    def _has_rate_independent_states(self) -> bool:
+        return any(arm.has_rate_independent_states for _, arm, _ in self.acting)
+
     def further_forces(self, time: Array, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
         """Return effects' forces (C, nv) [N m] and rates of internal states (C, nz) at times (C,) [s].
 
@@ -180,6 +186,8 @@ class System:
 
     def update_states(self, q: Array, z: Array, to: Array) -> Array:
         """Return internal states (C, nz) after a change of angles (C, nv); only rate-independent ones change."""
+        if not self._has_rate_independent_states:
+            return z
         updated = z.copy()
         for copies, arm, _ in self.acting:
             updated[copies] = arm.update_states(q[copies], z[copies], to[copies])
@@ -205,8 +213,7 @@ def _mechanisms(
     for k, (chain, payload) in enumerate(zip(chains, payloads, strict=True)):
         groups.setdefault((id(chain), payload), []).append(k)
     return tuple(
-        (slice(None) if len(groups) == 1 else np.array(copies), mechanism_of(chains[copies[0]], payload, gravity))
-        for (_, payload), copies in groups.items()
+        (_rows(copies), mechanism_of(chains[copies[0]], payload, gravity)) for (_, payload), copies in groups.items()
     )
 
 
@@ -220,8 +227,27 @@ def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Ac
         arm = arms[copies[0]]
         force = arm.forces(payload)
         if force is not None or any(arm.states):
-            acting.append(_Acting(slice(None) if len(groups) == 1 else np.array(copies), arm, force))
+            acting.append(_Acting(_rows(copies), arm, force))
     return tuple(acting)
+
+
+def _rows(copies: Sequence[int]) -> Indices | slice:
+    """Return an index of rows: a slice of adjacent ones, which copies nothing."""
+    adjacent = copies[-1] - copies[0] == len(copies) - 1
+    return slice(copies[0], copies[-1] + 1) if adjacent else np.array(copies)
+
+
+# Weights of q, h v and h^2 a at a step's start and end, by powers (rows) of the share of the step that has passed.
+_QUINTIC_HERMITE = np.array(
+    [
+        [1.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0],
+        [-10.0, -6.0, -1.5, 10.0, -4.0, 0.5],
+        [15.0, 8.0, 1.5, -15.0, 7.0, -1.0],
+        [-6.0, -3.0, -0.5, 6.0, -3.0, 0.5],
+    ]
+)
 
 
 @dataclass(frozen=True)
@@ -277,18 +303,20 @@ class Trajectory:
 
         Those of C copies are (..., C, nv).
         """
-        h = self.step
-        k = np.clip(((time - self.time[0]) / h).astype(int), 0, len(self.time) - 2)
-        s = ((time - self.time[k]) / h).reshape(k.shape + (1,) * (self.q.ndim - 1))
-        q0, v0, a0 = self.q[k], self.v[k] * h, self.a[k] * h * h / 2
-        jump = self.q[k + 1] - q0 - v0 - a0
-        slope = self.v[k + 1] * h - v0 - 2 * a0
-        bend = (self.a[k + 1] * h * h - 2 * a0) / 2
-        c3, c4, c5 = 10 * jump - 4 * slope + bend, -15 * jump + 7 * slope - 2 * bend, 6 * jump - 3 * slope + bend
-        q = q0 + s * (v0 + s * (a0 + s * (c3 + s * (c4 + s * c5))))
-        v = (v0 + s * (2 * a0 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / h
-        return q, v
+        return self._interpolated(time), self._interpolated(time, 1)
 
     def angles(self, time: Array) -> Array:
-        """Return angles (..., nv) [rad] at instants (...) [s]."""
-        return self.sample(time)[0]
+        """Return angles (..., nv) [rad] at instants (...) [s], as of `sample`."""
+        return self._interpolated(time)
+
+    def _interpolated(self, time: Array, order: int = 0) -> Array:
+        """Return the angles' derivative of an order (..., nv) at instants (...) [s]."""
+        h = self.step
+        k = np.clip(((time - self.time[0]) / h).astype(int), 0, len(self.time) - 2)
+        weights = polyval((time - self.time[k]) / h, polyder(_QUINTIC_HERMITE, order)) / h**order
+        weights = weights.reshape(weights.shape + (1,) * (self.q.ndim - 1))
+        total: Array = weights[0] * self.q[k]
+        terms = (self.v, h, k), (self.a, h**2, k), (self.q, 1.0, k + 1), (self.v, h, k + 1), (self.a, h**2, k + 1)
+        for weight, (values, unit, rows) in zip(weights[1:], terms, strict=True):
+            total += weight * unit * values[rows]
+        return total

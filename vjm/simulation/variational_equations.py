@@ -19,7 +19,7 @@ from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import locked_joint_frequencies, phi_functions
+from vjm.simulation.integrate import flow_and_response, locked_joint_frequencies
 from vjm.simulation.measurement import Observations
 from vjm.simulation.system import Trajectory, torque_at
 
@@ -413,8 +413,9 @@ def propagators(coefficients: Coefficients, interval: float) -> tuple[Array, Arr
             values[:, upper:, term.column] -= _times(state[part, :, : 2 * upper], carried)
             values[:, upper : 2 * upper, term.column] -= _times(term.inertia[part] - term.inertia[middle], term.a[part])
     (L1, L2, L3), (F1, F2, F3) = (L[part] for part in parts), F
-    flow, phi1, phi2, phi3 = phi_functions((L1 + 4 * L2 + L3) / 6, interval, upper)
-    forced = interval * (phi1 @ F1 + phi2 @ (4 * F2 - 3 * F1 - F3) + 4 * phi3 @ (F1 - 2 * F2 + F3))
+    quadratic = F1, 4 * F2 - 3 * F1 - F3, 4 * (F1 - 2 * F2 + F3)
+    flow, response = flow_and_response((L1 + 4 * L2 + L3) / 6, interval, upper, quadratic)
+    forced = interval * response
     for term in inertial:
         forced[:, : 2 * upper, term.column] -= term.carried(first, last, interval, term.inertia[middle])
     return flow, forced
