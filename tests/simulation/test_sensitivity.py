@@ -193,11 +193,9 @@ def state_of(values: Array, chain: Chain, own: Arm, share: float) -> Array:
     return np.where(added, share * values, values)
 
 
-def nonsmooth_run(chain: Chain, effect: Effect, seen: Observations) -> Run:
-    arm = Arm.of(chain, (effect,))
-    return simulate_runs(
-        [arm], [seen], [InitialStatePrior.of(arm, seen.recording)], [np.zeros(2 * arm.chain.size)], 1.0
-    )[0]
+def runs_from_rest(arm: Arm, observed: list[Observations]) -> list[Run]:
+    priors = [InitialStatePrior.of(arm, each.recording) for each in observed]
+    return simulate_runs([arm] * len(observed), observed, priors, [np.zeros(2 * arm.chain.size)] * len(observed), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -210,16 +208,17 @@ def nonsmooth_run(chain: Chain, effect: Effect, seen: Observations) -> Run:
 )
 def test_derivatives_across_impacts_and_stiction_lead_to_the_truth(effect: Effect, name: str, change: float) -> None:
     """Motions with impacts are chaotic: of a dozen most must agree, in direction and in length."""
-    chain = arm_of(steel_link(3, "revolute"))
-    ahead, behind = (replace(effect, **{name: getattr(effect, name) + sign * change}) for sign in (1, -1))
-    step = 1e-3 * change
-    perturbed = PerturbedArm(Arm.of(chain, (replace(effect, **{name: getattr(effect, name) + step}),)), step)
+    chain, step = arm_of(steel_link(3, "revolute")), 1e-3 * change
+    torques = [jerky_torque(1, seed) for seed in range(12)]
+    observed = [seen_by(chain, recording_of(chain, np.arange(101) / 100.0, torque)) for torque in torques]
+
+    def arm(off: float) -> Arm:
+        return Arm.of(chain, (replace(effect, **{name: getattr(effect, name) + off}),))
+
     cosines, lengths = [], []
-    for seed in range(12):
-        seen = seen_by(chain, recording_of(chain, np.arange(101) / 100.0, jerky_torque(1, seed)))
-        found = of_one_stretch(nonsmooth_run(chain, effect, seen), [perturbed])[:, -1]
-        residuals = [nonsmooth_run(chain, each, seen).residual for each in (behind, ahead)]
-        expected = (residuals[0] - residuals[1]) / (2 * change)
+    for run, behind, ahead in zip(*(runs_from_rest(arm(off), observed) for off in (0.0, -change, change)), strict=True):
+        found = of_one_stretch(run, [PerturbedArm(arm(step), step)])[:, -1]
+        expected = (behind.residual - ahead.residual) / (2 * change)
         cosines.append(found @ expected / (np.linalg.norm(found) * np.linalg.norm(expected)))
         lengths.append(found @ expected / (found @ found))
     assert np.median(cosines) > 0.7
