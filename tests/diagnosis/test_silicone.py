@@ -24,7 +24,7 @@ RIVALS = [*SOME, "structural_damping", "cubic_stiffness"]
 @pytest.mark.parametrize(
     ("effects", "duration"),
     [
-        (SOME, 2.5),
+        (SOME, 1.5),
         pytest.param(RIVALS, 10.0, marks=pytest.mark.slow),
     ],
     ids=["some", "rivals"],
