@@ -97,10 +97,10 @@ class RigidBodies:
         return (matrix + np.swapaxes(matrix, 1, 2)) / 2
 
     def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
-        """Return accelerations (T, nv) [rad/s^2] of a batch (ABA), from contiguous q (T, nq), v and torque (T, nv)."""
+        """Return accelerations (T, nv) [rad/s^2] of a batch (ABA), from q (T, nq), v and torque (T, nv)."""
         acceleration = np.empty(v.shape)
         if self.base_weight:
-            torque = np.ascontiguousarray(torque - self.base_weight * (np.arange(v.shape[1]) == 0))
+            torque = torque - self.base_weight * (np.arange(v.shape[1]) == 0)
         pin.abaInParallel(1, self._pool, q.T, v.T, torque.T, acceleration.T)
         return acceleration
 

@@ -182,6 +182,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     path = Trajectory(step * np.arange(count + 1.0), *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
     # From the quadratic's torque at the start of each step to the torque itself, for what lies between steps.
     missing = drive.ends[:-1] - drive.start
+    has_further_forces = system.has_further_forces
     start, middle, end = (_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end))
 
     def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
@@ -192,7 +193,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
             raise SimulationDivergedError(float(drive.first[copy]) + step * max(k - 1, 0), step, remedy)
 
     def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
-        if not system.has_further_forces:
+        if not has_further_forces:
             return system.acceleration(x, springs + torque), z
         force, rates = system.further_forces(elapsed + k * step, x[:, :n], x[:, n:], z)
         return system.acceleration(x, springs + torque + force), rates

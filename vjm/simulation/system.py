@@ -196,7 +196,7 @@ class System:
     def acceleration(self, x: Array, torque: Array) -> Array:
         """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
         n = torque.shape[1]
-        q, v = np.ascontiguousarray(x[:, :n]), np.ascontiguousarray(x[:, n:])
+        q, v = x[:, :n], x[:, n:]
         if len(self.mechanisms) == 1:
             return self.mechanisms[0][1].forward_dynamics(q, v, torque)
         result = np.empty(torque.shape)
