@@ -134,10 +134,9 @@ def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFi
     segmented = len(fit.point.runs) > len(start.point.runs)
     if fit.converged or fit.predicted_decrease < VISIBLE_GAIN * fit.chi2:
         return replace(candidate, residual=fit.misfit, bound="lower" if segmented else None)
-    # A fit that was stopped above the residual of the start, which it has at no size at all, says nothing.
-    return (
-        candidate if segmented or fit.misfit > start.misfit else replace(candidate, residual=fit.misfit, bound="upper")
-    )
+    if segmented or fit.misfit > start.misfit:  # the start is the candidate at no size at all
+        return candidate
+    return replace(candidate, residual=fit.misfit, bound="upper")
 
 
 def _default_budget(experiment: Experiment, jobs: int) -> float:

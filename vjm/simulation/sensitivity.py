@@ -234,10 +234,8 @@ def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) ->
     def motions(paths: Sequence[Trajectory]) -> Motions:
         return Motions.of([path.at(indices) for path, indices in zip(paths, rows, strict=True)], observed)
 
-    motion, changed = (
-        motions([member.trajectory for member in group]),
-        zip(*(member.trajectories for member in group), strict=True),
-    )
+    motion = motions([member.trajectory for member in group])
+    changed = zip(*(member.trajectories for member in group), strict=True)
     # Most perturbed arms have no joint of their own, and move as the arm does.
     perturbed = [motion if paths[0] is group[0].trajectory else motions(paths) for paths in changed]
     return coefficients_along(group[0].arm, [member.basis for member in group], group[0].perturbed, motion, perturbed)

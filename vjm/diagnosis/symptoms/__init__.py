@@ -331,10 +331,8 @@ def _mean(estimates: Sequence[Coefficient]) -> Coefficient:
     known = [estimate for estimate in estimates if estimate.known and estimate.std > 0]
     if not known:
         return Coefficient()
-    values, weights = (
-        np.array([estimate.value for estimate in known]),
-        np.array([estimate.std for estimate in known]) ** -2,
-    )
+    values = np.array([estimate.value for estimate in known])
+    weights = np.array([estimate.std for estimate in known]) ** -2
     mean, std = float(np.average(values, weights=weights)), float(np.sum(weights) ** -0.5)
     scatter = math.sqrt(np.sum(weights * (values - mean) ** 2) / max(values.size - 1, 1))
     together = Coefficient.of(mean, std, std * max(scatter, 1.0), GROUPS - 1 + values.size - 1)
