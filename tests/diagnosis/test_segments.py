@@ -31,9 +31,8 @@ def test_wrong_initial_states_of_an_elbows_segments_do_not_hold_back_its_paramet
     parts = tuple(part for one in whole for part in segments(one, duration))
     problem = replace(fit.point.problem, observed=parts, step_multiple=4.0)
     known = [state_at(fit.point.runs, part) for part in parts]
-    for seed in (1, 2):
-        random = np.random.default_rng(seed)
-        away = [state + random.normal(size=2 * n) * np.repeat((0.01, 0.3), n) for state in known]  # rad, rad/s
-        start = problem.simulated(1.05 * x, away, away, [1.0] * len(parts))
-        found = fit_segments(TrajectoryFit(start), whole, duration, StoppingRule())
-        assert found.misfit < 1.02
+    random = np.random.default_rng(1)
+    away = [state + random.normal(size=2 * n) * np.repeat((0.01, 0.3), n) for state in known]  # rad, rad/s
+    start = problem.simulated(1.05 * x, away, away, [1.0] * len(parts))
+    found = fit_segments(TrajectoryFit(start), whole, duration, StoppingRule())
+    assert found.misfit < 1.02

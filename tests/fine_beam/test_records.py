@@ -206,6 +206,7 @@ def test_the_simulator_uses_nothing_of_the_package() -> None:
 # The demo's data
 
 
+@pytest.mark.slow
 def test_demo_regenerates_byte_for_byte(tmp_path: Path) -> None:
     make_demo(tmp_path / "demo", tmp_path / "truth.json")
     stored = sorted(path.name for path in DEMO_DIRECTORY.iterdir() if path.suffix in (".csv", ".toml"))

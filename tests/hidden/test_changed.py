@@ -14,7 +14,7 @@ from tests.hidden.severities import Planted, draw
 from vjm.diagnosis.baseline import fit_baseline
 
 
-@pytest.mark.parametrize("seed", [502, 503])
+@pytest.mark.parametrize("seed", [502, pytest.param(503, marks=pytest.mark.slow)])
 def test_wrong_sightings_after_a_change_are_left_out(tmp_path: Path, seed: int) -> None:
     payload = draw("tip_payload", seed, "clamped", 1.0)
     with_outliers, without = (

@@ -39,7 +39,7 @@ def off(rig: Rig, seed: int) -> list[float]:
     return [abs(estimate.value - truth[estimate.name]) / (estimate.error or np.nan) for estimate in found]
 
 
-@pytest.mark.parametrize("rig", ["hub", "clamped"])
+@pytest.mark.parametrize("rig", ["hub", pytest.param("clamped", marks=pytest.mark.slow)])
 def test_the_standard_error_includes_what_more_joints_would_change(rig: Rig) -> None:
     fit = identified(rig, 1)
     assert max(off(rig, 1)) < 2.5

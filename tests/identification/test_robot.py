@@ -89,6 +89,7 @@ def test_bending_torsion_and_damping_of_a_finer_tube_are_found(rate: float, nois
     assert float(K[0]) == pytest.approx(fit.parameters[0].value / fit.model.cells["tube_virtual_1_y"])
 
 
+@pytest.mark.slow
 def test_standard_errors_cover_the_truth_and_no_more() -> None:
     """95 % intervals over 20 seeds, and the scatter is what they say."""
     fits = [identified(coarse_motion(), 3e-4, seed, robot()) for seed in range(20)]
