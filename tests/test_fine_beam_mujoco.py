@@ -70,10 +70,10 @@ def mujoco_markers(case: Case, segments: int, max_step: float) -> Array:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_beam_is_the_limit_of_mujoco_chains(case: Case) -> None:
     # About the longest stable steps: the fastest damping rate grows with the fourth power of the number of segments.
-    step_multiple, middle, fine = (mujoco_markers(case, *chain) for chain in ((8, 2e-4), (16, 1e-4), (32, 2.5e-5)))
-    assert np.linalg.norm(middle - step_multiple) / np.linalg.norm(fine - middle) == pytest.approx(4.0, rel=0.1)
+    coarse, middle, fine = (mujoco_markers(case, *chain) for chain in ((8, 2e-4), (16, 1e-4), (32, 2.5e-5)))
+    assert np.linalg.norm(middle - coarse) / np.linalg.norm(fine - middle) == pytest.approx(4.0, rel=0.1)
     # Richardson's extrapolation, twice: the error has even powers of a segment's length only.
-    from_coarse, from_middle = middle + (middle - step_multiple) / 3.0, fine + (fine - middle) / 3.0
+    from_coarse, from_middle = middle + (middle - coarse) / 3.0, fine + (fine - middle) / 3.0
     limit = from_middle + (from_middle - from_coarse) / 15.0
     state = modal_state(case.beam, [case.tip]) if case.tip else None
     positions = simulate(case.beam, TIME, case.torque, state).positions(MARKERS)

@@ -30,9 +30,9 @@ def hub_errors(n: int, name: str, hub_inertia: float) -> Array:
     return np.asarray(found / hub_frequencies(3, hub_inertia)[: found.size] - 1)
 
 
-def orders(name: str, step_multiple: int, fine: int) -> Array:
+def orders(name: str, coarse: int, fine: int) -> Array:
     """Observed orders of convergence of f1..f3 between two numbers of joints."""
-    return np.asarray(np.log(np.abs(errors(step_multiple, name) / errors(fine, name))) / np.log(fine / step_multiple))
+    return np.asarray(np.log(np.abs(errors(coarse, name) / errors(fine, name))) / np.log(fine / coarse))
 
 
 def test_reference_frequencies_are_the_tabulated_ones() -> None:

@@ -115,9 +115,9 @@ def test_occlusions_last_as_long_as_asked(still: Trajectory) -> None:
 def test_encoder_noise_and_resolution(still: Trajectory) -> None:
     _, noisy = read_encoder(still, Encoder(rate=500.0, noise=1e-4), seed=1)
     assert noisy.std() == pytest.approx(1e-4, rel=0.02)
-    _, step_multiple = read_encoder(still, Encoder(rate=500.0, noise=1e-4, resolution=2e-4), seed=1)
-    np.testing.assert_allclose(step_multiple / 2e-4, np.round(step_multiple / 2e-4), atol=1e-12)
-    assert np.abs(step_multiple - noisy).max() <= 1e-4 * (1 + 1e-9)
+    _, rounded = read_encoder(still, Encoder(rate=500.0, noise=1e-4, resolution=2e-4), seed=1)
+    np.testing.assert_allclose(rounded / 2e-4, np.round(rounded / 2e-4), atol=1e-12)
+    assert np.abs(rounded - noisy).max() <= 1e-4 * (1 + 1e-9)
 
 
 def test_frames_between_samples_are_the_motion_there(motion: Trajectory) -> None:
