@@ -135,6 +135,7 @@ def test_drives_stay_in_range_and_bend_the_upper_link() -> None:
         assert deflection.max() > 0.025
 
 
+@pytest.mark.slow  # it asks of the simulator alone
 def test_motion_is_converged() -> None:
     motion, torque = simulate_drive(0)
     finer = simulate(replace(TRUE_ARM, segments=64), motion.time[:501], torque[:501], max_step=1e-4)

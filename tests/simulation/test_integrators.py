@@ -113,6 +113,7 @@ def test_long_chains_take_long_steps_as_exactly(n: int, kelvin_voigt: float, ste
     assert np.abs(markers_of(case, "exponential") - markers_of(case, "rk4", step)).max() < 1e-6
 
 
+@pytest.mark.slow  # it asks of the reference alone
 @pytest.mark.parametrize("name", ["released, 6 joints", "two driven links"])
 def test_the_reference_s_own_step_is_short_enough(name: str) -> None:
     """Against its default, the 100 us of the paper's section 6.4."""
