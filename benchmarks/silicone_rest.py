@@ -1,7 +1,8 @@
 """The measured silicone beam, whose markers are told from its position of rest: what that leaves of its residuals.
 
-The beam hangs from its clamp in the plane in which it swings, and the file says no gravity. A second diagnosis has the
-sag added to the markers, as the first one's model says it is, and gravity. Needs the recordings beside the repository.
+The file says no gravity. A second diagnosis has it, across the beam in the plane of its swing (an assumption: what is
+known of the recordings does not say so), and the sag added to the markers as the first one's model has it. Needs the
+recordings beside the repository.
 """
 
 from dataclasses import replace

@@ -27,7 +27,7 @@ from tests.simulation.setups import (
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects import Backlash, BaseCompliance, ClampCompliance, CoulombFriction, Effect, GearElasticity, TipPayload
-from vjm.model.modes import linearise
+from vjm.model.modes import linearise, modes
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import flow_and_response, phi_functions, simulate_trajectories
@@ -335,6 +335,25 @@ def test_rates_of_fast_modes_do_not_reach_slower_ones_of_another_chain(joint: Li
     noisy = modal_rates([0.0, 0.0, 0.0, 0.05])
     assert noisy[:3] == pytest.approx(0.0, abs=1e-12)
     assert abs(noisy[3]) > 0.01
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.05])
+def test_a_mode_keeps_its_rate_where_chains_order_their_modes_differently(direction: float) -> None:
+    """A table that is as fast as the third mode of bending, between what the two chains make of that."""
+    chain, finer = arm_of(steel_link(3)), arm_of(steel_link(9))
+    third = np.sqrt(modes(chain).frequencies[2] * modes(finer).frequencies[2])
+    mass = 7.0
+    table = BaseCompliance(stiffness=(mass + 0.44) * (2 * np.pi * third) ** 2, mass=mass, direction=direction)
+    arm, other = Arm.of(chain, (table,)), Arm.of(finer, (table,))
+    (inertia, shapes), (other_inertia, _) = locked_modes(arm.chain), locked_modes(other.chain)
+    for k in range(arm.chain.size):
+        state = np.r_[np.zeros(arm.chain.size), 0.01 * shapes[:, k]]
+        recording = recording_of(arm.chain, np.arange(3) / 100.0)
+        observed = seen_by(chain, recording)
+        run = simulate_runs([arm], [observed], [InitialStatePrior.of(arm, recording)], [state], 1.0)[0]
+        rates = run.transferred_state(other)[other.chain.size :]
+        # Three joints interpolate the curvature of the third mode of bending no better.
+        assert rates @ other_inertia @ rates == pytest.approx(1e-4 * shapes[:, k] @ inertia @ shapes[:, k], rel=0.3)
 
 
 def test_a_torque_s_moments_survive_its_steps() -> None:

@@ -301,11 +301,11 @@ class Search:
             fit: the model.
             gained: (...) decreases of chi^2 by the effect that are not in the model yet.
         """
-        excess = np.asarray(fit.chi2 - fit.point.expected_chi2 - gained, dtype=np.float64)
-        scatter = np.sqrt(2 * fit.point.count + 4 * np.maximum(excess, 0.0))
+        excess, z = np.asarray(fit.chi2 - fit.point.expected_chi2 - gained, dtype=np.float64), norm.ppf(0.95)
+        # The root of x = excess + z sqrt(2 n + 4 x).
+        limit = excess + 2 * z**2 + z * np.sqrt(np.maximum(2 * fit.point.count + 4 * excess + 4 * z**2, 0.0))
         minimum = self.options.least_decrease(fit.chi2)
-        limit: Array = np.clip(excess + norm.ppf(0.95) * scatter, minimum, max(minimum, self.negligible(fit)))
-        return limit
+        return np.asarray(np.clip(limit, minimum, max(minimum, self.negligible(fit))), dtype=np.float64)
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:
         """Return candidates that are significant and matter beside a model, one variant each, the most needed first.

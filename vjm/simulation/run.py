@@ -26,6 +26,8 @@ from vjm.simulation.timing_noise import TimingNoise
 from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
 
 _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a finite number
+# Between chains: their slow modes agree far better, and the first ten of a beam are further apart, ((2k+1)/(2k-1))^2.
+_FREQUENCY_TOLERANCE = 0.1
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
 
@@ -158,12 +160,13 @@ class Run:
         q, v = np.split(self.state, 2)
         other_q, other_v = np.split(transfer_state(self.chain, arm.chain, self.state), 2)
         passive, other_passive = self.chain.passive, arm.chain.passive
-        (inertia, shapes), (other_inertia, other_shapes) = self._locked_modes(self.arm), self._locked_modes(arm)
+        frequencies, inertia, shapes = self._locked_modes(self.arm)
+        other_frequencies, other_inertia, other_shapes = self._locked_modes(arm)
         rates = np.zeros((2 * self.chain.size, passive.size))
         rates[self.chain.size + passive] = shapes
         interpolated = transfer_state(self.chain, arm.chain, rates)[arm.chain.size + other_passive]
-        # Row j, column k: how much of the other arm's mode j there is in mode k; slower modes come first.
-        by_modes = np.tril(other_shapes.T @ other_inertia @ interpolated)
+        by_modes = other_shapes.T @ other_inertia @ interpolated  # how much of the other arm's j-th mode is in the k-th
+        by_modes[other_frequencies[:, None] < (1 - _FREQUENCY_TOLERANCE) * frequencies] = 0.0
         other_v[other_passive] = other_shapes @ (by_modes @ (shapes.T @ inertia @ v[passive]))
         active = arm.chain.active
         if not active.size:
@@ -175,12 +178,13 @@ class Run:
         other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], lost_momentum)
         return np.concatenate([other_q, other_v])
 
-    def _locked_modes(self, arm: Arm) -> tuple[Array, Array]:
-        """Return the inertia (p, p) of an arm's passive joints and their modes (p, p), active joints being locked."""
+    def _locked_modes(self, arm: Arm) -> tuple[Array, Array, Array]:
+        """Return frequencies (p,) [rad/s] of an arm with locked active joints, its inertia (p, p) and modes (p, p)."""
         driven = arm.inputs(self.observed.recording)
         M, _, K, _ = linearise(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
         passive = np.ix_(arm.chain.passive, arm.chain.passive)
-        return M[passive], np.asarray(linalg.eigh(K[passive], M[passive])[1])
+        squares, shapes = linalg.eigh(K[passive], M[passive])
+        return np.sqrt(np.maximum(squares, 0.0)), M[passive], shapes
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
