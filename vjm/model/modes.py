@@ -104,6 +104,18 @@ def modes(chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | Non
     return modes_of(*linearise(chain, payload, gravity)[:3])
 
 
+def locked_modes(
+    chain: Chain, payload: float = 0.0, gravity: tuple[float, float] | None = None, theta: ArrayLike = 0.0
+) -> tuple[Modes, Array]:
+    """Return the modes of the p passive joints, with shapes (p, m), and their inertia (p, p); active joints are locked.
+
+    Arguments and errors as of `linearise` and `modes_of`.
+    """
+    M, D, K, _ = linearise(chain, payload, gravity, theta)
+    passive = np.ix_(chain.passive, chain.passive)
+    return modes_of(M[passive], D[passive], K[passive]), M[passive]
+
+
 def modes_of(M: Array, D: Array, K: Array) -> Modes:
     """Return the modes of M x'' + D x' + K x = 0; the damping of a mode is its share of D (exact for light damping).
 

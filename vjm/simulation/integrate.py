@@ -14,7 +14,7 @@ import numpy as np
 
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
-from vjm.model.modes import linearise, modes_of
+from vjm.model.modes import locked_modes
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.system import Drive, System, Trajectory
@@ -136,9 +136,7 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
 @lru_cache(maxsize=64)
 def locked_joint_frequencies(chain: Chain, payload: float = 0.0) -> tuple[float, float]:
     """Return the lowest and the highest natural frequency with the active joints locked [Hz]."""
-    M, D, K, _ = linearise(chain, payload, (0.0, 0.0))
-    p = chain.passive
-    frequencies = modes_of(M[np.ix_(p, p)], D[np.ix_(p, p)], K[np.ix_(p, p)]).frequencies
+    frequencies = locked_modes(chain, payload, (0.0, 0.0))[0].frequencies
     return float(frequencies[0]), float(frequencies[-1])
 
 

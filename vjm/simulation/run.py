@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import linalg
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.model.dynamics import mechanism_of
-from vjm.model.modes import linearise
+from vjm.model.modes import Modes, linearise, locked_modes
 from vjm.records import Array, Indices, Recording, SimulatedRecording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
@@ -26,7 +25,7 @@ from vjm.simulation.timing_noise import TimingNoise
 from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
 
 _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a finite number
-# Between chains: their slow modes agree far better, and the first ten of a beam are further apart, ((2k+1)/(2k-1))^2.
+# Modes that chains may exchange are nearer to each other; the first ten of a beam are further apart, ((2k+1)/(2k-1))^2.
 _FREQUENCY_TOLERANCE = 0.1
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
@@ -160,14 +159,17 @@ class Run:
         q, v = np.split(self.state, 2)
         other_q, other_v = np.split(transfer_state(self.chain, arm.chain, self.state), 2)
         passive, other_passive = self.chain.passive, arm.chain.passive
-        frequencies, inertia, shapes = self._locked_modes(self.arm)
-        other_frequencies, other_inertia, other_shapes = self._locked_modes(arm)
-        rates = np.zeros((2 * self.chain.size, passive.size))
-        rates[self.chain.size + passive] = shapes
+        modes, inertia = self._locked_modes(self.arm)
+        other_modes, other_inertia = self._locked_modes(arm)
+        rates = np.zeros((2 * self.chain.size, modes.frequencies.size))
+        rates[self.chain.size + passive] = modes.shapes
         interpolated = transfer_state(self.chain, arm.chain, rates)[arm.chain.size + other_passive]
-        by_modes = other_shapes.T @ other_inertia @ interpolated  # how much of the other arm's j-th mode is in the k-th
-        by_modes[other_frequencies[:, None] < (1 - _FREQUENCY_TOLERANCE) * frequencies] = 0.0
-        other_v[other_passive] = other_shapes @ (by_modes @ (shapes.T @ inertia @ v[passive]))
+        # How much of the other arm's j-th mode (rows) is in the k-th. Slower is what comes before it in order and in
+        # frequency: chains with few joints may be far off in frequency, and exchange modes that are as fast.
+        by_modes = other_modes.shapes.T @ other_inertia @ interpolated
+        slower = other_modes.frequencies[:, None] < (1 - _FREQUENCY_TOLERANCE) * modes.frequencies
+        by_modes[np.triu(slower, 1)] = 0.0
+        other_v[other_passive] = other_modes.shapes @ (by_modes @ (modes.shapes.T @ inertia @ v[passive]))
         active = arm.chain.active
         if not active.size:
             return np.concatenate([other_q, other_v])
@@ -178,13 +180,9 @@ class Run:
         other_v[active] += np.linalg.solve(other_mass[np.ix_(active, active)], lost_momentum)
         return np.concatenate([other_q, other_v])
 
-    def _locked_modes(self, arm: Arm) -> tuple[Array, Array, Array]:
-        """Return frequencies (p,) [rad/s] of an arm with locked active joints, its inertia (p, p) and modes (p, p)."""
+    def _locked_modes(self, arm: Arm) -> tuple[Modes, Array]:
         driven = arm.inputs(self.observed.recording)
-        M, _, K, _ = linearise(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
-        passive = np.ix_(arm.chain.passive, arm.chain.passive)
-        squares, shapes = linalg.eigh(K[passive], M[passive])
-        return np.sqrt(np.maximum(squares, 0.0)), M[passive], shapes
+        return locked_modes(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
 
     def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
