@@ -83,6 +83,7 @@ CANDIDATES = "diagnose", "--jobs", "2", "--effects", "tip_payload,linear_drag,cl
         ("drawing", 0.0, ("identify",)),
         ("drawing shapes", 0.0, ("identify",)),
         *(("testing candidates", delay, CANDIDATES) for delay in (0.0, 0.3)),  # while processes start
+        pytest.param("testing candidates", 0.1, CANDIDATES, marks=pytest.mark.slow),
     ],
 )
 def test_the_command_ends_with_one_line(stage: str, delay: float, command: tuple[str, ...], tmp_path: Path) -> None:

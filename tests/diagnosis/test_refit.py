@@ -261,6 +261,27 @@ def test_friction_whose_fit_comes_out_worse_than_none_is_fitted_from_better_stat
     assert fit.misfit == pytest.approx(1.0, abs=0.03)
 
 
+@pytest.mark.parametrize(
+    ("misfit", "max_chi2"),
+    [(0.9, np.inf), (1.1, 0.95)],  # of the model without it; a rival is better
+    ids=["better", "given up"],
+)
+def test_friction_is_not_fitted_again_where_nothing_is_to_be_had(
+    misfit: float, max_chi2: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)))
+    truth = Stribeck(link=0, torque=0.008, speed=0.05)
+    fits: list[object] = []
+
+    def refitted(start: TrajectoryFit, *_: object, **__: object) -> object:
+        fits.append(SimpleNamespace(new_effects=(truth,), chi2=misfit * start.chi2))
+        return fits[-1]
+
+    monkeypatch.setattr(selection, "refit", refitted)
+    fit = selection._refit_within_bounds(start, selection.SearchOptions(), max_chi2 * start.chi2, [truth])
+    assert [fit] == fits
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_initial_states_may_be_estimated_before_all_parameters(seed: int) -> None:
     truth = Stribeck(link=0, torque=0.008, speed=0.08)

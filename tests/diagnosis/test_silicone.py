@@ -25,9 +25,10 @@ RIVALS = [*SOME, "structural_damping", "cubic_stiffness"]
     ("effects", "duration"),
     [
         (SOME, 1.5),
+        pytest.param(SOME, 2.5, marks=pytest.mark.slow),
         pytest.param(RIVALS, 10.0, marks=pytest.mark.slow),
     ],
-    ids=["some", "rivals"],
+    ids=["some", "some, longer", "rivals"],
 )
 def test_the_mass_on_the_tip_is_named_and_weighed(effects: list[str], duration: float) -> None:
     experiment = vjm.load_experiment(DATA / "experiment.toml")
