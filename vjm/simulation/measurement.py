@@ -71,7 +71,7 @@ class MarkerArcs:
         instants = np.tile(time, count + 1)  # all directions in one batch
         base, *perturbed = np.split(self.measured_positions(arm, moved, instants), count + 1)
         slopes: Array = (np.stack(perturbed, axis=-1) - base[..., None]) / step
-        return slopes.reshape(len(base), -1, count)
+        return slopes.reshape(len(base), 2 * base.shape[1], count)
 
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return when the camera saw frames stamped (F,) [s]: (F,) or, where markers differ, (k, F) [s]."""
