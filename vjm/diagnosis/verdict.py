@@ -135,7 +135,7 @@ def is_unexplained(findings: Diagnosis) -> bool:
 
 
 def conclude(findings: Diagnosis) -> Diagnosis:
-    """Add the conclusions: causes that are significant, explain little and gain nothing held out are dropped."""
+    """Add the conclusions: verdict, gain on held-out recordings, roles of the causes, what remains, what to do next."""
     findings = replace(
         findings,
         noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
@@ -145,12 +145,6 @@ def conclude(findings: Diagnosis) -> Diagnosis:
         return replace(findings, next_experiment=findings.insufficient[0])
     unexplained = is_unexplained(findings)
     gain = _estimate_gain(findings.recordings, findings.seed)
-    # What explains less of the training recordings than noise misjudged by 1 % (1/sqrt(2N) with N = 5,000 values), and
-    # gains less held out than chance (1/sqrt(2N) with N = 100,000), may be the error of the noise's size.
-    useless = findings.decrease < 0.02 and (gain is None or gain.reduction < 0.002)
-    if findings.causes and useless and not unexplained:
-        findings = _without_causes(findings)
-        gain = _estimate_gain(findings.recordings, findings.seed)
     findings = replace(findings, causes=_ranked(findings.causes))
     verdict: Verdict = "named" if findings.causes else "none"
     if any(cause.alternatives for cause in findings.causes):
@@ -176,19 +170,6 @@ def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
     minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)
-
-
-def _without_causes(findings: Diagnosis) -> Diagnosis:
-    causes = ", ".join(cause.effect.title for cause in findings.causes)
-    warning = f"{causes}: a small gain in training, none held out; not counted as a cause"
-    return replace(
-        findings,
-        causes=(),
-        model=findings.reference,
-        next_best=(),
-        recordings=tuple(replace(pair, simulated=pair.reference, alternative=None) for pair in findings.recordings),
-        warnings=(*findings.warnings, warning),
-    )
 
 
 def _budget_warning(budget: Budget) -> str:
