@@ -239,20 +239,21 @@ def _fit(oscillators: Oscillators, y: Array, noise: float, known: Array, start: 
     initial = np.clip(first.ravel(), lower + 1e-9, upper - 1e-9)
 
     def slopes(x: Array) -> Array:
-        return -_projected_jacobian(oscillators, y, x.reshape(-1, 2)) / noise
+        return -projected_jacobian(oscillators, y, x.reshape(-1, 2)) / noise
 
     result = least_squares(residual, initial, slopes, bounds=(lower, upper), x_scale=1e-2 * scale, max_nfev=30)
     refined: Array = np.asarray(result.x).reshape(-1, 2)
     return refined
 
 
-def _projected_jacobian(oscillators: Oscillators, y: Array, values: Array) -> Array:
+def projected_jacobian(oscillators: Oscillators, y: Array, values: Array, basis: Array | None = None) -> Array:
     """Return the slopes (T c, 2 m) of the fitted motion over frequencies and damping ratios, amplitudes projected out.
 
     The slopes of the projected residual but for a part that the residual is normal to, which leaves the gradient exact
     (L. Kaufman, A variable projection method for solving separable nonlinear least squares problems, BIT 15, 1975).
+    An orthonormal basis (T, k) of further motion is projected out as well; y (T, c) is normal to it already.
     """
-    columns = oscillators.columns(values)
+    columns = outside(basis, oscillators.columns(values))
     _, amplitudes = _project(columns, y)
     slopes = []
     for pair, pair_amplitudes in zip(values, np.split(amplitudes[1:], len(values)), strict=True):
@@ -261,7 +262,13 @@ def _projected_jacobian(oscillators: Oscillators, y: Array, values: Array) -> Ar
             return (oscillators.columns(x[None])[:, 1:] @ pair_amplitudes).ravel()
 
         slopes.append(approx_fprime(pair, motion, 1e-6 * np.maximum(np.abs(pair), 1e-3)))
-    return _project(columns, np.hstack(slopes).reshape(len(y), -1))[0].reshape(y.size, -1)
+    along = outside(basis, np.hstack(slopes).reshape(len(y), -1))
+    return _project(columns, along)[0].reshape(y.size, -1)
+
+
+def outside(basis: Array | None, columns: Array) -> Array:
+    """Return columns (T, k) without what an orthonormal basis (T, b) explains of them; None: as they are."""
+    return columns if basis is None else columns - basis @ (basis.T @ columns)
 
 
 def _pruned(oscillators: Oscillators, y: Array, noise: float, values: Array) -> Array:
@@ -286,7 +293,7 @@ def _standard_errors(oscillators: Oscillators, y: Array, values: Array) -> Array
         return np.empty((0, 2))
     columns = oscillators.columns(values)
     residual, _ = _project(columns, y)
-    matrix = _projected_jacobian(oscillators, y, values)
+    matrix = projected_jacobian(oscillators, y, values)
     freedom = max(residual.size - columns.shape[1] * y.shape[1] - values.size, 1)
     covariance = np.linalg.pinv(matrix.T @ matrix) * float(np.sum(residual**2)) / freedom
     return np.sqrt(np.maximum(np.diag(covariance), 0)).reshape(-1, 2)

@@ -18,7 +18,7 @@ from scipy.ndimage import find_objects, label
 from scipy.optimize import least_squares
 
 from vjm.diagnosis.symptoms.channels import Channels, Coefficient, explained, regress
-from vjm.experiment.spectrum import Oscillators
+from vjm.experiment.spectrum import Oscillators, outside, projected_jacobian
 from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
@@ -386,22 +386,24 @@ def _poles(
     All that is linear is projected out. Modes are left out until the noise would leave each frequency certain to a
     twentieth of its half-power bandwidth, or to 0.2 %: what is driven far from its resonance shows no pole.
     """
-    basis, _ = np.linalg.qr(slow)
-    motion = motion - basis @ (basis.T @ motion)
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(len(slow)), slow]))
+    motion = outside(basis, motion)
     orders = list(natural)
     while orders:
         unit = np.array([[natural[k], 1.0] for k in orders])  # x: frequencies over the natural ones, and damping ratios
 
         def residual(x: Array, unit: Array = unit) -> Array:
-            columns = oscillators.columns(x.reshape(-1, 2) * unit)[:, 1:]
-            columns = columns - basis @ (basis.T @ columns)
+            columns = outside(basis, oscillators.columns(x.reshape(-1, 2) * unit)[:, 1:])
             sizes, *_ = np.linalg.lstsq(columns, motion, rcond=1e-10)
             return np.asarray(motion - columns @ sizes).ravel()
+
+        def slopes(x: Array, unit: Array = unit) -> Array:
+            return -projected_jacobian(oscillators, motion, x.reshape(-1, 2) * unit, basis) * unit.ravel()
 
         starts = [np.tile([1.0, ratio], len(orders)) for ratio in (0.003, 0.01, 0.05)]
         first = min(starts, key=lambda x: float(np.sum(residual(x) ** 2)))
         bounds = np.tile([0.75, 0.0], len(orders)), np.tile([1.25, 0.5], len(orders))
-        fit: Any = least_squares(residual, first, bounds=bounds, x_scale=0.01, max_nfev=20)
+        fit: Any = least_squares(residual, first, slopes, bounds, x_scale=0.01, max_nfev=20)
         std = np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))[::2] / fit.x[::2]
         unsure = std / np.maximum(0.1 * fit.x[1::2], 2e-3) * np.where(fit.x[1::2] > 0.3, np.inf, 1.0)
         if unsure.max() <= 1:
