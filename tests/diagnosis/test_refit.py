@@ -240,6 +240,23 @@ def test_a_small_effect_beside_the_discretization_error_is_that_of_a_beam(seed: 
     assert abs(fit.estimate[-1]) < 3 * np.sqrt(information_of(fit).covariance[-1, -1])
 
 
+@pytest.mark.parametrize(("size", "in_segments"), [(0.0, False), (0.00125, False), (0.5, True)])
+def test_what_is_small_is_looked_for_in_whole_recordings_at_once(size: float, in_segments: bool) -> None:
+    """Segments show less of it; but a model that lacks much may lose whole recordings."""
+    truth = [CubicStiffness(link=0, coefficient=size)] if size else []
+    start = TrajectoryFit(point_of(chain_of(4), (), recorded(Arm.of(chain_of(36), truth), 1, factor=3.0)))
+    base = corrected_for_discretization(fit_trajectory(start.point.problem, start.point.x), RIG)
+    assert base is not None
+    steps: list[str] = []
+    best = selection.Search(RIG, base, [CubicStiffness()], selection.SearchOptions(), steps.append).run().best
+    assert ("fitting segments" in steps) is in_segments
+    assert best.misfit == pytest.approx(1.0, abs=0.05)
+    assert len(best.effects) == len(truth)
+    for effect in truth:
+        std = float(np.sqrt(information_of(best).covariance[-1, -1]))
+        assert abs(best.estimate[-1] - effect.coordinates[0]) < 3 * std < effect.coordinates[0]
+
+
 def test_a_table_that_was_recentred_is_lengthened_about_its_new_direction() -> None:
     truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
     point = point_of(chain_of(), (truth,), recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0))

@@ -142,11 +142,13 @@ class Search:
 
     def run(self) -> SearchResult:
         """Find the effects that are needed."""
-        best = self._fit_segments_without_effects()
+        # Where the discretization error is known, what is missing is small, and shows most in whole recordings.
+        whole = self.start.shift is not None
+        best, durations = (self.start, []) if whole else (self._fit_segments_without_effects(), self._durations()[1:])
         fits = segment_fits = {best.effect_keys: best}
-        best, family = self._forward_selection(best, fits)
+        best, family = self._forward_selection(best, fits, small=whole)
         stages = [(best, fits)]
-        for duration in self._durations()[1:]:
+        for duration in durations:
             if self.options.exhausted:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
