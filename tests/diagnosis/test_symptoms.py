@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -140,6 +141,18 @@ def test_a_torque_that_ends_after_the_camera_leaves_no_free_motion() -> None:
     markers[last:], torque[last + 2 :] = np.nan, 0.0
     result = found(replace(whole, recording=replace(recording, kind="driven", markers=markers, tau=torque)))
     assert all(not one.modes.free for one in result.recordings)
+
+
+def test_free_motion_that_the_camera_misses_is_left_out() -> None:
+    decay = simulated(0, clamped=True, kind="decay", duration=10)
+    time, markers = decay.recording.time, decay.recording.markers.copy()
+    markers[(time > 3) & (time < 7), 0] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = found(replace(decay, recording=replace(decay.recording, markers=markers)))
+    (free,) = result.recordings[0].modes.free[:1]
+    assert len(free.time) > 3
+    assert not ((free.time > 4) & (free.time < 6)).any()
 
 
 def test_conditions_are_told_in_words() -> None:

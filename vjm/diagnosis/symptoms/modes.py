@@ -325,13 +325,15 @@ class _Fit:
         points = []
         for centre in np.linspace(start + half, stop - half, max(int((stop - start) / half) - 1, 0)):
             rows = (np.abs(camera.time - centre) <= half) & camera.known.all(axis=1)
+            if rows.sum() < 2 * (5 + 2 * count):
+                continue
             time, motions = camera.time[rows] - centre, (camera.measured[rows], camera.simulated[rows])
             (amplitude, pole, noise), (own_amplitude, own_pole, _) = (
                 _local_oscillation(time / half, half, motion @ np.conj(shape), motion_poles, k)
                 for motion, motion_poles in zip(motions, poles, strict=True)
             )
             # Seen where the noise leaves the phase certain to a fiftieth of a period.
-            if rows.sum() >= 2 * (5 + 2 * count) and min(amplitude, own_amplitude) > 8 * camera.noise * noise[0]:
+            if min(amplitude, own_amplitude) > 8 * camera.noise * noise[0]:
                 points.append((centre, amplitude, pole, own_pole, camera.noise * noise[1] / amplitude))
         if len(points) < 4:  # too few to show a trend
             return None
