@@ -155,6 +155,16 @@ def test_gain_is_told_in_millimetres_and_with_its_interval() -> None:
     assert "not tested" in " ".join(result_page(replace(found, gain=None)).points)
 
 
+def test_a_gain_too_small_for_the_digits_of_the_error_is_told_as_one() -> None:
+    found = pair()
+    assert found.gain is not None
+    gain = replace(found.gain, before=3.004e-4, after=3.002e-4, reduction=7e-4, interval=(-3e-4, 1.7e-3))
+    page = result_page(replace(found, gain=gain))
+    assert "The gain is too small to show in the held-out error of 0.30 mm (noise 0.30 mm)." in plain(page.headline)
+    told = "Held-out error: 0.070 % less (95 % interval of the reduction −0.030 … 0.17 %)"
+    assert any(plain(point).startswith(told) for point in page.points)
+
+
 def test_what_cannot_be_told_apart_comes_with_the_recording_that_would() -> None:
     text = " ".join(_alternative_points(undecided()))
     assert "chi² larger by 0.70" in text

@@ -158,8 +158,12 @@ def _improvement(diagnosis: Diagnosis) -> str:
     gain = diagnosis.gain
     if gain is None:
         return ""
-    change = f"{'falls' if gain.after < gain.before else 'rises'} from {millimetres(gain.before)}"
-    return f"Held-out error {change} to {millimetres(gain.after)} (noise {millimetres(gain.noise)})."
+    before, after, noise = (millimetres(error) for error in (gain.before, gain.after, gain.noise))
+    if before == after:
+        return f"The gain is too small to show in the held-out error of {after} (noise {noise})."
+    return (
+        f"Held-out error {'falls' if gain.after < gain.before else 'rises'} from {before} to {after} (noise {noise})."
+    )
 
 
 def _cause_points(diagnosis: Diagnosis) -> list[str]:
@@ -177,8 +181,8 @@ def _gain_points(diagnosis: Diagnosis) -> list[str]:
         return ["No recording was held out: the gain is not tested."] if diagnosis.causes else []
     if not diagnosis.causes:
         return [f"Held-out error {millimetres(gain.before)}, noise {millimetres(gain.noise)}."]
-    low, high = (f"{100 * bound:.0f}" for bound in gain.interval)
-    change = f"{abs(100 * gain.reduction):.0f} % {'less' if gain.reduction >= 0 else 'more'}"
+    low, high = (number(100 * bound, 2) for bound in gain.interval)
+    change = f"{number(abs(100 * gain.reduction), 2)} % {'less' if gain.reduction >= 0 else 'more'}"
     text = f"Held-out error: {change} (95 % interval of the reduction {low} … {high} %)"
     if gain.next_best is not None:
         explanations = listed([in_sentence(effect.title) for effect in diagnosis.next_best])
