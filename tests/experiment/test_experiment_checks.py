@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from experiment_files import DRIVEN, FREE, ROWS, TOML, csv_text, rows, write_experiment
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vjm.errors import RecordingError
 from vjm.experiment.checks import (
@@ -18,7 +20,9 @@ from vjm.experiment.checks import (
     _coverage_warnings,
     _distance_warnings,
     _gap_warnings,
+    _impulse_errors,
     _torque_difference,
+    _torque_gap_warnings,
     _unit_warnings,
     cleaned,
     moves,
@@ -138,9 +142,9 @@ def test_what_only_resembles_clipping() -> None:
 
 def test_noise_and_motion() -> None:
     noise = np.random.default_rng(0).normal(0.0, NOISE, 2000)
-    for given in (NOISE, None):
-        assert not moves(noise, given)
-        assert moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), given)
+    for told in (NOISE, None):
+        assert not moves(noise, told)
+        assert moves(noise[:400] + 2.0 * NOISE * np.sin(20.0 * TIME), told)
     assert not moves(np.full(50, 0.1 + 0.2), None)
     assert not moves(np.full(97, 0.1), None)
     assert not moves(np.full(50, np.nan), None)
@@ -167,6 +171,88 @@ def test_coverage() -> None:
     assert "beam.tau is measured from t = 0 to 0.49 s only" in sentence
     assert len(list(_coverage_warnings("beam.tau", frames[5:], frames))) == 1
     assert list(_coverage_warnings("beam.tau", frames[:0], frames)) == []
+
+
+HUB = Rig("rig", (Link("beam", "revolute", 1.0, 0.44, 1.97, (1.0,), hub_inertia=0.02),), marker_noise=NOISE)
+
+
+def driven(torque: np.ndarray, rate: float = 200.0, first_frame: float = 0.0) -> Recording:
+    """A recording under torques (T,), with frames from some time on, s."""
+    time = np.arange(torque.size) / rate
+    markers = np.where(time[:, None, None] >= first_frame, 0.0, np.full((torque.size, 1, 2), np.nan))
+    return Recording(time, markers, np.zeros((torque.size, 1)), torque[:, None], kind="driven", file="a.csv")
+
+
+def unknown_during(torque: np.ndarray, begin: int, end: int) -> np.ndarray:
+    return np.where((np.arange(torque.size) >= begin) & (np.arange(torque.size) < end), np.nan, torque)
+
+
+@pytest.mark.parametrize("inner", [True, False])
+@pytest.mark.parametrize("count", [2, 30, 150])
+def test_the_impulse_that_interpolation_misses_is_that_of_a_sinusoid(count: int, inner: bool) -> None:
+    rate, omega, duration = 1000.0, 7.0, count / 1000.0
+    time = np.arange(20 * 898) / rate  # whole periods
+    errors = _impulse_errors(time, np.sin(omega * time)[:, None], 1 / rate, count, inner)
+    half = omega * duration / 2
+    if inner:  # chord: its impulse at a phase is in step with the sinusoid's at the middle
+        expected = abs(2 / omega * np.sin(half) - duration * np.cos(half))
+    else:
+        expected = abs((np.exp(2j * half) - 1) / (1j * omega) - duration)
+    assert errors[0] == pytest.approx(expected / np.sqrt(2), rel=0.01, abs=3e-8)  # the sum is by trapezoids
+
+
+SMOOTH = 0.08 * np.sin(2 * np.pi * 1.3 * np.arange(1001) / 200.0)
+
+
+@pytest.mark.parametrize(
+    ("torque", "part"),
+    [
+        (SMOOTH, (0.0, 5.0)),
+        (unknown_during(SMOOTH, 400, 403), (0.0, 5.0)),  # a line will do
+        (unknown_during(SMOOTH, 400, 560), (2.8, 5.0)),
+        (unknown_during(unknown_during(SMOOTH, 280, 400), 700, 800), (2.0, 3.495)),
+        (unknown_during(SMOOTH, 0, 200), (1.0, 5.0)),
+        (unknown_during(SMOOTH, 900, 1001), (0.0, 4.495)),
+        (unknown_during(SMOOTH, 998, 1001), (0.0, 5.0)),
+        (unknown_during(SMOOTH, 100, 910), (0.0, 0.495)),  # longer than anything that was measured
+        (unknown_during(np.zeros(1001), 400, 600), (0.0, 5.0)),  # a torque that nowhere changes does not there
+        (np.full(1001, np.nan), (0.0, 5.0)),  # not measured: no recording of torques
+    ],
+)
+def test_of_a_recording_whose_torque_is_unknown_for_too_long_a_part_is_used(
+    torque: np.ndarray, part: tuple[float, float]
+) -> None:
+    whole = driven(torque)
+    used = cleaned(HUB, whole)
+    assert (used.time[0], used.time[-1]) == pytest.approx(part, abs=1e-9)
+    assert np.array_equal(used.tau, torque[(whole.time >= used.time[0]) & (whole.time <= used.time[-1])][:, None], True)
+    sentences = list(_torque_gap_warnings(HUB, whole, "beam.tau"))
+    assert len(sentences) == (used is not whole)
+    for sentence in sentences:
+        assert sentence.startswith("beam.tau is unknown for too long")
+        assert f"only t = {part[0]:.6g} to {part[1]:.6g} s are used" in sentence
+    assert cleaned(HUB, replace(whole, input="motion")).time.size == 1001
+
+
+def test_the_part_with_most_frames_is_used() -> None:
+    whole = driven(unknown_during(SMOOTH, 600, 700), first_frame=3.2)
+    assert cleaned(HUB, whole).time[0] == pytest.approx(3.5)
+
+
+@given(length=st.floats(1e-2, 1e2), mass=st.floats(1e-2, 1e2), duration=st.floats(1e-2, 1e2))
+def test_the_part_that_is_used_is_the_same_at_any_scale(length: float, mass: float, duration: float) -> None:
+    gapped = unknown_during(unknown_during(SMOOTH, 300, 305), 600, 615)
+    link, inertia = HUB.links[0], mass * length**2
+    scaled = replace(
+        link,
+        length=link.length * length,
+        mass=link.mass * mass,
+        markers=(length,),
+        hub_inertia=link.hub_inertia * inertia,
+    )
+    rig = replace(HUB, links=(scaled,), marker_noise=NOISE * length)
+    original, found = cleaned(HUB, driven(gapped)), cleaned(rig, driven(gapped * inertia / duration**2, 200 / duration))
+    assert original.time.size == found.time.size < 1001
 
 
 def recording(time: np.ndarray, tau: np.ndarray) -> Recording:
@@ -231,7 +317,7 @@ def other_torque(table: np.ndarray, columns: list[str]) -> None:
         ("free", swapped, ["free.csv: in 5 frames", "exchanging arm.m1 and arm.m2"]),
         ("free", clipped, ["free.csv: arm.m3.y stays", "0.2 m"]),
         ("free", unseen, ["free.csv: no position of tip.m2"]),
-        ("drive_1", short_torque, ["drive_1.csv: arm.tau is measured from t = 0 to 0.49 s"]),
+        ("drive_1", short_torque, ["drive_1.csv: arm.tau is unknown for too long", "only t = 0 to 0.49 s are used"]),
         ("drive_1", no_torque, ["drive_1.csv: every torque is zero"]),
         ("drive_2", other_torque, ["drive_2.csv: it repeats drive_1.csv", "differ by 30 %"]),
     ],

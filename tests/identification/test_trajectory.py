@@ -53,6 +53,22 @@ def test_noise_free_chain_comes_back_from_twice_its_stiffness(joint: str, n: int
     assert found.hub_inertia == pytest.approx(true.hub_inertia, rel=1e-3)
 
 
+def test_a_torque_that_is_unknown_for_a_while_costs_information_and_no_more() -> None:
+    experiment, truth = chain_recordings("revolute", 2, 0)
+    rig = replace(experiment.rig, marker_noise=1e-6, encoder_noise=1e-6)
+
+    def gapped(recording: Recording) -> Recording:
+        unknown = (recording.time > 0.5) & (recording.time < 0.65)
+        return replace(recording, tau=np.where(unknown[:, None], np.nan, recording.tau))
+
+    recordings = tuple(gapped(recording) for recording in experiment.recordings)
+    fit = identify(Experiment(rig, recordings), parameters="joints", baselines=False)
+    found, true = fit.model.chain.links[0], truth.links[0]
+    assert fit.status == "converged"
+    assert found.stiffness == pytest.approx(true.stiffness, rel=1e-3)
+    assert found.damping == pytest.approx(true.damping, rel=5e-3)
+
+
 def test_every_parameter_at_once_finds_a_model_that_fits_as_well_as_the_truth() -> None:
     experiment, _ = chain_recordings("revolute", 2, 1)
     experiment = replace(experiment, rig=replace(experiment.rig, marker_noise=1e-5, encoder_noise=1e-5))

@@ -1,4 +1,4 @@
-"""Checks of recordings: warnings in plain sentences, and the coordinates that cannot be right."""
+"""Checks of recordings: warnings in plain sentences, the coordinates that cannot be right, and torques' gaps."""
 
 from __future__ import annotations
 
@@ -39,13 +39,14 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: 
 def cleaned(rig: Rig, recording: Recording) -> Recording:
     """Return the recording without markers much farther apart than their link allows, and without clipped coordinates.
 
-    `Experiment.warnings` reports both. A frame in which leaving out one marker of a link makes the others possible
-    loses that marker; any other such frame loses all markers of the link. A recording with nothing wrong is returned
-    itself.
+    Of one whose torques are unknown for too long, a part. `Experiment.warnings` reports all of this. A frame in which
+    leaving out one marker of a link makes the others possible loses that marker; any other such frame loses all markers
+    of the link. A recording with nothing wrong is returned itself.
 
     Raises:
         RecordingError: no frame of a link is left.
     """
+    recording = _without_gaps(rig, recording)
     coordinates = recording.markers.reshape(len(recording.time), -1)
     clipped = np.zeros(coordinates.shape, dtype=np.bool_)
     for column, _, begin, _ in _clippings(coordinates):  # shorter runs at the same value, at smaller peaks, as well
@@ -67,6 +68,94 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
     if not (invalid & np.isfinite(recording.markers)).any():
         return recording
     return replace(recording, markers=np.where(invalid, np.nan, recording.markers))
+
+
+def _without_gaps(rig: Rig, recording: Recording) -> Recording:
+    """Return the part of a recording with most frames over which its torques are known; mostly the recording itself."""
+    begin, end = _driven_part(rig, recording)
+    if begin <= recording.time[0] and end >= recording.time[-1]:
+        return recording
+    rows = (recording.time >= begin) & (recording.time <= end)
+    arrays = {name: getattr(recording, name)[rows] for name in ("time", "markers", "theta", "tau")}
+    return replace(recording, **arrays)
+
+
+def _driven_part(rig: Rig, recording: Recording) -> tuple[float, float]:
+    """Return beginning and end of the part with most frames in which no torque is unknown for too long [s].
+
+    That is the whole recording where no torque was measured at all.
+    """
+    edges = [float(recording.time[0])]
+    for begin, end in _unknown_intervals(rig, recording):
+        edges += [begin, end]
+    edges.append(float(recording.time[-1]))
+    frames = recording.time[recording.frames]
+    parts = [*zip(edges[::2], edges[1::2], strict=True)]
+    return max(parts, key=lambda part: int(np.sum((frames >= part[0]) & (frames <= part[1]))))
+
+
+def _unknown_intervals(rig: Rig, recording: Recording) -> list[tuple[float, float]]:
+    """Return beginning and end of each interval in which a torque is unknown for too long [s], in order.
+
+    A straight line, or before the first and after the last measured torque a constant, misses a torque's impulse by as
+    much as it does, on average, where the torque was measured. Over the inertia of link and hub that is an error of the
+    joint's rate. It bends the simulated angle, in which a recording's initial angle and rate absorb a straight line; an
+    RMS of what is left beyond the noise of one measured angle is too much.
+    """
+    time, torque = recording.time, recording.tau
+    known = np.isfinite(torque).all(axis=1)
+    if recording.input != "torque" or not torque.shape[1] or known.sum() < 2:
+        return []
+    knots, torque = time[known], torque[known]
+    step = float(np.median(np.diff(knots)))
+    duration = float(np.ptp(time))
+    intervals = []
+    bounds = np.concatenate([time[:1], knots, time[-1:]])
+    for k in np.flatnonzero(np.diff(bounds) > 1.5 * step).tolist():
+        begin, end = float(bounds[k]), float(bounds[k + 1])
+        place = ((begin + end) / 2 - time[0]) / duration
+        bend = duration * np.sqrt((place * (1 - place)) ** 3 / 3)  # RMS of a kink, less the straight line nearest to it
+        inner = 0 < k < len(bounds) - 2
+        errors = _impulse_errors(knots, torque, step, round((end - begin) / step), inner)
+        limits = [_angle_noise(rig, rig.links[i]) * _inertia(rig.links[i]) for i in rig.active_links]
+        if (errors * bend > limits).any():
+            intervals.append((begin, end))
+    return intervals
+
+
+def _impulse_errors(knots: Array, torque: Array, step: float, count: int, inner: bool) -> Array:
+    """Return the RMS error (n_a,) of the impulse of interpolated torques over so many steps [N m s].
+
+    The torques (K, n_a) at K knots [s] tell it, where they were measured throughout as long an interval; infinite where
+    they nowhere were.
+    """
+    places = np.round((knots - knots[0]) / step).astype(int)
+    grid = np.arange(places[-1] + 1)
+    missing = np.ones(grid.size, dtype=bool)
+    missing[places] = False
+    values = np.stack([np.interp(grid, places, column) for column in torque.T], axis=1)
+    if grid.size <= count:
+        return np.full(torque.shape[1], np.inf)
+    gaps = np.concatenate([[0], np.cumsum(missing)])
+    measured = gaps[count + 1 :] == gaps[: -count - 1]
+    if not measured.any():
+        return np.full(torque.shape[1], np.inf)
+    integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum((values[1:] + values[:-1]) / 2, axis=0)])
+    first, last = values[:-count][measured], values[count:][measured]
+    impulse = (integral[count:] - integral[:-count])[measured]
+    error = impulse - count * ((first + last) / 2 if inner else first)
+    return np.asarray(step * np.sqrt(np.mean(error**2, axis=0)))
+
+
+def _inertia(link: Link) -> float:
+    """Return the inertia of a straight link and its hub about its joint [kg m^2], the least that its torque moves."""
+    return link.hub_inertia + (link.mass / 3 + link.payload) * link.length**2
+
+
+def _angle_noise(rig: Rig, link: Link) -> float:
+    """Return the noise of a joint's angle, by its encoder or by a marker on the tip, whichever is smaller [rad]."""
+    by_marker = DEFAULT_NOISE if rig.marker_noise is None else rig.marker_noise / link.length
+    return min(by_marker, DEFAULT_NOISE if rig.encoder_noise is None else rig.encoder_noise)
 
 
 def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
@@ -130,8 +219,11 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
     yield from _absence_warnings(markers, names, needs_x)
     yield from _gap_warnings(time)
+    driving = [conventions.name_in_files(f"{rig.links[index].name}.tau") for index in rig.active_links]
+    torque_gaps = list(_torque_gap_warnings(rig, recording, " or ".join(driving)))
+    yield from torque_gaps
     sensors = (("theta", recording.theta), ("tau", recording.tau))
-    for quantity, values in sensors if recording.input == "torque" else sensors[:1]:
+    for quantity, values in sensors[:1] if torque_gaps or recording.input != "torque" else sensors:
         for index, column in zip(rig.active_links, values.T, strict=True):
             measured = recording.time[np.isfinite(column)]
             name = conventions.name_in_files(f"{rig.links[index].name}.{quantity}")
@@ -194,6 +286,21 @@ def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> 
             f"{column} is measured from t = {sensor_times[0]:.6g} to {sensor_times[-1]:.6g} s only, "
             f"the markers from {frame_times[0]:.6g} to {frame_times[-1]:.6g} s"
         )
+
+
+def _torque_gap_warnings(rig: Rig, recording: Recording, column: str) -> Iterator[str]:
+    """Yield a sentence where only a part of a recording is used, since torques are unknown for too long."""
+    intervals = _unknown_intervals(rig, recording)
+    if not intervals:
+        return
+    begin, end = _driven_part(rig, recording)
+    first, last = max(intervals, key=lambda interval: interval[1] - interval[0])
+    count = f"{len(intervals)} intervals, the longest " if len(intervals) > 1 else ""
+    yield (
+        f"{column} is unknown for too long to simulate the arm, {count}from t = {first:.6g} to {last:.6g} s: only "
+        f"t = {begin:.6g} to {end:.6g} s are used; list the other parts as files of their own, or write zeros where no "
+        "torque acted"
+    )
 
 
 def _unit_warnings(markers: Array, arm_length: float) -> Iterator[str]:
