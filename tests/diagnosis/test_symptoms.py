@@ -155,6 +155,21 @@ def test_free_motion_that_the_camera_misses_is_left_out() -> None:
     assert not ((free.time > 4) & (free.time < 6)).any()
 
 
+@pytest.mark.parametrize("change", [-1e5, 1e5])
+def test_what_grows_or_decays_at_once_is_no_free_motion(change: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the model is far off, a mode may be fitted with any decay."""
+    decay = simulated(0, clamped=True, kind="decay", duration=10)
+    fits: list[_Fit] = []
+    solve = _Fit.solve
+    monkeypatch.setattr(_Fit, "solve", lambda fit, residual: (fits.append(fit), solve(fit, residual))[1])
+    assert found(decay).recordings[0].modes.free
+    (fit,) = fits
+    changes = np.zeros((len(fit.modes), 4))
+    assert fit.free_motion(0, changes, decay.recording) is not None
+    changes[:, 2] = change
+    assert fit.free_motion(0, changes, decay.recording) is None
+
+
 def test_conditions_are_told_in_words() -> None:
     decay = simulated(0, clamped=True, kind="decay", duration=10)
     loaded = replace(decay, recording=replace(decay.recording, payload=0.05, condition="reference"))

@@ -322,6 +322,9 @@ class _Fit:
         shape = shape / max(float(np.linalg.norm(shape)), 1e-300)
         simulated = np.array([mode.pole for mode in self.modes])
         poles = simulated - changes[:, 2] + 1j * changes[:, 3], simulated
+        # What grows or decays by all the digits there are over half a window is no oscillation.
+        if np.abs(np.concatenate(poles).real).max() * half > -np.log(np.finfo(float).eps):
+            return None
         points = []
         for centre in np.linspace(start + half, stop - half, max(int((stop - start) / half) - 1, 0)):
             rows = (np.abs(camera.time - centre) <= half) & camera.known.all(axis=1)
