@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 import pytest
@@ -232,6 +233,28 @@ def test_of_a_recording_whose_torque_is_unknown_for_too_long_a_part_is_used(
         assert sentence.startswith("beam.tau is unknown for too long")
         assert f"only t = {part[0]:.6g} to {part[1]:.6g} s are used" in sentence
     assert cleaned(HUB, replace(whole, input="motion")).time.size == 1001
+
+
+def test_a_torque_that_is_known_for_too_short_a_time_is_not_used() -> None:
+    whole = driven(unknown_during(SMOOTH, 5, 1001))
+    used = cleaned(HUB, whole)
+    assert used.time.size == 1001
+    assert np.isnan(used.tau).all()
+    (sentence,) = _torque_gap_warnings(HUB, whole, "beam.tau")
+    assert "the recording is not used" in sentence
+
+
+def test_gaps_are_told_in_long_recordings_and_uneven_ones() -> None:
+    """Of a million rows a tenth may be missing; and most rows may come at once, with seconds between others."""
+    random = np.random.default_rng(1)
+    time = np.arange(1_000_000) / 500.0
+    torque = np.where(random.random(time.size) < 0.1, np.nan, 0.01 * np.sin(time))
+    began = perf_counter()
+    _ = cleaned(HUB, driven(torque, 500.0))
+    assert perf_counter() - began < 20
+    uneven = np.cumsum(np.where(np.arange(4000) % 100 == 0, 2.0, 1e-9))
+    recording = Recording(uneven, np.zeros((4000, 1, 2)), np.zeros(4000), np.sin(uneven), kind="driven")
+    assert cleaned(HUB, recording).time.size <= 4000
 
 
 def test_the_part_with_most_frames_is_used() -> None:

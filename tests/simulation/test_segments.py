@@ -27,6 +27,7 @@ from vjm.effects import (
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.run import Run, linearize, linearize_by_states, simulate_runs
+from vjm.simulation.system import torque_at
 from vjm.simulation.variational_equations import PerturbedArm
 
 TIMED = (
@@ -61,6 +62,18 @@ def test_segments_from_the_states_of_the_whole_predict_what_it_predicts(effects:
     assert len(parts) == 4
     assert sum(part.observed.count for part in parts) == whole.observed.count
     assert sum(part.chi2 for part in parts) == pytest.approx(whole.chi2, rel=2e-3)
+
+
+def test_segments_are_driven_as_the_whole_is_though_its_torque_is_sampled_slowly() -> None:
+    """In some segments no torque was measured."""
+    recording = recorded(Arm(chain_of()), 1)[0]
+    slow = np.where(np.arange(recording.time.size)[:, None] % 70 == 0, recording.tau, np.nan)
+    whole = replace(recording, tau=slow)
+    parts = Observations.of(RIG, whole, NOISE).segments(0.2, 0.02)
+    assert min(np.isfinite(slow[np.isin(whole.time, part.recording.time)]).sum() for part in parts) == 0
+    for part in parts:
+        time = part.recording.time
+        np.testing.assert_allclose(torque_at(part.recording, time), torque_at(whole, time), atol=1e-15)
 
 
 @pytest.mark.parametrize("effects", TIMED[1:], ids=lambda effects: effects[0].id)

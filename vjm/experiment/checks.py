@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # Of the link's length, or of a radian: as much as a sensor may have where the experiment does not give it.
 DEFAULT_NOISE = 1e-3
+MIN_FRAMES = 10  # usable ones, for a recording to be worth anything
 
 
 def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: Conventions) -> Iterator[str]:
@@ -71,80 +72,87 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
 
 
 def _without_gaps(rig: Rig, recording: Recording) -> Recording:
-    """Return the part of a recording with most frames over which its torques are known; mostly the recording itself."""
-    begin, end = _driven_part(rig, recording)
-    if begin <= recording.time[0] and end >= recording.time[-1]:
+    """Return the part of a recording with known torques, mostly all of it; without any torques if it is too short."""
+    part = _driven_part(rig, recording)
+    if part == (recording.time[0], recording.time[-1]):
         return recording
-    rows = (recording.time >= begin) & (recording.time <= end)
+    if part is None:
+        return replace(recording, tau=np.full_like(recording.tau, np.nan))
+    rows = (recording.time >= part[0]) & (recording.time <= part[1])
     arrays = {name: getattr(recording, name)[rows] for name in ("time", "markers", "theta", "tau")}
     return replace(recording, **arrays)
 
 
-def _driven_part(rig: Rig, recording: Recording) -> tuple[float, float]:
+def _driven_part(rig: Rig, recording: Recording) -> tuple[float, float] | None:
     """Return beginning and end of the part with most frames in which no torque is unknown for too long [s].
 
-    That is the whole recording where no torque was measured at all.
+    That is the whole recording where no torque was measured at all; None where no part shows enough.
     """
-    edges = [float(recording.time[0])]
-    for begin, end in _unknown_intervals(rig, recording):
-        edges += [begin, end]
-    edges.append(float(recording.time[-1]))
+    gaps = _unknown_intervals(rig, recording)
+    parts = np.concatenate([recording.time[:1], gaps.ravel(), recording.time[-1:]]).reshape(-1, 2)
     frames = recording.time[recording.frames]
-    parts = [*zip(edges[::2], edges[1::2], strict=True)]
-    return max(parts, key=lambda part: int(np.sum((frames >= part[0]) & (frames <= part[1]))))
+    counts = np.searchsorted(frames, parts[:, 1], side="right") - np.searchsorted(frames, parts[:, 0])
+    best = int(np.argmax(counts))
+    begin, end = parts[best].tolist()
+    rows = (recording.time >= begin) & (recording.time <= end)
+    seen = counts[best] >= MIN_FRAMES and np.isfinite(recording.theta[rows]).any(axis=0).all()
+    return (begin, end) if seen or not len(gaps) else None
 
 
-def _unknown_intervals(rig: Rig, recording: Recording) -> list[tuple[float, float]]:
-    """Return beginning and end of each interval in which a torque is unknown for too long [s], in order.
+def _unknown_intervals(rig: Rig, recording: Recording) -> Array:
+    """Return beginning and end (G, 2) of each interval in which a torque is unknown for too long [s], in order.
 
     A straight line, or before the first and after the last measured torque a constant, misses a torque's impulse by as
     much as it does, on average, where the torque was measured. Over the inertia of link and hub that is an error of the
     joint's rate. It bends the simulated angle, in which a recording's initial angle and rate absorb a straight line; an
     RMS of what is left beyond the noise of one measured angle is too much.
     """
-    time, torque = recording.time, recording.tau
-    known = np.isfinite(torque).all(axis=1)
-    if recording.input != "torque" or not torque.shape[1] or known.sum() < 2:
-        return []
-    knots, torque = time[known], torque[known]
-    step = float(np.median(np.diff(knots)))
-    duration = float(np.ptp(time))
-    intervals = []
+    time, known = recording.time, np.isfinite(recording.tau).all(axis=1)
+    if recording.input != "torque" or not recording.tau.shape[1] or known.sum() < 2:
+        return np.zeros((0, 2))
+    knots, torque = time[known], recording.tau[known]
+    # The usual step; where most steps are far shorter than the average one, a grid of these would be too large.
+    step = max(float(np.median(np.diff(knots))), float(np.ptp(knots)) / (4 * knots.size))
     bounds = np.concatenate([time[:1], knots, time[-1:]])
-    for k in np.flatnonzero(np.diff(bounds) > 1.5 * step).tolist():
-        begin, end = float(bounds[k]), float(bounds[k + 1])
-        place = ((begin + end) / 2 - time[0]) / duration
-        bend = duration * np.sqrt((place * (1 - place)) ** 3 / 3)  # RMS of a kink, less the straight line nearest to it
-        inner = 0 < k < len(bounds) - 2
-        errors = _impulse_errors(knots, torque, step, round((end - begin) / step), inner)
-        limits = [_angle_noise(rig, rig.links[i]) * _inertia(rig.links[i]) for i in rig.active_links]
-        if (errors * bend > limits).any():
-            intervals.append((begin, end))
-    return intervals
+    intervals = np.stack([bounds[:-1], bounds[1:]], axis=1)
+    inner = (np.arange(len(intervals)) > 0) & (np.arange(len(intervals)) < len(intervals) - 1)
+    long = np.diff(intervals, axis=1)[:, 0] > 1.5 * step
+    intervals, inner = intervals[long], inner[long]
+    steps = np.round(np.diff(intervals, axis=1)[:, 0] / step).astype(int)
+    places = (intervals.mean(axis=1) - time[0]) / np.ptp(time)
+    bends = np.ptp(time) * np.sqrt((places * (1 - places)) ** 3 / 3)  # RMS of a kink, less the line nearest to it
+    limits = np.array([_angle_noise(rig, rig.links[i]) * _inertia(rig.links[i]) for i in rig.active_links])
+    too_long = np.zeros(len(intervals), dtype=bool)
+    for is_inner in (False, True):
+        for count in np.unique(steps[inner == is_inner]).tolist():
+            errors = _impulse_errors(knots, torque, step, count, is_inner)
+            alike = (inner == is_inner) & (steps == count)
+            too_long[alike] = (errors * bends[alike, None] > limits).any(axis=1)
+    return intervals[too_long]
 
 
 def _impulse_errors(knots: Array, torque: Array, step: float, count: int, inner: bool) -> Array:
     """Return the RMS error (n_a,) of the impulse of interpolated torques over so many steps [N m s].
 
-    The torques (K, n_a) at K knots [s] tell it, where they were measured throughout as long an interval; infinite where
-    they nowhere were.
+    The torques (K, n_a) at K knots [s] tell it, where they were measured throughout as long an interval; where they
+    nowhere were, it grows with the time beyond the longest one by which they were.
     """
     places = np.round((knots - knots[0]) / step).astype(int)
     grid = np.arange(places[-1] + 1)
+    values = np.stack([np.interp(grid, places, column) for column in torque.T], axis=1)
     missing = np.ones(grid.size, dtype=bool)
     missing[places] = False
-    values = np.stack([np.interp(grid, places, column) for column in torque.T], axis=1)
-    if grid.size <= count:
+    # Steps up to each instant that were measured throughout.
+    measured = grid - np.maximum.accumulate(np.where(missing, grid, -1)) - 1
+    span = min(count, int(measured.max()))
+    if span < 1:
         return np.full(torque.shape[1], np.inf)
-    gaps = np.concatenate([[0], np.cumsum(missing)])
-    measured = gaps[count + 1 :] == gaps[: -count - 1]
-    if not measured.any():
-        return np.full(torque.shape[1], np.inf)
+    last = np.flatnonzero(measured >= span)
+    first = last - span
     integral = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum((values[1:] + values[:-1]) / 2, axis=0)])
-    first, last = values[:-count][measured], values[count:][measured]
-    impulse = (integral[count:] - integral[:-count])[measured]
-    error = impulse - count * ((first + last) / 2 if inner else first)
-    return np.asarray(step * np.sqrt(np.mean(error**2, axis=0)))
+    bridged = (values[first] + values[last]) / 2 if inner else values[first]
+    error = integral[last] - integral[first] - span * bridged
+    return np.asarray(count / span * step * np.sqrt(np.mean(error**2, axis=0)))
 
 
 def _inertia(link: Link) -> float:
@@ -290,16 +298,16 @@ def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> 
 
 def _torque_gap_warnings(rig: Rig, recording: Recording, column: str) -> Iterator[str]:
     """Yield a sentence where only a part of a recording is used, since torques are unknown for too long."""
-    intervals = _unknown_intervals(rig, recording)
-    if not intervals:
+    gaps = _unknown_intervals(rig, recording)
+    if not len(gaps):
         return
-    begin, end = _driven_part(rig, recording)
-    first, last = max(intervals, key=lambda interval: interval[1] - interval[0])
-    count = f"{len(intervals)} intervals, the longest " if len(intervals) > 1 else ""
+    first, last = gaps[np.argmax(np.diff(gaps, axis=1))]
+    count = f"{len(gaps)} intervals, the longest " if len(gaps) > 1 else ""
+    part = _driven_part(rig, recording)
+    used = "the recording is not used" if part is None else f"only t = {part[0]:.6g} to {part[1]:.6g} s are used"
     yield (
-        f"{column} is unknown for too long to simulate the arm, {count}from t = {first:.6g} to {last:.6g} s: only "
-        f"t = {begin:.6g} to {end:.6g} s are used; list the other parts as files of their own, or write zeros where no "
-        "torque acted"
+        f"{column} is unknown for too long to simulate the arm, {count}from t = {first:.6g} to {last:.6g} s: {used}; "
+        "list the other parts as files of their own, or write zeros where no torque acted"
     )
 
 

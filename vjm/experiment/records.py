@@ -15,7 +15,7 @@ from annotated_types import Ge, Le, MinLen, Predicate
 from numpy.typing import ArrayLike, NDArray
 
 from vjm.errors import ExperimentError, RecordingError, printable, shown
-from vjm.experiment.checks import cleaned, experiment_warnings
+from vjm.experiment.checks import MIN_FRAMES, cleaned, experiment_warnings
 from vjm.experiment.conventions import Conventions, angle_of, check_columns
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ _MIN_STIFFNESS, _MAX_STIFFNESS = 1e-18, 1e18  # N m^2
 T = TypeVar("T")
 _CELL = "a finite number, or NaN where nothing was measured"
 
-_MIN_FRAMES = 10  # usable ones, for a recording to be worth anything
 
 # Magnitudes that no arm's recordings reach, not even in the wrong unit: a tower crane's 100 m in µm are 1e8, counts of
 # an encoder 1e7, a wind turbine's torque of 1e7 N m in N mm is 1e10, the time of the epoch in µs is 2e15.
@@ -459,8 +458,8 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
             expected = 'joint torques [N m], or input = "motion" where the joints turn as their encoders say'
             raise RecordingError(name, None, f"{joint}.tau", "every cell is empty", expected)
         known = int(np.isfinite(recording.theta[:, column]).sum())
-        if recording.input == "motion" and known < _MIN_FRAMES:
-            expected = f"at least {_MIN_FRAMES}, since the motion of the joint is given by them"
+        if recording.input == "motion" and known < MIN_FRAMES:
+            expected = f"at least {MIN_FRAMES}, since the motion of the joint is given by them"
             raise RecordingError(name, None, f"{joint}.theta", f"{known} angles", expected)
     if recording.input == "motion" and not active:
         expected = "a link with an active joint"
@@ -473,9 +472,9 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         if link.markers_frame == "base":
             usable[:, marker_slice] &= measured[:, marker_slice, 0]
     count = int(usable.any(axis=1).sum())
-    if count < _MIN_FRAMES:
+    if count < MIN_FRAMES:
         problem = f"{count} usable frame{'' if count == 1 else 's'}"
-        raise RecordingError(name, None, None, problem, f"at least {_MIN_FRAMES} rows with a measured marker")
+        raise RecordingError(name, None, None, problem, f"at least {MIN_FRAMES} rows with a measured marker")
 
 
 def _check_fields(record: object, name: object) -> None:

@@ -19,7 +19,7 @@ from vjm.effects.effect import Effect
 from vjm.records import Array, Indices, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import LINEAR, Loss
-from vjm.simulation.system import Trajectory
+from vjm.simulation.system import Trajectory, torque_at
 
 
 @dataclass(frozen=True)
@@ -315,6 +315,10 @@ class Observations:
         names = ("time", "theta", "tau", "markers", "acceleration")
         known = {name: getattr(self.recording, name) for name in names}
         columns = {name: values[rows] for name, values in known.items() if values is not None}
+        if joints and np.isfinite(self.recording.tau).any():
+            # A torque that is sampled slowly is the same line within the part as across its ends.
+            columns["tau"] = columns["tau"].copy()
+            columns["tau"][[0, -1]] = torque_at(self.recording, columns["time"][[0, -1]])
         frames = np.searchsorted(self.frames, (begin, end))
         part = self._only((self.instants >= first) & (self.instants < last))
         return replace(
