@@ -240,7 +240,14 @@ def test_a_small_effect_beside_the_discretization_error_is_that_of_a_beam(seed: 
     assert abs(fit.estimate[-1]) < 3 * np.sqrt(information_of(fit).covariance[-1, -1])
 
 
-@pytest.mark.parametrize(("size", "in_segments"), [(0.0, False), (0.00125, False), (0.5, True)])
+@pytest.mark.parametrize(
+    ("size", "in_segments"),
+    [
+        (0.00125, False),
+        pytest.param(0.0, False, marks=pytest.mark.slow),
+        pytest.param(0.5, True, marks=pytest.mark.slow),
+    ],
+)
 def test_what_is_small_is_looked_for_in_whole_recordings_at_once(size: float, in_segments: bool) -> None:
     """Segments show less of it; but a model that lacks much may lose whole recordings."""
     truth = [CubicStiffness(link=0, coefficient=size)] if size else []
