@@ -89,6 +89,7 @@ def findings(**changes: Any) -> Diagnosis:
         recordings=(compared(recording(), 3e-3, 3e-4),),
         residuals=ResidualTest((), 0.4, 0.0),
         baseline_misfit=10.0,
+        decrease=99.0,
         negligible=25.0,
         noise="white",
     )
@@ -100,7 +101,7 @@ def misfits(changed: float) -> dict[str, float]:
     return {"baseline_misfit": 3.0, "reference_misfit": 3.0, "changed_misfit": changed}
 
 
-SMALL = {"recordings": (compared(recording(), 3e-4, 3e-4),)}  # too small a cause to be seen in the held-out RMS
+SMALL = {"decrease": 0.009, "recordings": (compared(recording(), 3e-4, 3e-4),)}
 CERTAIN = ResidualTest((ResidualBand("a.csv", "markers", (0.5, 2.0), 100, 80.0, 1e-9),), 1e-8, 80.0)
 
 
@@ -116,7 +117,8 @@ CERTAIN = ResidualTest((ResidualBand("a.csv", "markers", (0.5, 2.0), 100, 80.0, 
         ({"needed": (CubicStiffness(link=0),)}, "unknown"),
         ({**misfits(5.9), "residuals": CERTAIN}, "named"),  # as much was missing before the change
         ({**misfits(6.1)}, "unknown"),
-        (SMALL, "named"),  # the search has tested it; held-out recordings judge the model and drop nothing
+        (SMALL, "none"),
+        ({**SMALL, "decrease": 0.011}, "named"),  # held-out recordings judge the model and drop nothing
         ({**SMALL, "residuals": CERTAIN}, "unknown"),
         ({"insufficient": ("no recording is held out",)}, "insufficient"),
     ],
@@ -181,6 +183,17 @@ def test_a_search_that_was_ended_says_what_it_has_not_tried() -> None:
     (said,) = [warning for warning in ended.warnings if "budget of 60 s" in warning]
     assert "backlash, hysteresis" in said
     assert not [warning for warning in conclude(findings(budget=Budget(60.0, 30.0))).warnings if "budget" in warning]
+
+
+def test_a_cause_of_no_use_is_no_cause() -> None:
+    base = StandIn()
+    diagnosis = conclude(findings(**SMALL, reference=base, next_best=(CubicStiffness(link=0),)))
+    assert diagnosis.causes == diagnosis.next_best == ()
+    assert diagnosis.model is base
+    assert any("Tip payload: certain, but too small to matter" in warning for warning in diagnosis.warnings)
+    assert diagnosis.gain is not None
+    assert diagnosis.gain.reduction == 0.0
+    assert diagnosis.gain.interval == (0.0, 0.0)
 
 
 def test_insufficient_data_give_reasons_and_nothing_else() -> None:

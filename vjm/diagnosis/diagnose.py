@@ -180,6 +180,7 @@ def _findings(
         baseline_misfit=baseline.fit.misfit,
         reference_misfit=reference_misfit,
         changed_misfit=reference_misfit * float(np.sqrt(chi2 / max(count, 1))),
+        decrease=(_without_effects(result, search).chi2 - best.chi2) / best.chi2,
         negligible=search.negligible(best),
         proposals=propose_recordings(after, _with_alternatives(result, search, ambiguous)) if ambiguous else (),
         symptoms=_find_symptoms(reference, recordings),
@@ -188,6 +189,12 @@ def _findings(
         seed=search.options.seed,
     )
     return simulate_without_each_cause(findings)
+
+
+def _without_effects(result: SearchResult, search: Search) -> TrajectoryFit:
+    """Return the model without new effects, fitted to the recordings or segments of the best one if that was done."""
+    segments = len(result.best.point.runs) != len(search.whole)
+    return (result.segment_fits if segments else result.fits).get(search.start.effect_keys, search.start)
 
 
 def _with_alternatives(result: SearchResult, search: Search, cause: Cause) -> list[TrajectoryFit]:

@@ -176,6 +176,7 @@ class Diagnosis(SimulatedResult):
         resemblance: in words, the generic force that the residuals resemble; empty where none was looked for.
         repeats: residuals of recordings that repeat each other; None where there are none.
         proposals: recordings that would distinguish the first ambiguous cause from its alternatives, the best first.
+        decrease: of chi^2 by the causes, as a share of what they leave.
         negligible: chi^2 that the best model may leave beyond noise.
         baseline_misfit: of the reference recordings (of all, where none is), by the model without effects.
         reference_misfit: of the reference recordings, as far as it counts as noise; at least one.
@@ -205,6 +206,7 @@ class Diagnosis(SimulatedResult):
     resemblance: str = ""
     repeats: RepeatComparison | None = None
     proposals: tuple[Proposal, ...] = ()
+    decrease: float = 0.0
     negligible: float = 0.0
     baseline_misfit: float = 1.0
     reference_misfit: float = 1.0

@@ -24,6 +24,10 @@ from vjm.diagnosis.records import (
 from vjm.records import NOT_NOISE, REFERENCE, Array, Experiment, RecordingComparison
 from vjm.text import in_sentence, number, ratio
 
+# Of chi^2, be it of what was wrong or of what is left: with it the RMS changes by half a percent, less than the two
+# digits that are shown of it.
+_VISIBLE_SHARE = 0.01
+
 
 def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
     """Return why recordings cannot support a diagnosis, a sentence each; nothing where they can."""
@@ -135,7 +139,10 @@ def is_unexplained(findings: Diagnosis) -> bool:
 
 
 def conclude(findings: Diagnosis) -> Diagnosis:
-    """Add the conclusions: verdict, gain on held-out recordings, roles of the causes, what remains, what to do next."""
+    """Add the conclusions: verdict, gain on held-out recordings, roles of the causes, what remains, what to do next.
+
+    Causes that together explain too little to be seen in the residual are dropped.
+    """
     findings = replace(
         findings,
         noise=f"{findings.noise}; {_noise_by_repeats(findings.repeats)}",
@@ -145,6 +152,9 @@ def conclude(findings: Diagnosis) -> Diagnosis:
         return replace(findings, next_experiment=findings.insufficient[0])
     unexplained = is_unexplained(findings)
     gain = _estimate_gain(findings.recordings, findings.seed)
+    if findings.causes and findings.decrease < _VISIBLE_SHARE and not unexplained:
+        findings = _without_causes(findings)
+        gain = _estimate_gain(findings.recordings, findings.seed)
     findings = replace(findings, causes=_ranked(findings.causes))
     verdict: Verdict = "named" if findings.causes else "none"
     if any(cause.alternatives for cause in findings.causes):
@@ -164,12 +174,23 @@ def conclude(findings: Diagnosis) -> Diagnosis:
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return causes with their roles, large ones before small ones."""
     largest = max((cause.decrease for cause in causes), default=0.0)
-    # Without a cause that explains 1 % of that, the RMS of what was wrong changes by half a percent: less than the two
-    # digits that are shown of it.
-    roles = [replace(cause, role="minor" if cause.decrease < 0.01 * largest else "main") for cause in causes]
+    roles = [replace(cause, role="minor" if cause.decrease < _VISIBLE_SHARE * largest else "main") for cause in causes]
     main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
     minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)
+
+
+def _without_causes(findings: Diagnosis) -> Diagnosis:
+    causes = ", ".join(cause.effect.title for cause in findings.causes)
+    warning = f"{causes}: certain, but too small to matter: without it the residual is the same to two decimals"
+    return replace(
+        findings,
+        causes=(),
+        model=findings.reference,
+        next_best=(),
+        recordings=tuple(replace(pair, simulated=pair.reference, alternative=None) for pair in findings.recordings),
+        warnings=(*findings.warnings, warning),
+    )
 
 
 def _budget_warning(budget: Budget) -> str:
