@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import vjm
@@ -14,6 +15,7 @@ from tests.hidden.rigs import Conditions, Truth, write_hidden
 from tests.hidden.severities import draw
 from vjm.effects import BUILTIN
 
+HUB_RIG = Path(__file__).parents[3] / "shared" / "data" / "hub_rig" / "experiment.toml"
 # Of every kind, each with one that looks like it: a search among them takes half as long as among all.
 SOME = [
     "tip_payload",
@@ -216,3 +218,20 @@ def test_drag_is_found_in_decays_of_a_clamped_link(plant: Plant) -> None:
     (found,) = classes(diagnosis)
     assert "quadratic_drag" in found
     assert len(found) <= 3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not HUB_RIG.exists(), reason="the shared recordings are absent")
+def test_what_no_digit_of_the_residual_shows_is_no_cause() -> None:
+    """A link of another program's is tapered by 0.0007 to a model that is fitted to enough of it, however certainly."""
+    experiment = vjm.load_experiment(HUB_RIG)
+    seen = {"drive_small_1.csv": 3.0, "drive_small_2.csv": 1.5, "chirp.csv": 1.0}  # s
+    recordings = []
+    for recording in experiment.recordings:
+        unseen = recording.time > seen.get(recording.file, np.inf)
+        recordings.append(replace(recording, markers=np.where(unseen[:, None, None], np.nan, recording.markers)))
+    effects = ["taper", "tip_payload", "torque_gain"]
+    diagnosis = vjm.diagnose(replace(experiment, recordings=tuple(recordings)), effects, budget=UNLIMITED)
+    assert (diagnosis.verdict, diagnosis.causes) == ("none", ())
+    assert diagnosis.model is diagnosis.reference
+    assert any(warning.startswith("Taper: certain, but too small to matter") for warning in diagnosis.warnings)
