@@ -276,6 +276,7 @@ def test_a_table_that_was_recentred_is_lengthened_about_its_new_direction() -> N
     assert fit.point.problem.point(fit.point.x, fit.point.states).chi2 == pytest.approx(fit.chi2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_friction_whose_fit_comes_out_worse_than_none_is_fitted_from_better_states() -> None:
     """Its first step corrects initial states that suit a motion without it, and leads astray."""
     truth = Stribeck(link=0, torque=0.012, speed=0.03)
@@ -306,7 +307,7 @@ def test_friction_is_not_fitted_again_where_nothing_is_to_be_had(
     assert [fit] == fits
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_initial_states_may_be_estimated_before_all_parameters(seed: int) -> None:
     truth = Stribeck(link=0, torque=0.008, speed=0.08)
     start = in_segments(recorded(Arm.of(chain_of(), (truth,)), seed))

@@ -262,7 +262,7 @@ def autoregression(random: np.random.Generator, count: int, correlation: float, 
     return noise[200:].reshape(count, channels // 2, 2)
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.97])
+@pytest.mark.parametrize("correlation", [pytest.param(0.0, marks=pytest.mark.slow), 0.97])
 def test_the_gains_interval_covers_as_often_as_it_says(correlation: float) -> None:
     """Residuals correlated over many frames: a fixed block of a few frames would claim far too much."""
     random = np.random.default_rng(5)

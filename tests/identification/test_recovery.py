@@ -105,6 +105,7 @@ def test_demo_frequencies(method: str, parameters: str, first: float, second: fl
     assert fit.modes[1].frequency_measured == pytest.approx(f2, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_demo_with_every_parameter_free() -> None:
     fit = demo_fit("torque", "full")
     f1, f2 = TRUTH["euler_bernoulli"]["frequencies_hz"][:2]

@@ -283,6 +283,7 @@ def test_a_geometrically_exact_beam_is_followed_to_the_noise(hub: Callable[[int]
     assert fit.warnings == ()
 
 
+@pytest.mark.slow
 def test_the_number_of_joints_does_not_depend_on_the_noise_s_seed(hub: Callable[[int], Identification]) -> None:
     assert {hub(seed).model.chain.links[0].virtual_joints for seed in (1, 2, 3)} == {4}
     assert any("one more virtual joint" in note for note in hub(1).notes)
