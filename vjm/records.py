@@ -61,6 +61,7 @@ class Stages:
 
 CI95 = 1.96  # standard errors: two-sided 95 % of a normal distribution
 REFERENCE = "reference"  # the condition in which the effect being sought is known to be absent
+VISIBLE_SHARE = 0.01  # of chi^2: a smaller change is one of 0.5 % of the RMS, less than the two digits shown of it
 NOT_NOISE = 1e-3  # p-value below which residuals are not noise: three standard deviations
 
 

@@ -34,8 +34,7 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import ChoiceError, ShapeError
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.identification.trajectory_method import VISIBLE_GAIN
-from vjm.records import REFERENCE, Experiment, Progress, RecordingComparison, Stages
+from vjm.records import REFERENCE, VISIBLE_SHARE, Experiment, Progress, RecordingComparison, Stages
 from vjm.simulation.model import Model
 from vjm.simulation.run import all_followed
 from vjm.text import number
@@ -132,7 +131,7 @@ def _with_residuals(table: Sequence[Candidate], start: TrajectoryFit, result: Se
 def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFit) -> Candidate:
     """Add the residual of a candidate's fit, as far as it says how well the candidate alone can do."""
     segmented = len(fit.point.runs) > len(start.point.runs)
-    if fit.converged or fit.predicted_decrease < VISIBLE_GAIN * fit.chi2:
+    if fit.converged or fit.predicted_decrease < VISIBLE_SHARE * fit.chi2:
         return replace(candidate, residual=fit.misfit, bound="lower" if segmented else None)
     if segmented or fit.misfit > start.misfit:  # the start is the candidate at no size at all
         return candidate

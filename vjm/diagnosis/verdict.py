@@ -21,12 +21,8 @@ from vjm.diagnosis.records import (
     Verdict,
     held_out,
 )
-from vjm.records import NOT_NOISE, REFERENCE, Array, Experiment, RecordingComparison
+from vjm.records import NOT_NOISE, REFERENCE, VISIBLE_SHARE, Array, Experiment, RecordingComparison
 from vjm.text import in_sentence, number, ratio
-
-# Of chi^2, be it of what was wrong or of what is left: with it the RMS changes by half a percent, less than the two
-# digits that are shown of it.
-_VISIBLE_SHARE = 0.01
 
 
 def why_insufficient(experiment: Experiment) -> tuple[str, ...]:
@@ -152,7 +148,7 @@ def conclude(findings: Diagnosis) -> Diagnosis:
         return replace(findings, next_experiment=findings.insufficient[0])
     unexplained = is_unexplained(findings)
     gain = _estimate_gain(findings.recordings, findings.seed)
-    if findings.causes and findings.decrease < _VISIBLE_SHARE and not unexplained:
+    if findings.causes and findings.decrease < VISIBLE_SHARE and not unexplained:
         findings = _without_causes(findings)
         gain = _estimate_gain(findings.recordings, findings.seed)
     findings = replace(findings, causes=_ranked(findings.causes))
@@ -174,7 +170,7 @@ def conclude(findings: Diagnosis) -> Diagnosis:
 def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """Return causes with their roles, large ones before small ones."""
     largest = max((cause.decrease for cause in causes), default=0.0)
-    roles = [replace(cause, role="minor" if cause.decrease < _VISIBLE_SHARE * largest else "main") for cause in causes]
+    roles = [replace(cause, role="minor" if cause.decrease < VISIBLE_SHARE * largest else "main") for cause in causes]
     main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
     minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
     return (*main, *minor)

@@ -15,7 +15,7 @@ from vjm.identification.parameters import Parametrisation
 from vjm.identification.torque_method import TorqueFit, fit_torque
 from vjm.identification.training_data import JointChoice, TrainingData
 from vjm.identification.trajectory_fit import DIVERGED_MISFIT, Point, TrajectoryFit, TrajectoryProblem, fit_trajectory
-from vjm.records import Array, Progress, Recording
+from vjm.records import VISIBLE_SHARE, Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step
 from vjm.simulation.least_squares import Loss
@@ -23,8 +23,6 @@ from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, is_followed, simulate_runs
 from vjm.simulation.system import Trajectory, measured_torque
 from vjm.text import listed, number
-
-VISIBLE_GAIN = 0.01  # share of chi^2, 0.5 % of the RMS residual: a smaller decrease only refines a minimum
 
 
 @dataclass(frozen=True)
@@ -315,7 +313,7 @@ class _StallRule:
             self.costs, self.count = [], point.count
         self.costs.append(point.cost)
         recent = self.costs[-6:]
-        converging = predicted < VISIBLE_GAIN * point.cost and bool(np.all(np.diff(recent) < 0))
+        converging = predicted < VISIBLE_SHARE * point.cost and bool(np.all(np.diff(recent) < 0))
         return point.misfit > DIVERGED_MISFIT and len(recent) > 5 and 2 * point.cost > recent[0] and not converging
 
 
@@ -334,7 +332,7 @@ def _next_count(counts: Sequence[tuple[int, ...]], k: int, fits: Sequence[Trajec
     power = np.log(previous / last) / np.log(m / n)
     for following in range(k + 1, len(counts) - 1):
         excess, next_excess = (last * (sizes[index] / m) ** -power for index in (following, following + 1))
-        if excess - next_excess < 10 * VISIBLE_GAIN * (1 + excess):
+        if excess - next_excess < 10 * VISIBLE_SHARE * (1 + excess):
             return following
     return len(counts) - 1
 
@@ -344,7 +342,7 @@ def _explains_more(smaller: TrajectoryFit, larger: TrajectoryFit) -> bool:
     count = smaller.point.count
     gain = count * np.log(smaller.point.chi2 / max(larger.point.chi2, 1e-300))
     added = larger.point.x.size - smaller.point.x.size
-    return bool(gain > max(added * np.log(count), VISIBLE_GAIN * count))
+    return bool(gain > max(added * np.log(count), VISIBLE_SHARE * count))
 
 
 def _joint_note(smaller: TrajectoryFit, larger: TrajectoryFit) -> str:
