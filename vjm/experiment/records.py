@@ -52,7 +52,6 @@ _MIN_STIFFNESS, _MAX_STIFFNESS = 1e-18, 1e18  # N m^2
 T = TypeVar("T")
 _CELL = "a finite number, or NaN where nothing was measured"
 
-
 # Magnitudes that no arm's recordings reach, not even in the wrong unit: a tower crane's 100 m in µm are 1e8, counts of
 # an encoder 1e7, a wind turbine's torque of 1e7 N m in N mm is 1e10, the time of the epoch in µs is 2e15.
 _LARGEST = {"time": (1e18, "s"), "theta": (1e9, "rad"), "tau": (1e15, "N m"), "markers": (1e9, "m")}

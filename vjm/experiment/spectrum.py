@@ -253,7 +253,7 @@ def projected_jacobian(oscillators: Oscillators, y: Array, values: Array, basis:
     (L. Kaufman, A variable projection method for solving separable nonlinear least squares problems, BIT 15, 1975).
     An orthonormal basis (T, k) of further motion is projected out as well; y (T, c) is normal to it already.
     """
-    columns = outside(basis, oscillators.columns(values))
+    columns = project_out(basis, oscillators.columns(values))
     _, amplitudes = _project(columns, y)
     slopes = []
     for pair, pair_amplitudes in zip(values, np.split(amplitudes[1:], len(values)), strict=True):
@@ -262,11 +262,11 @@ def projected_jacobian(oscillators: Oscillators, y: Array, values: Array, basis:
             return (oscillators.columns(x[None])[:, 1:] @ pair_amplitudes).ravel()
 
         slopes.append(approx_fprime(pair, motion, 1e-6 * np.maximum(np.abs(pair), 1e-3)))
-    along = outside(basis, np.hstack(slopes).reshape(len(y), -1))
+    along = project_out(basis, np.hstack(slopes).reshape(len(y), -1))
     return _project(columns, along)[0].reshape(y.size, -1)
 
 
-def outside(basis: Array | None, columns: Array) -> Array:
+def project_out(basis: Array | None, columns: Array) -> Array:
     """Return columns (T, k) without what an orthonormal basis (T, b) explains of them; None: as they are."""
     return columns if basis is None else columns - basis @ (basis.T @ columns)
 

@@ -18,7 +18,7 @@ from scipy.ndimage import find_objects, label
 from scipy.optimize import least_squares
 
 from vjm.diagnosis.symptoms.channels import Channels, Coefficient, explained, regress
-from vjm.experiment.spectrum import Oscillators, outside, projected_jacobian
+from vjm.experiment.spectrum import Oscillators, project_out, projected_jacobian
 from vjm.records import Array, Complex, Recording
 
 SLOW = 0.5  # of the lowest natural frequency: slower motion is no vibration
@@ -392,13 +392,13 @@ def _poles(
     twentieth of its half-power bandwidth, or to 0.2 %: what is driven far from its resonance shows no pole.
     """
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(slow)), slow]))
-    motion = outside(basis, motion)
+    motion = project_out(basis, motion)
     orders = list(natural)
     while orders:
         unit = np.array([[natural[k], 1.0] for k in orders])  # x: frequencies over the natural ones, and damping ratios
 
         def residual(x: Array, unit: Array = unit) -> Array:
-            columns = outside(basis, oscillators.columns(x.reshape(-1, 2) * unit)[:, 1:])
+            columns = project_out(basis, oscillators.columns(x.reshape(-1, 2) * unit)[:, 1:])
             sizes, *_ = np.linalg.lstsq(columns, motion, rcond=1e-10)
             return np.asarray(motion - columns @ sizes).ravel()
 
