@@ -20,10 +20,11 @@ from vjm.experiment.checks import (
     _clipping_warnings,
     _coverage_warnings,
     _distance_warnings,
+    _driving_gap_warnings,
     _gap_warnings,
     _impulse_errors,
+    _interpolation_errors,
     _torque_difference,
-    _torque_gap_warnings,
     _unit_warnings,
     cleaned,
     moves,
@@ -227,7 +228,7 @@ def test_of_a_recording_whose_torque_is_unknown_for_too_long_a_part_is_used(
     used = cleaned(HUB, whole)
     assert (used.time[0], used.time[-1]) == pytest.approx(part, abs=1e-9)
     assert np.array_equal(used.tau, torque[(whole.time >= used.time[0]) & (whole.time <= used.time[-1])][:, None], True)
-    sentences = list(_torque_gap_warnings(HUB, whole, "beam.tau"))
+    sentences = list(_driving_gap_warnings(HUB, whole, "beam.tau"))
     assert len(sentences) == (used is not whole)
     for sentence in sentences:
         assert sentence.startswith("beam.tau is unknown for too long")
@@ -235,12 +236,78 @@ def test_of_a_recording_whose_torque_is_unknown_for_too_long_a_part_is_used(
     assert cleaned(HUB, replace(whole, input="motion")).time.size == 1001
 
 
+@given(coefficients=st.tuples(*[st.floats(-1, 1)] * 4), count=st.integers(2, 300))
+def test_a_cubic_motion_is_interpolated_exactly(coefficients: tuple[float, ...], count: int) -> None:
+    angles = np.polynomial.Polynomial(coefficients)(np.linspace(-1, 1, 1001))
+    assert _interpolation_errors(np.arange(1001) / 200.0, angles[:, None], 1 / 200, count)[0] < 1e-10
+
+
+@pytest.mark.parametrize("count", [2, 10, 40])
+def test_the_error_of_an_interpolated_motion_is_that_of_a_sinusoid(count: int) -> None:
+    omega = 2 * np.pi * 1.3
+    angles = np.sin(omega * np.arange(1001) / 200.0)
+    half = omega * count / 400.0
+    expected = abs(1 - (9 * np.cos(half) - np.cos(3 * half)) / 8) / np.sqrt(2)
+    assert _interpolation_errors(np.arange(1001) / 200.0, angles[:, None], 1 / 200, count)[0] == pytest.approx(
+        expected, rel=0.05
+    )
+
+
+def turned(theta: np.ndarray, rate: float = 200.0) -> Recording:
+    """A recording of a joint that turns as its angles (T,) say."""
+    return replace(driven(np.zeros(theta.size), rate), theta=theta[:, None], input="motion")
+
+
+TURNING = 0.3 * np.sin(2 * np.pi * 0.8 * np.arange(1001) / 200.0)
+ENCODER_NOISE = 1e-4 * np.random.default_rng(3).standard_normal(1001)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0, 30.0])
+@pytest.mark.parametrize(
+    ("begin", "end", "part"),
+    [
+        (400, 403, (0.0, 5.0)),
+        (400, 560, (2.8, 5.0)),
+        (600, 640, (0.0, 2.995)),
+        (0, 200, (1.0, 5.0)),  # angles from before the encoder's first one are nowhere known
+        (990, 1001, (0.0, 4.945)),
+        (100, 910, (0.0, 0.495)),  # longer than anything that was measured
+    ],
+)
+def test_of_a_recording_whose_motion_is_unknown_for_too_long_a_part_is_used(
+    noise: float, begin: int, end: int, part: tuple[float, float]
+) -> None:
+    whole = turned(unknown_during(TURNING + noise * ENCODER_NOISE, begin, end))
+    used = cleaned(HUB, whole)
+    assert (used.time[0], used.time[-1]) == pytest.approx(part, abs=1e-9)
+    sentences = list(_driving_gap_warnings(HUB, whole, "beam.theta"))
+    assert len(sentences) == (used is not whole)
+    for sentence in sentences:
+        assert sentence.startswith("beam.theta is unknown for too long")
+        assert f"only t = {part[0]:.6g} to {part[1]:.6g} s are used" in sentence
+        assert "zeros" not in sentence
+    by_torque = cleaned(HUB, replace(whole, input="torque"))
+    assert by_torque.time.size == 1001  # an angle that was not measured is a missing value, no more
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_joint_that_rests_is_known_however_noisy_its_encoder(seed: int) -> None:
+    noise = np.random.default_rng(seed).normal(0.0, 5e-3, 1001)
+    assert cleaned(HUB, turned(unknown_during(noise, 400, 440))).time.size == 1001
+
+
+def test_a_motion_that_is_nowhere_known_is_refused() -> None:
+    theta = np.where(np.arange(1001) % 100 < 5, TURNING, np.nan)
+    with pytest.raises(RecordingError, match="nowhere known"):
+        cleaned(HUB, turned(theta))
+
+
 def test_a_torque_that_is_known_for_too_short_a_time_is_not_used() -> None:
     whole = driven(unknown_during(SMOOTH, 5, 1001))
     used = cleaned(HUB, whole)
     assert used.time.size == 1001
     assert np.isnan(used.tau).all()
-    (sentence,) = _torque_gap_warnings(HUB, whole, "beam.tau")
+    (sentence,) = _driving_gap_warnings(HUB, whole, "beam.tau")
     assert "the recording is not used" in sentence
 
 

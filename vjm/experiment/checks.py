@@ -1,4 +1,4 @@
-"""Checks of recordings: warnings in plain sentences, the coordinates that cannot be right, and torques' gaps."""
+"""Checks of recordings: warnings in plain sentences, coordinates that cannot be right, gaps in what drives the arm."""
 
 from __future__ import annotations
 
@@ -72,10 +72,19 @@ def cleaned(rig: Rig, recording: Recording) -> Recording:
 
 
 def _without_gaps(rig: Rig, recording: Recording) -> Recording:
-    """Return the part of a recording with known torques, mostly all of it; without any torques if it is too short."""
+    """Return the part of a recording with known torques or given motion, mostly all of it.
+
+    If every part is too short, it is returned without any torques.
+
+    Raises:
+        RecordingError: no part of a given motion is long enough.
+    """
     part = _driven_part(rig, recording)
     if part == (recording.time[0], recording.time[-1]):
         return recording
+    if part is None and recording.input == "motion":
+        problem = f"the motion that is given is nowhere known over {MIN_FRAMES} frames"
+        raise RecordingError(recording.file, None, "theta", problem, "angles of every joint, without long gaps")
     if part is None:
         return replace(recording, tau=np.full_like(recording.tau, np.nan))
     rows = (recording.time >= part[0]) & (recording.time <= part[1])
@@ -84,7 +93,7 @@ def _without_gaps(rig: Rig, recording: Recording) -> Recording:
 
 
 def _driven_part(rig: Rig, recording: Recording) -> tuple[float, float] | None:
-    """Return beginning and end of the part with most frames in which no torque is unknown for too long [s].
+    """Return beginning and end of the part with most frames in which nothing is unknown for too long [s].
 
     That is the whole recording where no torque was measured at all; None where no part shows enough.
     """
@@ -100,17 +109,15 @@ def _driven_part(rig: Rig, recording: Recording) -> tuple[float, float] | None:
 
 
 def _unknown_intervals(rig: Rig, recording: Recording) -> Array:
-    """Return beginning and end (G, 2) of each interval in which a torque is unknown for too long [s], in order.
+    """Return beginning and end (G, 2) of each interval in which a torque or given angle is unknown for too long [s].
 
-    A straight line, or before the first and after the last measured torque a constant, misses a torque's impulse by as
-    much as it does, on average, where the torque was measured. Over the inertia of link and hub that is an error of the
-    joint's rate. It bends the simulated angle, in which a recording's initial angle and rate absorb a straight line; an
-    RMS of what is left beyond the noise of one measured angle is too much.
+    In order. Whether it is too long is what `_is_torque_unknown` and `_is_motion_unknown` say of its number of steps.
     """
-    time, known = recording.time, np.isfinite(recording.tau).all(axis=1)
-    if recording.input != "torque" or not recording.tau.shape[1] or known.sum() < 2:
+    driving = recording.theta if recording.input == "motion" else recording.tau
+    time, known = recording.time, np.isfinite(driving).all(axis=1)
+    if not driving.shape[1] or known.sum() < 2:
         return np.zeros((0, 2))
-    knots, torque = time[known], recording.tau[known]
+    knots, values = time[known], driving[known]
     # The usual step; where most steps are far shorter than the average one, a grid of these would be too large.
     step = max(float(np.median(np.diff(knots))), float(np.ptp(knots)) / (4 * knots.size))
     bounds = np.concatenate([time[:1], knots, time[-1:]])
@@ -119,16 +126,71 @@ def _unknown_intervals(rig: Rig, recording: Recording) -> Array:
     long = np.diff(intervals, axis=1)[:, 0] > 1.5 * step
     intervals, inner = intervals[long], inner[long]
     steps = np.round(np.diff(intervals, axis=1)[:, 0] / step).astype(int)
-    places = (intervals.mean(axis=1) - time[0]) / np.ptp(time)
-    bends = np.ptp(time) * np.sqrt((places * (1 - places)) ** 3 / 3)  # RMS of a kink, less the line nearest to it
-    limits = np.array([_angle_noise(rig, rig.links[i]) * _inertia(rig.links[i]) for i in rig.active_links])
     too_long = np.zeros(len(intervals), dtype=bool)
     for is_inner in (False, True):
         for count in np.unique(steps[inner == is_inner]).tolist():
-            errors = _impulse_errors(knots, torque, step, count, is_inner)
             alike = (inner == is_inner) & (steps == count)
-            too_long[alike] = (errors * bends[alike, None] > limits).any(axis=1)
+            if recording.input == "motion":
+                too_long[alike] = not is_inner or _is_motion_unknown(rig, knots, values, step, count)
+            else:
+                errors = _impulse_errors(knots, values, step, count, is_inner)
+                places = (intervals[alike].mean(axis=1) - time[0]) / np.ptp(time)
+                too_long[alike] = _is_torque_unknown(rig, errors, float(np.ptp(time)), places)
     return intervals[too_long]
+
+
+def _is_torque_unknown(rig: Rig, errors: Array, duration: float, places: Array) -> Mask:
+    """Return at which places (G,) in a recording's duration [s] errors (n_a,) of impulses [N m s] are too much.
+
+    A straight line, or before the first and after the last measured torque a constant, misses a torque's impulse by as
+    much as it does, on average, where the torque was measured. Over the inertia of link and hub that is an error of the
+    joint's rate. It bends the simulated angle, in which a recording's initial angle and rate absorb a straight line; an
+    RMS of what is left beyond the noise of one measured angle is too much.
+    """
+    bends = duration * np.sqrt((places * (1 - places)) ** 3 / 3)  # RMS of a kink, less the line nearest to it
+    links = [rig.links[i] for i in rig.active_links]
+    by_encoder = DEFAULT_NOISE if rig.encoder_noise is None else rig.encoder_noise
+    noise = np.array([min(_marker_angle_noise(rig, link), by_encoder) for link in links])
+    limits = noise * np.array([_inertia(link) for link in links])
+    return np.asarray((errors * bends[:, None] > limits).any(axis=1))
+
+
+def _is_motion_unknown(rig: Rig, knots: Array, angles: Array, step: float, count: int) -> bool:
+    """Return True if joints' angles (K, n_a) at K knots [s] are uncertain where so many steps [s] are unknown.
+
+    The markers' noise, or that of the encoder as the shortest interval shows it, is what an angle may be off.
+    """
+    shortest, error = (_interpolation_errors(knots, angles, step, steps) for steps in (2, count))
+    allowed = np.array([_marker_angle_noise(rig, rig.links[i]) for i in rig.active_links])
+    if np.isinf(error).any():
+        return True
+    return bool((error**2 - shortest**2 > np.maximum(allowed, shortest) ** 2).any())
+
+
+def _interpolation_errors(knots: Array, angles: Array, step: float, count: int) -> Array:
+    """Return the RMS error (n_a,) in the middle of so many steps of a cubic through four angles around them [rad].
+
+    The angles (K, n_a) at K knots [s] tell it where they were measured. The outer two are as far from the inner two as
+    these are from each other, so that it is more than a spline's. It grows with the fourth power of the distance, by
+    which it is extrapolated where no such interval was measured.
+    """
+    places = np.round((knots - knots[0]) / step).astype(int)
+    grid = np.arange(places[-1] + 1)
+    values = np.stack([np.interp(grid * step, knots - knots[0], column) for column in angles.T], axis=1)
+    measured = np.zeros(grid.size, dtype=bool)
+    measured[places] = True
+    wanted = -(-count // 2)
+    half = min(wanted, (grid.size - 1) // 6)
+    while half:
+        middle = grid[3 * half : grid.size - 3 * half]
+        around = middle + half * np.array([[-3], [-1], [1], [3], [0]])
+        middle_known = measured[around].all(axis=0)
+        if middle_known.any():
+            first, second, third, fourth, true = values[around[:, middle_known]]
+            errors = true - (9 * (second + third) - first - fourth) / 16
+            return np.asarray((wanted / half) ** 4 * np.sqrt(np.mean(errors**2, axis=0)))
+        half //= 2
+    return np.full(angles.shape[1], np.inf)
 
 
 def _impulse_errors(knots: Array, torque: Array, step: float, count: int, inner: bool) -> Array:
@@ -160,10 +222,9 @@ def _inertia(link: Link) -> float:
     return link.hub_inertia + (link.mass / 3 + link.payload) * link.length**2
 
 
-def _angle_noise(rig: Rig, link: Link) -> float:
-    """Return the noise of a joint's angle, by its encoder or by a marker on the tip, whichever is smaller [rad]."""
-    by_marker = DEFAULT_NOISE if rig.marker_noise is None else rig.marker_noise / link.length
-    return min(by_marker, DEFAULT_NOISE if rig.encoder_noise is None else rig.encoder_noise)
+def _marker_angle_noise(rig: Rig, link: Link) -> float:
+    """Return the noise of a link's angle as a marker on its tip shows it [rad]."""
+    return DEFAULT_NOISE if rig.marker_noise is None else rig.marker_noise / link.length
 
 
 def _impossible(markers: Array, link: Link, noise: float | None) -> Mask:
@@ -227,15 +288,20 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
     yield from _absence_warnings(markers, names, needs_x)
     yield from _gap_warnings(time)
-    driving = [conventions.name_in_files(f"{rig.links[index].name}.tau") for index in rig.active_links]
-    torque_gaps = list(_torque_gap_warnings(rig, recording, " or ".join(driving)))
-    yield from torque_gaps
-    sensors = (("theta", recording.theta), ("tau", recording.tau))
-    for quantity, values in sensors[:1] if torque_gaps or recording.input != "torque" else sensors:
-        for index, column in zip(rig.active_links, values.T, strict=True):
-            measured = recording.time[np.isfinite(column)]
-            name = conventions.name_in_files(f"{rig.links[index].name}.{quantity}")
-            yield from _coverage_warnings(name, measured, time)
+    columns = {"theta": recording.theta, "tau": recording.tau}
+    if recording.input == "motion":
+        del columns["tau"]
+    driving = "theta" if recording.input == "motion" else "tau"
+    names_of = {
+        column: [conventions.name_in_files(f"{rig.links[index].name}.{column}") for index in rig.active_links]
+        for column in columns
+    }
+    driving_gaps = list(_driving_gap_warnings(rig, recording, " or ".join(names_of[driving])))
+    yield from driving_gaps
+    for column, values in columns.items():
+        if column != driving or not driving_gaps:
+            for name, signal in zip(names_of[column], values.T, strict=True):
+                yield from _coverage_warnings(name, recording.time[np.isfinite(signal)], time)
     torque = recording.kind == "driven" and recording.input == "torque"
     if torque and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
         yield "every torque is zero, though the kind is 'driven'"
@@ -296,8 +362,8 @@ def _coverage_warnings(column: str, sensor_times: Array, frame_times: Array) -> 
         )
 
 
-def _torque_gap_warnings(rig: Rig, recording: Recording, column: str) -> Iterator[str]:
-    """Yield a sentence where only a part of a recording is used, since torques are unknown for too long."""
+def _driving_gap_warnings(rig: Rig, recording: Recording, column: str) -> Iterator[str]:
+    """Yield a sentence where only a part of a recording is used, since torques or angles are unknown for too long."""
     gaps = _unknown_intervals(rig, recording)
     if not len(gaps):
         return
@@ -305,9 +371,10 @@ def _torque_gap_warnings(rig: Rig, recording: Recording, column: str) -> Iterato
     count = f"{len(gaps)} intervals, the longest " if len(gaps) > 1 else ""
     part = _driven_part(rig, recording)
     used = "the recording is not used" if part is None else f"only t = {part[0]:.6g} to {part[1]:.6g} s are used"
+    zeros = "" if recording.input == "motion" else ", or write zeros where no torque acted"
     yield (
         f"{column} is unknown for too long to simulate the arm, {count}from t = {first:.6g} to {last:.6g} s: {used}; "
-        "list the other parts as files of their own, or write zeros where no torque acted"
+        f"list the other parts as files of their own{zeros}"
     )
 
 
