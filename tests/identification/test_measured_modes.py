@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from vjm.experiment.spectrum import MeasuredModes, match, measure_modes, white_noise
+from vjm.experiment.spectrum import MeasuredModes, match, measure_modes, measured_noise, sensor_noise, white_noise
+from vjm.records import Link, Recording, Rig
 
 
 def decay(t: np.ndarray, frequency: float, ratio: float, phase: float) -> np.ndarray:
@@ -83,3 +86,35 @@ def test_white_noise_under_motion(moving: float) -> None:
     y = moving * decay(t, 2.2, 0.004, 0.1)[:, None] * np.ones(4) + 3e-4 * rng.normal(size=(1500, 4))
     assert white_noise(y) == pytest.approx(3e-4, rel=0.06)
     assert np.isnan(white_noise(y[:10]))
+
+
+def still_then_moving(quantum: float, noise: float, quiet: bool) -> list[Recording]:
+    """Recordings of rounded markers and angles, one of them at rest."""
+    t, random = np.arange(1500) / 100, np.random.default_rng(2)
+    recordings = []
+    for kind, size in (("quiet", 0.0), ("decay", 0.1)) if quiet else (("decay", 0.1),):
+        signal = size * decay(t, 2.2, 0.004, 0.1)[:, None] * np.ones(5) + noise * random.normal(size=(1500, 5))
+        signal = quantum * np.round(signal / quantum)
+        recordings.append(Recording(t, signal[:, :4].reshape(-1, 2, 2), signal[:, 4], kind=kind, file=f"{kind}.csv"))
+    return recordings
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+@pytest.mark.parametrize("noise", [0.0, 1e-5, 3e-4, 2e-3])
+def test_sensors_that_round_are_no_more_exact_at_rest(noise: float, quiet: bool) -> None:
+    expected = np.hypot(noise, 1e-3 / np.sqrt(12))
+    for measured in measured_noise(still_then_moving(1e-3, noise, quiet)):
+        # At rest within a step, noise below it is seen where it reaches the next one: with half of its variance.
+        assert expected / np.sqrt(2) < measured < 1.15 * expected
+
+
+def test_noise_that_recordings_do_not_show_is_not_zero() -> None:
+    rig = Rig("rig", (Link("beam", "revolute", 2.0, 1.0, 1.0, (1.0, 2.0)),))
+    resting = still_then_moving(1e-3, 0.0, True)[:1]
+    few = [Recording(each.time[:12], each.markers[:12], each.theta[:12], kind="quiet") for each in resting]
+    for recordings in (resting, few):
+        assert np.isnan(measured_noise(recordings)).all()
+        assert sensor_noise(rig, recordings) == (2e-3, 1e-3)
+    exact = still_then_moving(1e-18, 0.0, False)
+    assert 2e-9 <= sensor_noise(rig, exact)[0] < 1e-8
+    assert sensor_noise(replace(rig, marker_noise=1e-4, encoder_noise=1e-5), resting) == (1e-4, 1e-5)

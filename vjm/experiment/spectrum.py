@@ -17,29 +17,55 @@ from scipy import stats
 from scipy.optimize import approx_fprime, least_squares
 from scipy.signal import lfilter, periodogram
 
+from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.experiment.records import Array, Complex, Recording, Rig
 
 
 def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, float]:
-    """Return marker noise [m] and encoder noise [rad]: the experiment's, else the median over recordings.
-
-    Where there are quiet recordings, only these are used.
-    """
-    chosen = [recording for recording in recordings if recording.kind == "quiet"] or recordings
+    """Return marker noise [m] and encoder noise [rad]: the experiment's, else as measured, else as much as may be."""
     length = max(link.length for link in rig.links)
-    markers = rig.marker_noise or _median_noise([r.markers.reshape(len(r.time), -1) for r in chosen], length)
-    encoder = rig.encoder_noise or _median_noise([r.theta for r in chosen], 1.0)
-    return markers, encoder
+    markers, encoder = measured_noise(recordings)
+    # Exact data still need a finite weight.
+    markers = max(markers, 1e-9 * length) if np.isfinite(markers) else DEFAULT_NOISE * length
+    encoder = max(encoder, 1e-9) if np.isfinite(encoder) else DEFAULT_NOISE
+    return rig.marker_noise or markers, rig.encoder_noise or encoder
 
 
-def _median_noise(signals: Sequence[Array], scale: float) -> float:
-    known = [noise for noise in map(white_noise, signals) if np.isfinite(noise)]
-    return max(float(np.median(known)) if known else 0.0, 1e-9 * scale)  # exact data still need a finite weight
+def measured_noise(recordings: Sequence[Recording]) -> tuple[float, float]:
+    """Return marker noise [m] and encoder noise [rad], medians over recordings; NaN where they do not show it.
+
+    Where there are quiet recordings, only these are used, unless a sensor reads the same value throughout. Rounding to
+    steps q, of which an arm at rest shows nothing, is a noise of q / sqrt(12) at least (W. R. Bennett, Bell System
+    Technical Journal 27, 1948).
+    """
+    quiet = [recording.kind == "quiet" for recording in recordings]
+    markers = [recording.markers.reshape(recording.time.size, -1) for recording in recordings]
+    return _median_noise(markers, quiet), _median_noise([recording.theta for recording in recordings], quiet)
+
+
+def _median_noise(signals: Sequence[Array], quiet: Sequence[bool]) -> float:
+    noise = np.array([white_noise(samples) for samples in signals])
+    for chosen in (np.array(quiet), np.isfinite(noise)):
+        if np.isfinite(noise[chosen]).any():
+            return max(float(np.nanmedian(noise[chosen])), _resolution(signals) / 12**0.5)
+    return float("nan")
+
+
+def _resolution(signals: Sequence[Array]) -> float:
+    """Return the smallest step between two values of one column of signals (T, m)."""
+    columns = np.concatenate(signals).T
+    steps = [np.diff(np.unique(column[np.isfinite(column)])) for column in columns]
+    return min((float(step.min()) for step in steps if step.size), default=0.0)
 
 
 def white_noise(samples: Array) -> float:
-    """Return the 1-sigma of the white part of evenly sampled signals (T, m); NaN for fewer than 16 complete rows."""
-    values = samples[:, np.isfinite(samples).any(axis=0)]
+    """Return the 1-sigma of the white part of evenly sampled signals (T, m), without those that are constant.
+
+    NaN if all are, and for fewer than 16 complete rows.
+    """
+    known = np.isfinite(samples)
+    least = np.min(samples, axis=0, where=known, initial=np.inf)
+    values = samples[:, (known & (samples > least)).any(axis=0)]
     values = values[np.isfinite(values).all(axis=1)]
     if not values.size or len(values) < 16:
         return float("nan")

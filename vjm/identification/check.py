@@ -63,7 +63,7 @@ def overview(rig: Rig, recording: Recording) -> RecordingOverview:
     markers = recording.markers[frames].reshape(frames.size, -1)
     markers = markers[:, np.isfinite(markers).any(axis=0)]
     encoder = time[np.isfinite(recording.theta).any(axis=1)]
-    noise = sensor_noise(replace(rig, marker_noise=None), [replace(recording, kind="decay")])[0]
+    noise = sensor_noise(replace(rig, marker_noise=None), [recording])[0]
     return RecordingOverview(
         recording,
         float(np.ptp(time)),

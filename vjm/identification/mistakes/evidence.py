@@ -131,6 +131,6 @@ def seen_modes(rig: Rig, recording: Recording, most: int) -> Array:
         return np.empty(0)
     driven = np.isfinite(recording.tau).all(axis=1) & bool(recording.tau.shape[1])
     torque = (recording.time[driven], recording.tau[driven]) if driven.sum() > 2 else None
-    noise = sensor_noise(replace(rig, marker_noise=None), [replace(recording, kind="decay")])[0]
+    noise = sensor_noise(replace(rig, marker_noise=None), [recording])[0]
     deflection = y[known] - y[known].mean(axis=0)
     return measure_modes(recording.time[rows][known], deflection, noise, most, torque).frequencies

@@ -8,14 +8,14 @@ without a mistake is what is said beside the numbers; they cover what arms are m
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import VjmError
-from vjm.experiment.spectrum import sensor_noise
+from vjm.experiment.spectrum import measured_noise
 from vjm.identification.mistakes.evidence import CERTAIN, LIKELY, Mistake, seen_modes, unit_factors
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Experiment, Link
@@ -183,22 +183,21 @@ def _frequencies(experiment: Experiment) -> tuple[float | None, Array, str]:
 
 
 def noise_mistakes(experiment: Experiment) -> list[Mistake]:
-    """Return sensors whose declared noise is a thousand times that of the recordings, or a thousandth."""
+    """Return sensors whose declared noise is about a thousand times that of the recordings, or a thousandth."""
     rig, mistakes = experiment.rig, []
     declared = {"marker_noise": (rig.marker_noise, "m"), "encoder_noise": (rig.encoder_noise, "rad")}
-    measured = sensor_noise(replace(rig, marker_noise=None, encoder_noise=None), experiment.recordings)
-    for (key, (value, unit)), estimate in zip(declared.items(), measured, strict=True):
-        if value is None or (key == "encoder_noise" and not rig.active_links):
+    for (key, (value, unit)), estimate in zip(declared.items(), measured_noise(experiment.recordings), strict=True):
+        if value is None or not estimate > 0:  # NaN: the recordings do not show it
             continue
-        ratio = np.log(estimate / value)
+        ratio = float(np.log(estimate / value))
         fits = {factor: -0.5 * ((ratio - np.log(factor)) / _NOISE) ** 2 for factor in (1.0, 1e3, 1e-3)}
         best = max(fits, key=lambda factor: fits[factor])
         gain = float(fits[best] - fits[1.0])
         if gain > LIKELY:
-            words = "small" if best > 1 else "large"
+            words, times = "small" if best > 1 else "large", 10 ** round(abs(ratio) / np.log(10))
             text = (
                 f"'{key}' of [sensors] is {value:.3g} {unit}, and the recordings' own noise is {estimate:.2g} {unit}: "
-                f"it is about 1000 times too {words}; give it in {unit}, or leave it out"
+                f"it is about {times} times too {words}; give it in {unit}, or leave it out"
             )
             # Recordings that somebody smoothed have less noise than their sensor, which is no mistake of the file; but
             # what hides every motion, or neighbouring markers from each other, has to go.
