@@ -17,6 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import vjm
+from vjm.errors import ExperimentError, RecordingError, ShapeError
 
 TIME = 0.01 * np.arange(40)
 MARKERS = np.stack([np.broadcast_to([0.2, 0.6, 1.0], (40, 3)), 0.01 * np.sin(9 * TIME)[:, None] * [1, 2, 4]], axis=2)
@@ -235,3 +236,114 @@ def test_valid_arrays_come_back_unchanged(count: int, markers: int, seed: int) -
     kept = vjm.Experiment(hub(markers=np.linspace(0.1, 1.0, markers)), one).recordings[0]
     for key, value in {"time": time, "markers": positions, "theta": theta[:, None], "tau": tau}.items():
         np.testing.assert_array_equal(getattr(kept, key), value)
+
+
+def with_gravity(experiment: vjm.Experiment, gravity: tuple[float, float]) -> vjm.Experiment:
+    return replace(experiment, rig=replace(experiment.rig, gravity=gravity))
+
+
+def test_recordings_without_a_gravity_of_their_own_take_that_of_any_rig() -> None:
+    experiment = vjm.Experiment(link(), [recording(), read(frame()), recording(gravity=(0.0, 1.0))])
+    for gravity in ((0.0, -9.81), (9.81, 0.0), (0.0, 0.0)):
+        experiment = with_gravity(experiment, gravity)
+        for other in (experiment, vjm.Experiment(experiment.rig, experiment.recordings)):
+            assert [one.gravity for one in other.recordings] == [gravity, gravity, (0.0, 1.0)]
+
+
+def test_a_recording_outside_an_experiment_is_simulated_under_the_rig_s_gravity() -> None:
+    model = vjm.Model.nominal(vjm.Rig("rig", link(), gravity=(0.0, -9.81), marker_noise=1e-4), 3, 1e-3)
+    inside = vjm.Experiment(model.rig, recording()).recordings[0]
+    assert np.array_equal(model.simulate(recording()).markers, model.simulate(inside).markers)
+
+
+def test_a_recording_of_other_markers_than_the_model_s_is_refused() -> None:
+    model = vjm.Model.nominal(link(), 3)
+    for chosen in ([0, 1], [0, 1, 2, 2]):
+        with pytest.raises(RecordingError, match="markers; expected 3"):
+            model.simulate(recording(markers=MARKERS[:, chosen]))
+
+
+def test_what_is_masked_was_not_measured() -> None:
+    mask = np.zeros(MARKERS.shape, dtype=bool)
+    mask[5:9] = True
+    masked = recording(markers=np.ma.masked_array(np.where(mask, 1e3, MARKERS), mask)).markers
+    assert np.array_equal(masked, np.where(mask, np.nan, MARKERS), equal_nan=True)
+
+
+def test_what_a_caller_does_to_an_array_later_changes_no_recording() -> None:
+    buffer = MARKERS.copy()
+    first = recording(markers=buffer)
+    buffer *= 2
+    assert np.array_equal(first.markers, MARKERS)
+    with pytest.raises(ValueError, match="read-only"):
+        first.markers[0] = 0.0
+    assert replace(first, role="holdout").markers is first.markers  # no copy of what nothing can change
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.3, 1.0 / 3.0])
+def test_a_marker_on_the_tip_is_there_in_spite_of_rounding(factor: float) -> None:
+    for arcs in ([factor * k for k in (1, 2, 3)], np.linspace(factor, 3 * factor, 3, dtype=np.float32)):
+        assert link(length=round(3 * factor, 12), markers=arcs).markers[-1] == pytest.approx(3 * factor, rel=1e-6)
+    with pytest.raises(ExperimentError, match="beyond the link"):
+        link(length=1.0, markers=[1.000001])
+
+
+def test_names_of_recordings_are_their_own() -> None:
+    named = vjm.Experiment(link(), [recording(file="recording_2"), recording(), recording(file="a")])
+    assert [one.file for one in named.recordings] == ["recording_2", "recording_3", "a"]
+    with pytest.raises(ExperimentError, match="also the name of a recording of other markers"):
+        vjm.Experiment(link(), [recording(file="a"), recording(file="a", markers=2 * MARKERS)])
+    assert any("listed 2 times" in text for text in vjm.Experiment(link(), [recording(file="a")] * 2).warnings)
+
+
+def test_dates_are_no_seconds() -> None:
+    dates = np.datetime64("2026-01-01") + (1e9 * TIME).astype("timedelta64[ns]")
+    for time in (dates, dates - dates[0], pd.Series(dates)):
+        with pytest.raises(RecordingError, match="dates or durations"):
+            recording(time=time)
+        with pytest.raises(RecordingError, match="dates or durations"):
+            read(frame(t=time))
+
+
+def wrapped(angle: np.ndarray) -> np.ndarray:
+    return np.mod(angle + np.pi, 2 * np.pi) - np.pi
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_encoder_that_starts_over_after_a_turn_is_named(seed: int) -> None:
+    noise = 1e-3 * np.random.default_rng(seed).standard_normal(TIME.size)
+    turning = 0.15 * np.arange(TIME.size) + noise  # 6 rad
+    there_and_back = np.pi * np.sin(9 * TIME) ** 2 + noise
+    for angle in (turning, there_and_back + 0.5):
+        assert vjm.Experiment(hub(), recording(theta=angle))
+        with pytest.raises(RecordingError, match=r"a full turn at once; expected .*numpy.unwrap"):
+            vjm.Experiment(hub(), recording(theta=wrapped(angle)))
+
+
+def test_neither_an_outlier_nor_degrees_are_a_full_turn() -> None:
+    outlier, degrees = 0.1 * np.sin(9 * TIME), 60 * np.sin(10 * TIME)
+    outlier[17] += 6.2
+    for angle in (outlier, degrees, degrees + 6.3 * (np.arange(TIME.size) > 20)):
+        assert vjm.Experiment(hub(), recording(theta=angle))
+
+
+def test_what_is_no_experiment_is_refused() -> None:
+    for function in (
+        vjm.identify,
+        vjm.diagnose,
+        vjm.check,
+        lambda value: vjm.compare(value, vjm.Model.nominal(link())),
+    ):
+        with pytest.raises(ExperimentError, match=r"got 'arm.toml'; expected a vjm.Experiment"):
+            function("arm.toml")
+    experiment = vjm.Experiment(link(), recording())
+    for joints in (3.0, "3", [3]):
+        with pytest.raises(vjm.VjmError, match="a whole number"):
+            vjm.identify(experiment, virtual_joints=joints)  # type: ignore[arg-type]
+        with pytest.raises(vjm.VjmError, match="a whole number"):
+            vjm.Model.nominal(link(), joints)  # type: ignore[arg-type]
+    other = vjm.Model.nominal(vjm.Rig("two", [hub(name="upper"), link(name="fore")]))
+    with pytest.raises(ShapeError, match="links"):
+        vjm.compare(experiment, other)
+    with pytest.raises(RecordingError, match="empty"):
+        read(frame().iloc[:0])

@@ -72,7 +72,7 @@ def test_held_out_recordings_are_told_beside_the_torque_method() -> None:
     found, nominal, torque = (with_rms(held_out.simulated, rms) for rms in (0.31e-3, 7.6e-3, 0.4e-3))
     shown = replace(held_out, simulated=found, reference=nominal, alternative=torque)
     point = result_page(replace(fit, recordings=(shown,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
-    assert "0.31 mm RMS over all 10 s, open loop (torque method 0.40 mm, nominal 7.6 mm)" in point
+    assert "0.31 mm RMS over 10 s, open loop (torque method 0.40 mm, nominal 7.6 mm)" in point
     alone = replace(shown, alternative=None)
     point = result_page(replace(fit, recordings=(alone,))).points[0].replace("\N{NO-BREAK SPACE}", " ")
     assert "open loop (nominal 7.6 mm); camera" in point

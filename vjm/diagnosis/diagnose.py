@@ -32,6 +32,7 @@ from vjm.diagnosis.workers import Workers
 from vjm.effects import BUILTIN, Effect
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import ChoiceError, ShapeError
+from vjm.experiment.records import require_experiment
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE, VISIBLE_SHARE, Experiment, Progress, RecordingComparison, Stages
@@ -42,7 +43,7 @@ from vjm.text import number
 
 def diagnose(
     experiment: Experiment,
-    effects: Sequence[str | Effect] | None = None,
+    effects: Sequence[str | Effect] | str | Effect | None = None,
     max_effects: int = 3,
     jobs: int = 1,
     seed: int = 0,
@@ -53,7 +54,8 @@ def diagnose(
 
     Args:
         experiment: the rig and its recordings; some held out.
-        effects: what to look for, ids of built-in effects or instances of `vjm.effects.Effect`; None: all built in.
+        effects: what to look for, ids of built-in effects or instances of `vjm.effects.Effect`, or a single one; None:
+            all built in.
         max_effects: number of causes at most.
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
         seed: of all random numbers.
@@ -66,12 +68,14 @@ def diagnose(
         The diagnosis. Data that cannot support a statement give the verdict `insufficient`.
 
     Raises:
+        ExperimentError: no experiment.
         ChoiceError: an unknown effect id.
         ShapeError: an option out of range.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
         InsufficientDataError: recordings that not even a model without effects can be fitted to.
         SimulationDivergedError: no start can be simulated.
     """
+    require_experiment(experiment)
     chosen = _chosen_effects(effects)
     for name, value, minimum in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
@@ -241,11 +245,11 @@ def _notes(baseline: Baseline, result: SearchResult, search: Search) -> tuple[st
     return tuple(notes)
 
 
-def _chosen_effects(effects: Sequence[str | Effect] | None) -> tuple[Effect, ...]:
+def _chosen_effects(effects: Sequence[str | Effect] | str | Effect | None) -> tuple[Effect, ...]:
     """Return effects by their ids; by default all that are built in."""
     known = {effect.id: effect for effect in BUILTIN}
     chosen: list[Effect] = []
-    for choice in BUILTIN if effects is None else effects:
+    for choice in BUILTIN if effects is None else [effects] if isinstance(effects, str | Effect) else effects:
         if isinstance(choice, str) and choice not in known:
             raise ChoiceError("effect", choice, known)
         effect = known[choice] if isinstance(choice, str) else choice

@@ -19,6 +19,7 @@ import pandas as pd
 from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError, RecordingError, shown, suggestion
+from vjm.experiment.arrays import check_time
 from vjm.experiment.conventions import Camera, Conventions, Units, check_known_columns, known_columns, needed_columns
 from vjm.experiment.records import (
     Array,
@@ -27,7 +28,6 @@ from vjm.experiment.records import (
     Link,
     Recording,
     Rig,
-    check_time,
 )
 from vjm.experiment.schema import STRICT, explain, table_model
 from vjm.files import check_file, read_file

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
+from itertools import count
+from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from annotated_types import Ge, Le, MinLen, Predicate
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from vjm.errors import ExperimentError, RecordingError, printable, shown
+from vjm.experiment.arrays import as_array, check_rate, check_time, check_turns, column_numbers
 from vjm.experiment.checks import MIN_FRAMES, cleaned, experiment_warnings
 from vjm.experiment.conventions import Conventions, angle_of, check_columns
 
@@ -50,19 +52,10 @@ _PRINTABLE = Predicate(lambda name: printable(name) == name)
 _MIN_STIFFNESS, _MAX_STIFFNESS = 1e-18, 1e18  # N m^2
 
 T = TypeVar("T")
-_CELL = "a finite number, or NaN where nothing was measured"
-
-# Magnitudes that no arm's recordings reach, not even in the wrong unit: a tower crane's 100 m in µm are 1e8, counts of
-# an encoder 1e7, a wind turbine's torque of 1e7 N m in N mm is 1e10, the time of the epoch in µs is 2e15.
-_LARGEST = {"time": (1e18, "s"), "theta": (1e9, "rad"), "tau": (1e15, "N m"), "markers": (1e9, "m")}
-_MIN_INTERVAL, _MAX_DURATION = 1e-9, 1e10  # s; cameras take 1e7 frames/s at most, three hours in µs are 1e10
-# Signals are filtered on even instants from a recording's begin to its end, pauses included: no more of these than ten
-# for each row, or a hundred thousand.
-_INSTANTS_PER_ROW, _MOST_INSTANTS = 10, 1e5
 
 
 class _RigsGravity(tuple[float, float]):
-    """Gravity of a recording that is given none: zero until an experiment puts its rig's there."""
+    """Gravity of a recording that is given none: zero, or that of the rig to which it was fitted last."""
 
 
 _RIGS_GRAVITY = _RigsGravity((0.0, 0.0))
@@ -116,6 +109,11 @@ class Link:
         if self.joint == "clamped" and self.hub_inertia:
             self._refuse("hub_inertia", "the link is clamped and has no hub", 'this key only with joint = "revolute"')
         previous = 0.0
+        # On the tip in spite of rounding, as 3 * 0.1 is on one of 0.3 m, in single precision too.
+        markers = tuple(
+            self.length if isclose(marker, self.length, rel_tol=2e-7) else marker for marker in self.markers
+        )
+        object.__setattr__(self, "markers", markers)
         for number, marker in enumerate(self.markers, start=1):
             if marker > self.length:
                 expected = f"arc lengths up to the link's length, {self.length:g} m"
@@ -136,7 +134,8 @@ class Link:
         if self.bending_stiffness is not None:
             # A link keeps both, and a copy of it is given both.
             if present and (absent or not np.isclose(stiffness, self.bending_stiffness, rtol=1e-6, atol=0.0)):
-                self._refuse(present[0], "given together with bending_stiffness", alternatives)
+                expected = f"{alternatives}; a copy with another section has bending_stiffness = None"
+                self._refuse(present[0], "given together with bending_stiffness", expected)
             return self.bending_stiffness
         if absent:
             self._refuse(absent[0] if present else "bending_stiffness", "missing", alternatives)
@@ -258,14 +257,16 @@ class Recording:
 
     def __post_init__(self) -> None:
         """Validate, and make arrays of what was measured."""
-        if self.gravity is None or isinstance(self.gravity, _RigsGravity):
-            object.__setattr__(self, "gravity", _RIGS_GRAVITY)
+        gravity = _RIGS_GRAVITY if self.gravity is None else self.gravity
+        object.__setattr__(self, "gravity", gravity)
         _check_fields(self, self.file)
+        if isinstance(gravity, _RigsGravity):
+            object.__setattr__(self, "gravity", gravity)
         name = self.file or "recording"
-        time = _array(name, "time", self.time, "(T,) instants [s]", (None,))
+        time = as_array(name, "time", self.time, "(T,) instants [s]", (None,))
         check_time(name, "time", time)
         arrays = {
-            key: _array(name, key, values, f"(T, number of active joints) {unit}", (time.size, None))
+            key: as_array(name, key, values, f"(T, number of active joints) {unit}", (time.size, None))
             for key, values, unit in (("theta", self.theta, "angles [rad]"), ("tau", self.tau, "torques [N m]"))
             if values is not None
         }
@@ -273,7 +274,7 @@ class Recording:
             problem, expected = f"an array of shape {arrays['tau'].shape}", f"{arrays['theta'].shape}, as theta has"
             raise RecordingError(name, None, "tau", problem, expected)
         unknown = np.full(next(iter(arrays.values())).shape if arrays else (time.size, 0), np.nan)
-        markers = _array(name, "markers", self.markers, "(T, k, 2) positions [m]", (time.size, None, 2))
+        markers = as_array(name, "markers", self.markers, "(T, k, 2) positions [m]", (time.size, None, 2))
         if self.input == "motion":
             arrays["tau"] = np.full_like(arrays.get("theta", unknown), np.nan)
         for key, value in {"theta": unknown, "tau": unknown, **arrays, "time": time, "markers": markers}.items():
@@ -293,14 +294,16 @@ class Recording:
             ExperimentError: a field has the wrong type or value.
             RecordingError: a column is unknown or missing, a cell is no number, or too few frames are usable.
         """
-        file, rig = fields.get("file"), _as_rig(rig)
+        file, rig = fields.get("file"), as_rig(rig)
         name = file if isinstance(file, str) and file else "recording"
         if not hasattr(frame, "columns"):
             raise RecordingError(name, None, None, f"got {shown(frame)}", "a pandas DataFrame")
         columns = tuple(str(column) for column in frame.columns)
         check_columns(name, columns, rig, kind, fields.get("input", "torque"))
-        values = {column: _numbers(name, column, frame[column]) for column in columns}
+        values = {column: column_numbers(name, column, frame[column]) for column in columns}
         check_time(name, "t", values["t"])
+        if not values["t"].size:
+            raise RecordingError(name, None, None, "the table is empty", "a row for each instant")
         unknown = np.full(values["t"].size, np.nan)
 
         def gathered(names: Iterable[str]) -> Array:
@@ -313,10 +316,9 @@ class Recording:
             gathered(f"{link}.theta" for link in active),
             gathered(f"{link}.tau" for link in active),
             kind=kind,
-            **{"gravity": rig.gravity, **fields},
+            **fields,
         )
-        _check_recording(rig, recording)
-        return recording
+        return fitted_to(rig, recording, "")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Recording):
@@ -369,14 +371,21 @@ class Experiment:
 
     def __post_init__(self) -> None:
         """Validate."""
-        rig = _as_rig(self.rig)
+        rig = as_rig(self.rig)
         rig.require_markers()
-        recordings = []
-        for number, recording in enumerate(_tuple_of(self.recordings, Recording, "experiment", "recordings"), start=1):
-            gravity = rig.gravity if isinstance(recording.gravity, _RigsGravity) else recording.gravity
-            if gravity is not recording.gravity or not recording.file:
-                recording = replace(recording, gravity=gravity, file=recording.file or f"recording_{number}")
-            _check_recording(rig, recording)
+        recordings: list[Recording] = []
+        given = _tuple_of(self.recordings, Recording, "experiment", "recordings")
+        taken = {recording.file: recording for recording in reversed(given) if recording.file}
+        for number, recording in enumerate(given, start=1):
+            free = next(name for k in count(number) if (name := f"recording_{k}") not in taken)
+            recording = fitted_to(rig, recording, free)
+            namesake = taken.setdefault(recording.file, recording)
+            if not np.array_equal(recording.markers, namesake.markers, equal_nan=True):
+                table, problem = (
+                    f"recording[{number}] {recording.file}",
+                    "also the name of a recording of other markers",
+                )
+                raise ExperimentError(self.file, table, "file", problem, "a name of its own")
             recordings.append(recording)
         object.__setattr__(self, "rig", rig)
         object.__setattr__(self, "recordings", tuple(recordings))
@@ -427,12 +436,38 @@ class Experiment:
         return tuple(recording for recording in self.recordings if recording.role == role)
 
 
-def _as_rig(rig: Rig | Link) -> Rig:
+def as_rig(rig: Rig | Link) -> Rig:
+    """Return a rig, of a bare link one that has its name.
+
+    Raises:
+        ExperimentError: neither.
+    """
     if isinstance(rig, Link):
         return Rig(rig.name, (rig,))
     if not isinstance(rig, Rig):
         raise ExperimentError(None, "experiment", "rig", f"got {shown(rig)}", "a vjm.Rig, or a single vjm.Link")
     return rig
+
+
+def require_experiment(experiment: Experiment) -> None:
+    """Raise an `ExperimentError` for what is no experiment, such as the name of its file."""
+    if not isinstance(experiment, Experiment):
+        expected = "a vjm.Experiment, as of `vjm.load_experiment(file)`"
+        raise ExperimentError(None, "experiment", "experiment", f"got {shown(experiment)}", expected)
+
+
+def fitted_to(rig: Rig, recording: Recording, name: str = "recording") -> Recording:
+    """Return a recording as one of a rig: with the rig's gravity if it was given none, and a name if it has none.
+
+    Raises:
+        RecordingError: it does not fit the rig, or has fewer than 10 usable frames.
+    """
+    own = not isinstance(recording.gravity, _RigsGravity)
+    gravity = recording.gravity if own else _RigsGravity(rig.gravity)
+    if gravity != recording.gravity or not recording.file:
+        recording = replace(recording, gravity=gravity, file=recording.file or name)
+    _check_recording(rig, recording)
+    return recording
 
 
 def _check_recording(rig: Rig, recording: Recording) -> None:
@@ -460,12 +495,13 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         if recording.input == "motion" and known < MIN_FRAMES:
             expected = f"at least {MIN_FRAMES}, since the motion of the joint is given by them"
             raise RecordingError(name, None, f"{joint}.theta", f"{known} angles", expected)
+        check_turns(name, f"{joint}.theta", recording.theta[:, column])
     if recording.input == "motion" and not active:
         expected = "a link with an active joint"
         raise RecordingError(name, None, "input", "the motion of no joint is given: every link is clamped", expected)
     measured = np.isfinite(recording.markers)
     signals = [measured.any(axis=(1, 2)), *np.isfinite(recording.theta).T, *np.isfinite(recording.tau).T]
-    _check_rate(name, recording.time, (recording.time[rows] for rows in signals))
+    check_rate(name, recording.time, (recording.time[rows] for rows in signals))
     usable = measured[:, :, 1]
     for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
         if link.markers_frame == "base":
@@ -492,92 +528,3 @@ def _tuple_of(values: Any, kind: type[T], table: str, key: str) -> tuple[T, ...]
         problem = f"got {shown(unsuitable[0])}" if unsuitable else "there is none"
         raise ExperimentError(None, table, key, problem, f"at least one vjm.{kind.__name__}, and nothing else")
     return items
-
-
-def _array(name: str, key: str, value: ArrayLike, expected: str, shape: tuple[int | None, ...]) -> Array:
-    """Return an array of finite numbers or NaN, of a shape in which None stands for any length."""
-    try:
-        array = np.empty(()) if np.iscomplexobj(value) else np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.empty(())
-    if not array.ndim:
-        raise RecordingError(name, None, key, f"got {shown(value)}", f"an array {expected}")
-    if key != "time" and array.ndim == 1 and len(shape) == 2:
-        array = array[:, None]
-    if array.ndim != len(shape) or any(n not in (None, m) for n, m in zip(shape, array.shape, strict=True)):
-        length_note = "" if shape[0] is None else f" with T = {shape[0]}"
-        raise RecordingError(name, None, key, f"an array of shape {array.shape}", f"an array {expected}{length_note}")
-    _check_range(name, key, array, key)
-    return array
-
-
-def _check_range(name: str, column: str, values: Array, quantity: str) -> None:
-    """Raise a `RecordingError` at the first number (T, ...) of a column that is infinite or beyond any arm's."""
-    largest, unit = _LARGEST[quantity]
-    positions = np.argwhere(np.abs(values) > largest)
-    if positions.size:
-        value, problem, expected = values[tuple(positions[0])], "an infinite value", _CELL
-        if np.isfinite(value):
-            problem, expected = f"{value:.6g} {unit} is beyond any arm", f"at most {largest:g} {unit}; check its unit"
-        raise RecordingError(name, None, column, problem, expected, int(positions[0, 0]))
-
-
-def _check_rate(name: str, time: Array, sensors: Iterable[Array]) -> None:
-    """Raise a `RecordingError` if the instants (T,) of a recording, or those of a sensor, are no sampling.
-
-    Args:
-        name: of the recording.
-        time: all instants [s].
-        sensors: of each sensor, the instants at which it measured anything [s].
-    """
-    duration = float(time[-1] - time[0])
-    if duration > _MAX_DURATION:
-        problem = f"{duration:.4g} s from the first row to the last"
-        raise RecordingError(name, None, "t", problem, f"at most {_MAX_DURATION:g} s; check the unit of time")
-    for instants in sensors:
-        intervals = np.diff(instants)
-        if not intervals.size:
-            continue
-        if intervals.min() < _MIN_INTERVAL:
-            index = int(np.searchsorted(time, instants[intervals.argmin() + 1]))
-            problem = f"{intervals.min():.4g} s after the sensor's measurement before"
-            raise RecordingError(name, None, "t", problem, f"at least {_MIN_INTERVAL:g} s", index)
-        usual = float(np.median(intervals))
-        if duration > usual * max(_MOST_INSTANTS, _INSTANTS_PER_ROW * time.size):
-            index = int(np.diff(time).argmax()) + 1
-            problem = (
-                f"{time[index] - time[index - 1]:.4g} s after the row before, where a sensor usually measures every "
-                f"{usual:.4g} s"
-            )
-            expected = "shorter pauses; split the recording there"
-            raise RecordingError(name, None, "t", problem, expected, index)
-
-
-def _numbers(name: str, column: str, values: pd.Series) -> Array:
-    """Return a column of a table as numbers, NaN where it is empty."""
-    with suppress(TypeError, ValueError, OverflowError):
-        array = values.astype(object if np.iscomplexobj(values) else values.dtype).to_numpy(
-            dtype=np.float64, na_value=np.nan, copy=True
-        )
-        quantity = {"t": "time"}.get(column, column.rpartition(".")[2])
-        _check_range(name, column, array, quantity if quantity in _LARGEST else "markers")
-        return array
-    for index, cell in enumerate(values):
-        try:
-            float(cell)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise RecordingError(name, None, column, f"{shown(cell)} is not a number", _CELL, index) from error
-    raise RecordingError(name, None, column, "not a column of numbers", _CELL)
-
-
-def check_time(name: str, column: str, time: Array) -> None:
-    """Raise a `RecordingError` if a time (T,) is missing or time does not increase."""
-    _check_range(name, column, time, "time")
-    invalid = np.flatnonzero(np.isnan(time))
-    if invalid.size:
-        raise RecordingError(name, None, column, "the time is missing", "a time in every row [s]", int(invalid[0]))
-    invalid = np.flatnonzero(np.diff(time) <= 0.0)
-    if invalid.size:
-        index = int(invalid[0]) + 1
-        problem = f"time does not increase, {time[index]:.9g} after {time[index - 1]:.9g}"
-        raise RecordingError(name, None, column, problem, "a time later than the row before", index)

@@ -11,6 +11,7 @@ from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError, VjmError
 from vjm.experiment.checks import overlapping_samples
+from vjm.experiment.records import require_experiment
 from vjm.experiment.spectrum import sensor_noise
 from vjm.identification.mistakes import find_mistakes
 from vjm.identification.mistakes.evidence import seen_modes
@@ -95,7 +96,11 @@ def check(experiment: Experiment) -> Check:
     """Say what is wrong with a loaded experiment, what can be identified from it and what cannot be told apart.
 
     The standard errors are those that the recordings allow at the uniform link that fits them.
+
+    Raises:
+        ExperimentError: no experiment.
     """
+    require_experiment(experiment)
     rig = experiment.rig
     mistakes = find_mistakes(experiment)
     findings = [*experiment.warnings, *(str(mistake) for mistake in mistakes if not mistake.certain)]

@@ -10,11 +10,12 @@ import numpy as np
 
 from vjm.chain.layout import nominal_chain
 from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedError
+from vjm.experiment.records import require_experiment
 from vjm.identification.check import fit_warnings
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.outliers import trimmed
 from vjm.identification.records import Comparison
-from vjm.records import Array, Experiment, Progress, RecordingComparison, SimulatedRecording
+from vjm.records import Array, Experiment, Progress, Recording, RecordingComparison, SimulatedRecording
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.model import Model
@@ -35,9 +36,14 @@ def compare(
         progress: called with (text, done, total) while it runs.
 
     Raises:
-        ShapeError: a model whose links are longer or shorter than the rig's.
+        ExperimentError: no experiment.
+        ShapeError: a model whose links have other names than the rig's, or are longer or shorter.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
     """
+    require_experiment(experiment)
+    names, rig_names = ([link.name for link in links] for links in (model.chain.links, experiment.rig.links))
+    if names != rig_names:
+        raise ShapeError("model", f"links {names}", f"the experiment's links {rig_names}")
     for link, rig_link in zip(model.chain.links, experiment.rig.links, strict=True):
         if abs(link.length - rig_link.length) > 1e-3 * rig_link.length:  # more than rounding in either file
             raise ShapeError(
@@ -81,13 +87,19 @@ def compare_recordings(
             simulated=simulated,
             reference=reference,
             alternative=alternative,
-            left_out=int(np.isfinite(raw.markers).sum() - np.isfinite(observations.recording.markers).sum()),
+            left_out=_left_out(raw, observations.recording),
             problem=result if isinstance(result, str) else "",
         )
         for raw, observations, result, simulated, reference, alternative in zip(
             experiment.recordings, measured, results, *columns, strict=True
         )
     )
+
+
+def _left_out(raw: Recording, used: Recording) -> int:
+    """Return the number of marker coordinates that are missing in the part of a recording that is used."""
+    rows = (raw.time >= used.time[0]) & (raw.time <= used.time[-1])
+    return int(np.isfinite(raw.markers[rows]).sum() - np.isfinite(used.markers).sum())
 
 
 def _replay(

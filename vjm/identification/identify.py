@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from numbers import Integral
 from typing import Literal, get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ from vjm.chain.curve import curve_map
 from vjm.chain.layout import DEFAULT_LAYOUT, LAYOUTS, LayoutName, nominal_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import ChoiceError, ShapeError
+from vjm.experiment.records import require_experiment
 from vjm.experiment.spectrum import match, mode_shapes
 from vjm.identification.check import (
     data_warnings,
@@ -76,12 +78,14 @@ def identify(
         progress: called with (text, done, total) while it runs.
 
     Raises:
+        ExperimentError: no experiment.
         ChoiceError: an unknown method or option.
         ShapeError: a number of virtual joints below 1 or above 60.
         MistakeError: recordings that a mistake explains far better than the experiment file does.
         InsufficientDataError: recordings that cannot determine the model.
         SimulationDivergedError: no start can be simulated.
     """
+    require_experiment(experiment)
     for option, value, choices in (
         ("method", method, METHODS),
         ("parameters", parameters, PARAMETRISATIONS),
@@ -93,8 +97,8 @@ def identify(
     ):
         if value not in choices:
             raise ChoiceError(option, value, choices)
-    if virtual_joints is not None and not 1 <= virtual_joints <= 60:
-        raise ShapeError("virtual_joints", virtual_joints, "a number from 1 to 60")
+    if virtual_joints is not None and not (isinstance(virtual_joints, Integral) and 1 <= virtual_joints <= 60):
+        raise ShapeError("virtual_joints", virtual_joints, "a whole number from 1 to 60")
     likely = refuse_mistakes(experiment)
     progress = Stages(progress, 0.25).inside  # share of the remaining progress that a fit takes: there are seven
     data = TrainingData.of(experiment, parameters, virtual_joints, layout, family, angles, derivatives)

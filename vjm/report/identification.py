@@ -203,7 +203,7 @@ def _recording_points(comparisons: Sequence[RecordingComparison]) -> list[str]:
             duration = f"{number(float(recording.time[-1] - recording.time[0]), 2)}\N{NO-BREAK SPACE}s"
             models = [("torque method", comparison.alternative), ("nominal", comparison.reference)]
             errors = ", ".join(f"{label} {millimetres(sim.marker_rms)}" for label, sim in models if sim is not None)
-            rms = f"{millimetres(simulated.marker_rms)} RMS over all {duration}, open loop"
+            rms = f"{millimetres(simulated.marker_rms)} RMS over {duration}, open loop"
             text = f"{short(recording.file)} ({name}): {rms}{f' ({errors})' if errors else ''}"
             points.append(f"{text}; camera noise {millimetres(comparison.noise[0])}.")
     return points

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,12 +16,13 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.checks import DEFAULT_NOISE
+from vjm.experiment.records import as_rig, fitted_to
 from vjm.files import write_text
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
 from vjm.model.urdf import SIMULATORS
-from vjm.records import REFERENCE, Array, Estimate, Record, Recording, Rig, SimulatedRecording, Simulation
+from vjm.records import REFERENCE, Array, Estimate, Link, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.control import ControlLaw, simulate_motion
 from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
@@ -76,18 +78,19 @@ class Model(Record):
             raise ShapeError("model", f"links {chain_links}", f"the experiment's links {rig_links}")
 
     @classmethod
-    def nominal(cls, rig: Rig, virtual_joints: int = 8, kelvin_voigt: float = 0.0) -> Model:
+    def nominal(cls, rig: Rig | Link, virtual_joints: int = 8, kelvin_voigt: float = 0.0) -> Model:
         """Return the model of an arm as described, without any recording of it.
 
         Args:
-            rig: the arm, with its nominal values.
+            rig: the arm, with its nominal values; a bare link is fine too.
             virtual_joints: number n of every link's, where the rig does not say.
             kelvin_voigt: damping over stiffness of the links [s]; 0: undamped.
 
         Raises:
             ShapeError: a number of joints below one, or a time below zero.
         """
-        if virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
+        rig = as_rig(rig)
+        if not isinstance(virtual_joints, Integral) or virtual_joints < 1 or not 0 <= kelvin_voigt < np.inf:
             value = f"virtual_joints = {virtual_joints}, kelvin_voigt = {kelvin_voigt}"
             raise ShapeError("model", value, "a whole number from 1, and a time, zero or positive [s]")
         cuts = rig_layouts(rig, [link.virtual_joints or virtual_joints for link in rig.links])
@@ -136,6 +139,7 @@ class Model(Record):
 
         Raises:
             InsufficientDataError: no torque measured at an active joint of the recording.
+            RecordingError: a recording that does not fit the rig.
             ShapeError: neither a recording nor a duration, both, or an argument that does not fit the arm.
             SimulationDivergedError: the simulation left the finite numbers, or depends on its step however short.
         """
@@ -151,6 +155,7 @@ class Model(Record):
 
         From an initial state (2 nv,) near the most likely, such as a similar model's, a few steps are taken.
         """
+        recording = fitted_to(self.rig, recording)
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
         arm = self.arm_in(recording)
         if near is None:
