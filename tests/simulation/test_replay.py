@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.linalg import eigh
 
 import vjm
 from tests.fine_beam.make_demo import TRUTH_FILE
@@ -27,12 +28,13 @@ from tests.simulation.setups import (
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.load import load_experiment
+from vjm.model.modes import linearise
 from vjm.records import Experiment, Recording, Rig, SimulatedRecording
 from vjm.simulation import initial_state
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import MarkerArcs, Observations
-from vjm.simulation.run import simulate_runs
+from vjm.simulation.run import InitialStatePrior, simulate_runs
 
 Array = NDArray[np.float64]
 NOISE = 3e-4
@@ -239,3 +241,22 @@ def test_a_wrong_stiffness_does_not() -> None:
     chain = arm_of(steel_link(6, bending_stiffness=1.04 * truth["bending_stiffness"], kelvin_voigt=3.07e-4))
     first = next(each for each in experiment.recordings if each.file == "first_mode.csv")
     assert replay(Arm(chain), experiment.rig, first, NOISE, ENCODER_NOISE).marker_rms > 20 * NOISE
+
+
+@pytest.mark.parametrize("joints", [4, 12])
+def test_the_prior_of_an_initial_state_expects_shapes_that_a_force_bends(joints: int) -> None:
+    """Every mode of a cantilever bent by a tenth of its length has one standard deviation, at rest or in full swing."""
+    chain = arm_of(steel_link(joints))
+    recording = recording_of(chain, np.arange(301) / 100.0)
+    prior = InitialStatePrior.of(Arm(chain), recording)
+    mass, _, stiffness, rest = linearise(chain, recording.payload, recording.gravity, recording.initial_theta)
+    squares, modes = eigh(stiffness, mass)
+    load = end_load_shape(chain, 0.1 * chain.links[0].length) - rest
+    coordinates = modes.T @ mass @ load
+    for slow in range(joints // 2):
+        bent = coordinates[slow] * modes[:, slow]
+        at_rest = np.concatenate([bent, np.zeros(joints)])
+        in_full_swing = np.concatenate([np.zeros(joints), np.sqrt(squares[slow]) * bent])
+        for state in (at_rest, in_full_swing):
+            # The slowest mode has 97 % of the energy of the bent shape.
+            assert np.linalg.norm(prior.sqrt_information @ state) == pytest.approx(1.0, rel=0.1)

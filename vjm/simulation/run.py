@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import eigh, solve_triangular
 
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
@@ -35,7 +36,8 @@ class InitialStatePrior:
     """Weak normal prior of a recording's initial state, centred at rest.
 
     One standard deviation is the energy of bending the arm by a tenth of its length, and one radian of an active joint.
-    The prior counts as much as one or two measured values, and matters only for motion that the recording cannot show.
+    In faster modes of bending it falls as 1/omega^2, as in the shape that a force at the tip bends. The prior counts as
+    much as one or two measured values, and matters only for motion that the recording cannot show.
 
     Attributes:
         rest: (2 nv,) angles of rest at the first measured active angles, and zero rates [rad, rad/s].
@@ -64,8 +66,15 @@ class InitialStatePrior:
         root = np.zeros((2 * n, 2 * n))
         root[range(n), range(n)] = np.sqrt(chain.stiffness / (2 * energy))
         root[chain.active, chain.active] = 1.0
+        bends = np.r_[chain.passive_slices]
+        block, K = np.ix_(bends, bends), np.diag(chain.stiffness[bends])
+        rates = M / (2 * energy)
         try:
-            root[n:, n:] = np.linalg.cholesky(M / (2 * energy)).T
+            # Energies that fall as 1/omega^2 are those of K M^-1 K and K, where all modes alike would have K and M.
+            slowest = 2 * energy * eigh(K, M[block], eigvals_only=True, subset_by_index=[0, 0])[0]
+            root[block] = solve_triangular(np.linalg.cholesky(slowest * M[block]), K, lower=True)
+            rates[block] = K / slowest
+            root[n:, n:] = np.linalg.cholesky(rates).T
         except np.linalg.LinAlgError:
             remedy = "a joint moves nothing that has inertia: give the hub some"
             raise SimulationDivergedError(float(recording.time[0]), 0.0, remedy) from None
