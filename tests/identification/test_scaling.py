@@ -13,7 +13,7 @@ from tests.scaling import scaled
 from vjm.identification.records import Identification
 from vjm.records import Experiment
 
-BOOM, ODD = (4.0, 60.0, 3.0), (0.037, 1e-4, 0.011)
+BOOM, ODD = (4.0, 60.0, 3.0), (1.3e-4, 1e-9, 3e-4)
 
 
 @cache
@@ -26,7 +26,7 @@ def identified(length: float, mass: float, time: float) -> Identification:
 
 
 def test_an_arm_of_another_size_is_identified_alike() -> None:
-    """A boom and a hair, a hundred times smaller."""
+    """A boom, and a cantilever as of an atomic force microscope."""
     here, there = identified(*BOOM), identified(*ODD)
     length, mass, time = (odd / boom for odd, boom in zip(ODD, BOOM, strict=True))
     units = {"N m^2": mass * length**3 / time**2, "s": time, "kg m^2": mass * length**2}

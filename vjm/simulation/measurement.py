@@ -21,6 +21,10 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import LINEAR, Loss
 from vjm.simulation.system import Trajectory, torque_at
 
+# Forward difference, largest at a joint [rad, rad/s or units of internal states]: its relative error is of the order of
+# the step, and rounding adds 1e-16 / 1e-6.
+DIFFERENCE_STEP = 1e-6
+
 
 @dataclass(frozen=True)
 class MarkerArcs:
@@ -66,11 +70,15 @@ class MarkerArcs:
 
     def jacobian(self, arm: Arm, q: Array, time: Array, directions: Array) -> Array:
         """Return (F, 2 k, m) derivatives of `measured_positions` along directions (nv, m) of the angles."""
-        step, count = 1e-6, directions.shape[1]
-        moved = np.concatenate([q, *(q + step * direction for direction in directions.T)], axis=-2)
+        count = directions.shape[1]
+        # Small at every joint: shapes of a mode with unit modal mass are large on a light arm.
+        steps = DIFFERENCE_STEP / np.maximum(np.abs(directions).max(axis=0, initial=0.0), 1e-300)
+        moved = np.concatenate(
+            [q, *(q + step * shape for step, shape in zip(steps, directions.T, strict=True))], axis=-2
+        )
         instants = np.tile(time, count + 1)  # all directions in one batch
         base, *perturbed = np.split(self.measured_positions(arm, moved, instants), count + 1)
-        slopes: Array = (np.stack(perturbed, axis=-1) - base[..., None]) / step
+        slopes: Array = (np.stack(perturbed, axis=-1) - base[..., None]) / steps
         return slopes.reshape(len(base), 2 * base.shape[1], count)
 
     def exposure_times(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:

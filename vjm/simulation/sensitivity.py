@@ -11,10 +11,9 @@ import numpy as np
 
 from vjm.records import Array, Indices
 from vjm.simulation.arm import Arm
-from vjm.simulation.measurement import Observations
+from vjm.simulation.measurement import DIFFERENCE_STEP, Observations
 from vjm.simulation.system import Trajectory
 from vjm.simulation.variational_equations import (
-    DIFFERENCE_STEP,
     Coefficients,
     ModalBasis,
     Motions,
@@ -145,8 +144,10 @@ class Linearization:
         observed = self.observed
         z = observed.internal_states(self.arm, q)
         shapes = self.basis.shapes[:, :slow_count].T
+        steps = DIFFERENCE_STEP / np.abs(shapes).max(axis=1)  # small at every joint
         by_angles = [
-            (observed.internal_states(self.arm, q + DIFFERENCE_STEP * shape) - z) / DIFFERENCE_STEP for shape in shapes
+            (observed.internal_states(self.arm, q + step * shape) - z) / step
+            for step, shape in zip(steps, shapes, strict=True)
         ]
         by_rates = [np.zeros(z.size)] * slow_count
         by_parameters = [

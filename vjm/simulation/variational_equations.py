@@ -20,7 +20,7 @@ from vjm.model.modes import linearise
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import flow_and_response, locked_joint_frequencies
-from vjm.simulation.measurement import Observations
+from vjm.simulation.measurement import DIFFERENCE_STEP, Observations
 from vjm.simulation.system import Trajectory, torque_at
 
 # Modes whose phase changes by less in an interval are slow [rad]; derivatives, which are interpolated inside it, are
@@ -28,9 +28,6 @@ from vjm.simulation.system import Trajectory, torque_at
 _SLOW_PHASE = 3.2
 _MAX_MODES = 16  # bounds the cost, which grows with the cube of the number of modes
 _OMITTED_COMPLIANCE = 1e-3  # share of a static deflection that omitted modes may have: far below those 3 %
-# Forward difference, largest at a joint [rad, rad/s or units of internal states]: its relative error is of the order of
-# the step, and rounding adds 1e-16 / 1e-6.
-DIFFERENCE_STEP = 1e-6
 # Fields of links on which rigid-body dynamics depends.
 _OF_BODIES = (
     "lengths",
