@@ -152,7 +152,13 @@ def test_a_few_steps_lead_from_the_state_of_a_similar_model(seed: int, monkeypat
 
     monkeypatch.setattr(initial_state, "simulate_runs", counted)
     result = model.replay(noisy, near)
-    assert result.chi2 == pytest.approx(expected.chi2, abs=0.1)
+    prior = InitialStatePrior.of(Arm(chain), noisy)
+
+    def cost(simulated: SimulatedRecording) -> float:
+        deviation = prior.sqrt_information @ (simulated.simulation.initial_state - prior.rest)
+        return float(simulated.chi2 + deviation @ deviation)
+
+    assert cost(result) == pytest.approx(cost(expected), abs=0.1)
     np.testing.assert_allclose(result.simulation.initial_state[: chain.size], expected.simulation.q[0], atol=1e-4)
     assert len(starts) <= 1 + initial_state.FEW_TRIALS
     assert np.array_equal(starts[0], near)
