@@ -142,3 +142,24 @@ def test_what_acts_on_the_drive_is_not_testable() -> None:
     assert not any(reasons[name] for name in seen)
     mixed = [recordings[0], replace(recordings[1], input="torque", tau=recordings[1].theta)]
     assert not any(effect.untestable(RIG, mixed) for effect in BUILTIN if effect.id in hidden)
+
+
+def standardised(seed: int, encoder_noise: float) -> list[float]:
+    """Errors over standard errors of what is identified from motions given by a coarse encoder."""
+    truth, rig = chain_of(), replace(RIG, encoder_noise=encoder_noise)
+    noise = 3e-4, encoder_noise
+    recordings = [replace(one, input="motion") for one in recorded(Arm(truth), seed, duration=4.0, noise=noise)]
+    fit = vjm.identify(vjm.Experiment(rig, recordings), virtual_joints=3, baselines=False)
+    link = truth.links[0]
+    true = {"bending_stiffness": link.bending_stiffness, "kelvin_voigt_time": link.kelvin_voigt_time}
+    return [(fit[f"beam.{name}"].value - value) / (fit[f"beam.{name}"].error or 0.0) for name, value in true.items()]
+
+
+@pytest.mark.parametrize(
+    "seeds", [range(1, 4), pytest.param(range(4, 16), marks=pytest.mark.slow)], ids=["few", "many"]
+)
+def test_standard_errors_hold_the_noise_of_a_given_motion(seeds: range) -> None:
+    """With the markers' noise alone they were five to nine times too small for such an encoder."""
+    deviations = np.array([standardised(seed, 5e-4) for seed in seeds])
+    assert 0.3 < np.sqrt(np.mean(deviations**2)) < 1.6
+    assert np.abs(deviations).max() < 3.5

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.interpolate import BSpline, make_smoothing_spline
+from scipy.interpolate import make_smoothing_spline
 from scipy.optimize import brentq
 
 from vjm.chain.curve import marker_poses, transfer_state
@@ -123,26 +123,38 @@ def _given_acceleration(recording: Recording, noise: float) -> Array:
     """
     acceleration = np.empty(recording.theta.shape)
     for joint, theta in enumerate(recording.theta.T):
-        known = np.isfinite(theta)
-        spline = _smoothest(recording.time[known], theta[known], noise)
-        acceleration[:, joint] = np.interp(recording.time, recording.time[known], spline(recording.time[known], 2))
+        knots = recording.time[np.isfinite(theta)]
+        angles = theta[np.isfinite(theta)]
+        spline = make_smoothing_spline(knots, angles, lam=_largest_penalty(knots, angles, noise))
+        acceleration[:, joint] = np.interp(recording.time, knots, spline(knots, 2))
     return acceleration
 
 
-def _smoothest(time: Array, values: Array, noise: float) -> BSpline:
-    """Return the smoothest cubic spline that misses values (T,) at instants (T,) [s] by their noise (RMS)."""
+def redrawn_motions(recording: Recording, noise: float, random: np.random.Generator, count: int) -> list[Recording]:
+    """Return a recording of joints that turn as their encoders say as often, with other noise of these [rad] in it."""
+    errors = np.empty((count, *recording.theta.shape))
+    for joint, theta in enumerate(recording.theta.T):
+        knots = recording.time[np.isfinite(theta)]
+        penalty = _largest_penalty(knots, theta[np.isfinite(theta)], noise)
+        for error in errors:
+            spline = make_smoothing_spline(knots, noise * random.standard_normal(knots.size), lam=penalty)
+            error[:, joint] = np.interp(recording.time, knots, spline(knots, 2))
+    given = _given_acceleration(recording, noise) if recording.acceleration is None else recording.acceleration
+    return [replace(recording, acceleration=given + error) for error in errors]
 
-    def spline(exponent: float) -> BSpline:
-        return make_smoothing_spline(time, values, lam=np.exp(exponent))
+
+def _largest_penalty(time: Array, values: Array, noise: float) -> float:
+    """Return the penalty [s^3] of the smoothest cubic spline that misses values (T,) by their noise (RMS)."""
 
     def excess(exponent: float) -> float:
-        return float(np.log(max(float(np.std(values - spline(exponent)(time))), 1e-300) / noise))
+        spline = make_smoothing_spline(time, values, lam=np.exp(exponent))
+        return float(np.log(max(float(np.std(values - spline(time))), 1e-300) / noise))
 
     # The penalty is a time cubed: from a thousandth of an interval, which interpolates, to all of the recording.
     lowest, highest = 3 * np.log([1e-3 * float(np.diff(time).min()), float(np.ptp(time))])
     if excess(lowest) >= 0:
-        return spline(lowest)
-    return spline(highest if excess(highest) <= 0 else brentq(excess, lowest, highest, rtol=1e-3))
+        return float(np.exp(lowest))
+    return float(np.exp(highest if excess(highest) <= 0 else brentq(excess, lowest, highest, rtol=1e-3)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from vjm.records import Array, Indices, Recording, SimulatedRecording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observations, sensor_readings
+from vjm.simulation.measurement import Observations, redrawn_motions, sensor_readings
 from vjm.simulation.sensitivity import Linearization, with_coefficients
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
@@ -269,15 +269,37 @@ class Run:
 
     def scores(self, linearization: Linearization, linearized: SquareRootInformation) -> Array:
         """Return the scores (T, p): each instant's part in the gradient of -chi^2 / 2, initial state eliminated."""
-        parameters = len(linearization.perturbed)
-        states = linearized.columns - parameters
-        by_parameters = linearized.elimination_jacobian(states)
         instants = self.observed.instants
-        scores = np.zeros((self.observed.recording.time.size, parameters))
-        for measured, part in self.jacobian(linearization):
-            slopes = part[:, states:] - part[:, :states] @ by_parameters
+        scores = np.zeros((self.observed.recording.time.size, len(linearization.perturbed)))
+        for measured, slopes in self._parameter_jacobian(linearization, linearized):
             np.add.at(scores, instants[measured], slopes * self.residual[measured, None])
         return scores
+
+    def given_motion_scores(
+        self, linearization: Linearization, linearized: SquareRootInformation, step_multiple: float, count: int
+    ) -> Array:
+        """Return scores (count, p) that the encoders' noise gives by the motion of joints that turn as these say.
+
+        Each is of one draw of this noise: what it changes of the simulation is a residual, initial state eliminated.
+        """
+        observed = self.observed
+        recordings = redrawn_motions(observed.recording, observed.noise[1], np.random.default_rng(0), count)
+        varied = [replace(observed, recording=recording) for recording in recordings]
+        runs = simulate_runs([self.arm] * count, varied, [self.prior] * count, [self.state] * count, step_multiple)
+        changes = np.stack([run.residual - self.residual for run in runs])
+        scores = np.zeros((count, len(linearization.perturbed)))
+        for measured, slopes in self._parameter_jacobian(linearization, linearized):
+            scores += changes[:, measured] @ slopes
+        return scores
+
+    def _parameter_jacobian(
+        self, linearization: Linearization, linearized: SquareRootInformation
+    ) -> Iterator[tuple[Indices, Array]]:
+        """Yield indices (r,) of values and derivatives (r, p) by parameters, initial state eliminated."""
+        states = linearized.columns - len(linearization.perturbed)
+        by_parameters = linearized.elimination_jacobian(states)
+        for measured, part in self.jacobian(linearization):
+            yield measured, part[:, states:] - part[:, :states] @ by_parameters
 
     def residual_series(self) -> list[Array]:
         """Return weighted residuals of each kind of sensor, (F, 2 k) and (T, n_a); NaN where nothing was measured."""
