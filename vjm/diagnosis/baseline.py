@@ -25,7 +25,7 @@ from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
 
-_CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
+CLOSE_MISFIT = 2.0  # misfit up to which the discretization error is comparable with what else is missing
 
 
 @dataclass(frozen=True)
@@ -76,10 +76,10 @@ def corrected_for_discretization(fit: TrajectoryFit, rig: Rig, deadline: float =
 
     None where that error cannot be told, or not before a reading of `time.monotonic`, the deadline [s].
     """
-    if fit.misfit > _CLOSE_MISFIT:
+    if fit.misfit > CLOSE_MISFIT:
         return fit
-    bias = DiscretizationBias.of(fit.point, rig, _CLOSE_MISFIT, deadline)
-    return None if bias is None else bias.corrected(fit, _CLOSE_MISFIT, deadline)
+    bias = DiscretizationBias.of(fit.point, rig, CLOSE_MISFIT, deadline)
+    return None if bias is None else bias.corrected(fit, CLOSE_MISFIT, deadline)
 
 
 def _further_recordings(

@@ -17,7 +17,7 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import corrected_for_discretization
+from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     StoppingRule,
@@ -34,6 +34,7 @@ from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
+from vjm.identification.discretization import refined
 from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
 from vjm.records import Array, Rig
 from vjm.simulation.run import all_followed
@@ -378,6 +379,7 @@ class Search:
         for batch in _batches(sorted(needed, key=largest_gain, reverse=True), self.workers.count):
             promising = [self._with_candidates(best, family, [k]) for k in batch if promises(k)]
             trial = self._best_fit(best, promising, trial, fits) if promising else trial
+            trial = self._refined(best, trial, fits) if promising else trial
             if self._explains_all(trial, best):
                 return trial
         added = [] if trial is None else [effect for effect in trial.effects if effect.key not in best.effect_keys]
@@ -531,6 +533,25 @@ class Search:
             self.p_values.setdefault(key, 1.0 if self._first_tests is None else self._first_tests.p_value(key))
             self._decreases.setdefault(key, replaced)  # nearly the same, or there would be no close second
         return best, fits
+
+    def _refined(self, reduced: TrajectoryFit, fit: TrajectoryFit | None, fits: Fits) -> TrajectoryFit | None:
+        """Return a model with twice as many joints, if that leaves only noise of it.
+
+        In segments, where the discretization error is not measured, further effects would stand in for it. It is tried
+        where the model explains most of what the reduced one leaves.
+        """
+        if fit is None or fit.shift is not None or is_nonsmooth(fit.effects) or self._explains_all(fit, reduced):
+            return fit
+        left, before = (model.chi2 - model.point.expected_chi2 for model in (fit, reduced))
+        if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.options.exhausted:
+            return fit
+        self.report("refining the chain")
+        bound = fit.point.expected_chi2 + 5 * np.sqrt(2 * fit.point.count)
+        finer = refined(fit, self.rig, self.options.stop(bound))
+        if finer is None or not self._explains_all(finer, reduced):
+            return fit
+        fits[finer.effect_keys] = finer
+        return finer
 
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
         """Refit a model with its chain's discretization error corrected; None where that cannot be measured.

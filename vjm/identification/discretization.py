@@ -8,7 +8,7 @@ extrapolation of the differences gives the offset of the predictions and the shi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
 from typing import Self
@@ -38,7 +38,7 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
     """
     coarse = _with_offset(point, None)
     try:
-        predicted = _predictions(_finer(coarse, rig), coarse)
+        predicted = _predictions(_finer(coarse, rig, _REFINEMENT), coarse)
         offset = [fine - _predicted(run) for fine, run in zip(predicted, coarse.runs, strict=True)]
         corrected = _with_offset(coarse, offset)
         change: Array = corrected.reduced()[0].best() - coarse.reduced()[0].best()
@@ -70,7 +70,7 @@ class DiscretizationBias:
             The bias; None where the finer chain cannot be simulated, or corrections will not settle, or not in time.
         """
         start = _with_offset(point, None)
-        finer = _finer(start, rig)
+        finer = _finer(start, rig, _REFINEMENT)
         best, chi2, current = None, np.inf, start
         try:
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
@@ -128,10 +128,19 @@ def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
     return replace(point, problem=replace(point.problem, observed=tuple(run.observed for run in runs)), runs=runs)
 
 
-def _finer(point: Point, rig: Rig) -> TrajectoryProblem:
-    """Return the problem of a chain with more joints."""
+def refined(fit: TrajectoryFit, rig: Rig, stop: Callable[[Point, float], bool] | None = None) -> TrajectoryFit | None:
+    """Fit a model with twice as many joints; None where that cannot be simulated. `stop` is as of `fit_trajectory`."""
+    finer = _finer(fit.point, rig, 2)
+    try:
+        return fit_trajectory(finer, fit.point.x, None, _transferred_states(finer, fit.point), stop=stop)
+    except (SimulationDivergedError, InsufficientDataError):
+        return None
+
+
+def _finer(point: Point, rig: Rig, factor: int) -> TrajectoryProblem:
+    """Return the problem of a chain with so many times the joints."""
     coarse = point.problem.parametrisation
-    joints = [_REFINEMENT * link.virtual_joints for link in coarse.template.links]
+    joints = [factor * link.virtual_joints for link in coarse.template.links]
     template = starting_chain(rig, rig_layouts(rig, joints, DEFAULT_LAYOUT))
     finer = Parametrisation(template, coarse.kind, coarse.hubs)
     return replace(point.problem, parametrisation=finer)
@@ -141,8 +150,14 @@ def _predictions(finer: TrajectoryProblem, point: Point) -> list[Array]:
     """Return the finer chain's predictions for each recording [m, rad]."""
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
-    states = [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
+    states = _transferred_states(finer, point)
     return [_predicted(run) for run in simulate_runs(arms, observed, None, states, point.problem.step_multiple)]
+
+
+def _transferred_states(finer: TrajectoryProblem, point: Point) -> list[Array]:
+    """Return the initial states (2 nv,) of the finer chain that a fitted chain's stand for."""
+    arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
+    return [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
 
 
 def _predicted(run: Run) -> Array:
