@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -148,3 +149,18 @@ def test_files_elsewhere_are_named_from_the_folder(folder: Path, capsys: pytest.
     files = [folder / "first_mode.csv", folder / "second_mode.csv"]
     assert run(capsys, "init", folder / "described", *RIG, "--csv", *files, "-q") == (0, "", "")
     assert load_experiment(folder / "described" / "experiment.toml").recordings[0].file == "../first_mode.csv"
+
+
+def test_cells_that_no_comma_separates_are_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = folder / "quiet.csv"
+    file.write_text(file.read_text().replace(",", ";"))
+    status, _, err = run(capsys, "init", folder, *RIG)
+    assert status == 2
+    assert "cells are separated by ';'; expected cells separated by commas" in err
+
+
+def test_the_command_that_it_names_can_be_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spaced = folder.rename(folder.with_name("arm 1"))
+    _, out, _ = run(capsys, "init", spaced, *RIG)
+    command = next(line for line in out.splitlines() if line.startswith("$ vjm check"))
+    assert shlex.split(command)[3:] == [str(spaced / "experiment.toml")]

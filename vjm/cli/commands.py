@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import codecs
 import inspect
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -153,8 +154,8 @@ def _init(arguments: argparse.Namespace) -> None:
     file, missing = init(arguments, stdin_is_terminal() and not arguments.quiet)
     if not (arguments.quiet or arguments.json):
         todo = f"Fill in {', '.join(dict.fromkeys(missing))}, and correct" if missing else "Correct"
-        shown = printable(str(file))
-        print(f"{shown} is written. {todo} what it guesses.\n\n$ vjm check {shown}", flush=True)
+        shown, command = printable(str(file)), printable(shlex.quote(str(file)))
+        print(f"{shown} is written. {todo} what it guesses.\n\n$ vjm check {command}", flush=True)
     arguments.experiment = file
     _check(arguments)
 

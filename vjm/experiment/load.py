@@ -20,7 +20,15 @@ from pydantic import BaseModel, Field, ValidationError, create_model
 
 from vjm.errors import ExperimentError, RecordingError, shown, suggestion
 from vjm.experiment.arrays import check_time
-from vjm.experiment.conventions import Camera, Conventions, Units, check_known_columns, known_columns, needed_columns
+from vjm.experiment.conventions import (
+    Camera,
+    Conventions,
+    Units,
+    check_known_columns,
+    check_separator,
+    known_columns,
+    needed_columns,
+)
 from vjm.experiment.records import (
     Array,
     Experiment,
@@ -380,9 +388,7 @@ def _split_header(file: Path, header: str) -> tuple[str, ...]:
         raise RecordingError(file, 1, None, f"the header cannot be read ({error})", "column names") from error
     if not names:
         raise RecordingError(file, 1, None, "the header is empty", "column names")
-    separator = next((mark for mark in ";\t" if len(names) == 1 and mark in header), None)
-    if separator is not None:
-        raise RecordingError(file, 1, None, f"cells are separated by {separator!r}", "cells separated by commas")
+    check_separator(file, names)
     return names
 
 

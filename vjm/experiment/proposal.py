@@ -19,7 +19,7 @@ from jinja2 import Environment, StrictUndefined
 
 from vjm.errors import RecordingError, printable
 from vjm.experiment.checks import moves
-from vjm.experiment.conventions import FACTORS, Array
+from vjm.experiment.conventions import FACTORS, Array, check_separator
 from vjm.files import read_file
 
 UNKNOWN = "?"  # stands where a number has to be filled in: no key takes a text there, so that reading the file names it
@@ -260,6 +260,7 @@ def read_csv(path: Path) -> _CsvFile:
         problem = f"cannot be read ({getattr(error, 'strerror', None) or error})"
         raise RecordingError(path, None, None, problem, "a CSV file with a header") from error
     header = tuple(str(name).strip() for name in frame.columns)
+    check_separator(path, header)
     numbers = [pd.to_numeric(frame.iloc[:, k], errors="coerce").to_numpy(dtype=float) for k in range(len(header))]
     values = {name: column for name, column in zip(header, numbers, strict=True) if np.isfinite(column).any()}
     if not values:
