@@ -159,7 +159,7 @@ def standardised(seed: int, encoder_noise: float) -> list[float]:
     "seeds", [range(1, 3), pytest.param(range(3, 16), marks=pytest.mark.slow)], ids=["few", "many"]
 )
 def test_standard_errors_hold_the_noise_of_a_given_motion(seeds: range) -> None:
-    """With the markers' noise alone they were five to nine times too small for such an encoder."""
+    """With the markers' noise alone, errors of these seeds are up to four standard errors."""
     deviations = np.array([standardised(seed, 5e-4) for seed in seeds])
     assert 0.3 < np.sqrt(np.mean(deviations**2)) < 1.6
     assert np.abs(deviations).max() < 3.5

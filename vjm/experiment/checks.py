@@ -288,20 +288,13 @@ def _recording_warnings(rig: Rig, recording: Recording, conventions: Conventions
     needs_x = np.array([link.markers_frame == "base" for link in rig.links for _ in link.markers], dtype=np.bool_)
     yield from _absence_warnings(markers, names, needs_x)
     yield from _gap_warnings(time)
-    columns = {"theta": recording.theta, "tau": recording.tau}
-    if recording.input == "motion":
-        del columns["tau"]
     driving = "theta" if recording.input == "motion" else "tau"
-    names_of = {
-        column: [conventions.name_in_files(f"{rig.links[index].name}.{column}") for index in rig.active_links]
-        for column in columns
-    }
-    driving_gaps = list(_driving_gap_warnings(rig, recording, " or ".join(names_of[driving])))
-    yield from driving_gaps
-    for column, values in columns.items():
-        if column != driving or not driving_gaps:
-            for name, signal in zip(names_of[column], values.T, strict=True):
-                yield from _coverage_warnings(name, recording.time[np.isfinite(signal)], time)
+    for quantity in dict.fromkeys(("theta", driving)):
+        columns = [conventions.name_in_files(f"{rig.links[index].name}.{quantity}") for index in rig.active_links]
+        gaps = list(_driving_gap_warnings(rig, recording, " or ".join(columns))) if quantity == driving else []
+        yield from gaps
+        for name, signal in zip(columns, getattr(recording, quantity).T, strict=True) if not gaps else ():
+            yield from _coverage_warnings(name, recording.time[np.isfinite(signal)], time)
     torque = recording.kind == "driven" and recording.input == "torque"
     if torque and rig.active_links and not np.nanmax(np.abs(recording.tau), initial=0.0) > 0.0:
         yield "every torque is zero, though the kind is 'driven'"

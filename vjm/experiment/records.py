@@ -55,7 +55,7 @@ T = TypeVar("T")
 
 
 class _RigsGravity(tuple[float, float]):
-    """Gravity of a recording that is given none: zero, or that of the rig to which it was fitted last."""
+    """Gravity of a recording that is given none: zero, or that of the rig into whose experiment it was put last."""
 
 
 _RIGS_GRAVITY = _RigsGravity((0.0, 0.0))
@@ -318,7 +318,7 @@ class Recording:
             kind=kind,
             **fields,
         )
-        return fitted_to(rig, recording, "")
+        return for_rig(rig, recording, "")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Recording):
@@ -378,7 +378,7 @@ class Experiment:
         taken = {recording.file: recording for recording in reversed(given) if recording.file}
         for number, recording in enumerate(given, start=1):
             free = next(name for k in count(number) if (name := f"recording_{k}") not in taken)
-            recording = fitted_to(rig, recording, free)
+            recording = for_rig(rig, recording, free)
             namesake = taken.setdefault(recording.file, recording)
             if not np.array_equal(recording.markers, namesake.markers, equal_nan=True):
                 table, problem = (
@@ -456,7 +456,7 @@ def require_experiment(experiment: Experiment) -> None:
         raise ExperimentError(None, "experiment", "experiment", f"got {shown(experiment)}", expected)
 
 
-def fitted_to(rig: Rig, recording: Recording, name: str = "recording") -> Recording:
+def for_rig(rig: Rig, recording: Recording, name: str = "recording") -> Recording:
     """Return a recording as one of a rig: with the rig's gravity if it was given none, and a name if it has none.
 
     Raises:

@@ -121,26 +121,30 @@ def _given_acceleration(recording: Recording, noise: float) -> Array:
     They are of the smoothest cubic spline whose residuals are as large as the noise (discrepancy principle: Reinsch,
     Numerische Mathematik 10, 1967). Linear from one measured angle to the next, they integrate to the spline exactly.
     """
-    acceleration = np.empty(recording.theta.shape)
-    for joint, theta in enumerate(recording.theta.T):
-        knots = recording.time[np.isfinite(theta)]
-        angles = theta[np.isfinite(theta)]
-        spline = make_smoothing_spline(knots, angles, lam=_largest_penalty(knots, angles, noise))
-        acceleration[:, joint] = np.interp(recording.time, knots, spline(knots, 2))
-    return acceleration
+    return np.asarray(_smoothed_accelerations(recording, noise, recording.theta[None])[0])
 
 
 def redrawn_motions(recording: Recording, noise: float, random: np.random.Generator, count: int) -> list[Recording]:
     """Return a recording of joints that turn as their encoders say as often, with other noise of these [rad] in it."""
-    errors = np.empty((count, *recording.theta.shape))
-    for joint, theta in enumerate(recording.theta.T):
-        knots = recording.time[np.isfinite(theta)]
-        penalty = _largest_penalty(knots, theta[np.isfinite(theta)], noise)
-        for error in errors:
-            spline = make_smoothing_spline(knots, noise * random.standard_normal(knots.size), lam=penalty)
-            error[:, joint] = np.interp(recording.time, knots, spline(knots, 2))
+    errors = noise * random.standard_normal((count, *recording.theta.shape))
     given = _given_acceleration(recording, noise) if recording.acceleration is None else recording.acceleration
-    return [replace(recording, acceleration=given + error) for error in errors]
+    return [
+        replace(recording, acceleration=given + error) for error in _smoothed_accelerations(recording, noise, errors)
+    ]
+
+
+def _smoothed_accelerations(recording: Recording, noise: float, angles: Array) -> Array:
+    """Return accelerations (count, T, n_a) of angles (count, T, n_a), by the filter for the recording's own angles."""
+    accelerations = np.empty(angles.shape)
+    for joint, theta in enumerate(recording.theta.T):
+        known = np.isfinite(theta)
+        knots = recording.time[known]
+        penalty = _largest_penalty(knots, theta[known], noise)
+        for values, acceleration in zip(angles[:, known, joint], accelerations[:, :, joint], strict=True):
+            acceleration[:] = np.interp(
+                recording.time, knots, make_smoothing_spline(knots, values, lam=penalty)(knots, 2)
+            )
+    return accelerations
 
 
 def _largest_penalty(time: Array, values: Array, noise: float) -> float:

@@ -16,7 +16,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.errors import ChoiceError, ShapeError
 from vjm.experiment.checks import DEFAULT_NOISE
-from vjm.experiment.records import as_rig, fitted_to
+from vjm.experiment.records import as_rig, for_rig
 from vjm.files import write_text
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
@@ -155,7 +155,7 @@ class Model(Record):
 
         From an initial state (2 nv,) near the most likely, such as a similar model's, a few steps are taken.
         """
-        recording = fitted_to(self.rig, recording)
+        recording = for_rig(self.rig, recording)
         observed = Observations.of(self.rig, recording, (self.marker_noise, self.encoder_noise))
         arm = self.arm_in(recording)
         if near is None:
