@@ -111,7 +111,7 @@ def write_text(path: Path | str, text: str) -> None:
     target = Path(path)
     try:
         if target.is_dir():
-            raise FolderError(target, "this is a folder", "name a file with -o FILE")
+            raise FolderError(target, "this is a folder", "name a file, such as one in it")
         if target.exists() and not target.is_file():
             target.write_bytes(_encoded(text))
             return
@@ -143,9 +143,9 @@ def check_folder(directory: Path | str) -> Path:
     except OSError as error:
         raise _unwritable(folder, error) from error
     if not is_folder:
-        raise FolderError(folder, "this is no folder", "choose another with -o DIR")
+        raise FolderError(folder, "this is no folder", "choose another folder")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise FolderError(folder, "this folder cannot be written to", "choose another with -o DIR")
+        raise FolderError(folder, "this folder cannot be written to", "choose another folder")
     return folder
 
 
@@ -154,13 +154,13 @@ def _check_parent(path: Path) -> None:
     parent = path.parent
     if not parent.is_dir():
         problem = "is no folder" if parent.exists() else "does not exist"
-        raise FolderError(path, f"the folder {parent} {problem}", "make it first, or choose another place with -o")
+        raise FolderError(path, f"the folder {parent} {problem}", "make it first, or choose another place")
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise FolderError(path, f"the folder {parent} cannot be written to", "choose another place with -o")
+        raise FolderError(path, f"the folder {parent} cannot be written to", "choose another place")
 
 
 def _unwritable(path: Path, error: OSError) -> FolderError:
-    return FolderError(path, f"cannot be written ({error.strerror or error})", "choose another with -o")
+    return FolderError(path, f"cannot be written ({error.strerror or error})", "choose another place")
 
 
 def write_folder(directory: Path | str, files: Mapping[str, str | bytes], outdated: Iterable[str] = ()) -> Path:
@@ -177,7 +177,7 @@ def write_folder(directory: Path | str, files: Mapping[str, str | bytes], outdat
     folder = check_folder(directory)
     blocked = [name for name in files if (folder / name).is_dir()]
     if blocked:
-        raise FolderError(folder / blocked[0], "this is a folder, not a file", "remove it, or choose another -o DIR")
+        raise FolderError(folder / blocked[0], "this is a folder, not a file", "remove it, or choose another folder")
     removed = [name for name in outdated if name not in files and (folder / name).is_file()]
     try:
         with ExitStack() as undo:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from time import monotonic
@@ -192,16 +192,27 @@ class Estimate:
         return None if self.error is None else (self.value - CI95 * self.error, self.value + CI95 * self.error)
 
 
-def estimate_of(parameters: Sequence[Estimate], name: str) -> Estimate:
-    """Return a parameter's estimate by its name.
+class ByParameter:
+    """Base of the results that hold estimates by their parameters' names, such as `beam.bending_stiffness`."""
 
-    Raises:
-        ChoiceError: no parameter of that name; the message lists those there are.
-    """
-    by_name = {estimate.name: estimate for estimate in parameters}
-    if name not in by_name:
-        raise ChoiceError("parameter", name, by_name)
-    return by_name[name]
+    parameters: tuple[Estimate, ...]
+
+    def __getitem__(self, name: str) -> Estimate:
+        """Return a parameter's estimate by its name.
+
+        Raises:
+            ChoiceError: no parameter of that name; the message lists those there are.
+        """
+        by_name = {estimate.name: estimate for estimate in self.parameters}
+        if name not in by_name:
+            raise ChoiceError("parameter", name, by_name)
+        return by_name[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in list(self)
+
+    def __iter__(self) -> Iterator[str]:
+        return (estimate.name for estimate in self.parameters)
 
 
 @dataclass(frozen=True, repr=False)

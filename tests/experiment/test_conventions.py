@@ -222,7 +222,9 @@ def test_faults_are_in_the_file_that_has_them(tmp_path: Path) -> None:
         name: np.where(np.arange(40) == 7, -1.0, values) if name == "t" else values for name, values in motors.items()
     }
     without = {name: values for name, values in motors.items() if name != "arm.tau"}
+    since_1970 = motors | {"t": motors["t"] + 1.7e9}
     cases = [
+        (text, text_of(since_1970), "motors.csv", None, "t", "in drive_1.csv they are from 0 to"),
         (text, text_of(late), "motors.csv", 9, "t", "does not increase"),
         (text, text_of(without), "motors.csv", 1, "arm.tau", "missing"),
         (text, other.replace("t,", "time,", 1), "motors.csv", 1, "time", "unknown column"),

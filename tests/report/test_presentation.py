@@ -72,6 +72,15 @@ def test_records_with_arrays_are_told_in_a_line() -> None:
         assert len(repr(record)) < 400
 
 
+def test_estimates_are_found_by_name() -> None:
+    fit = demo_fit()
+    assert "beam.bending_stiffness" in fit
+    assert "beam.colour" not in fit
+    assert [fit[name] for name in fit] == list(fit.parameters)
+    with pytest.raises(ChoiceError, match=r"beam\.colour.*beam\.bending_stiffness"):
+        fit["beam.colour"]
+
+
 def test_notebooks_show_verdict_and_tables(result: Result) -> None:
     html = result._repr_html_()
     assert_self_contained(html)

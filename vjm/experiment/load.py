@@ -312,6 +312,11 @@ def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[st
     if len(tables) == 1:
         return dict(tables[0].values), np.arange(times[0].size)[:, None]
     first, second = times
+    if first[-1] < second[0] or second[-1] < first[0]:
+        (start, stop), camera = second[[0, -1]], tables[0].file.name
+        others = f"in {camera} they are from {first[0]:.10g} to {first[-1]:.10g}"
+        problem = f"times from {start:.10g} to {stop:.10g}; {others}"
+        raise RecordingError(tables[1].file, None, conventions.name_in_files("t"), problem, "times by one clock")
     # Instants that differ by rounding share a row: in a ten thousandth of a sample no signal changes noticeably.
     tolerance = 1e-4 * float(np.median(np.diff(second))) if second.size > 1 else 0.0
     nearest = np.clip(np.searchsorted(first, second - tolerance), 0, first.size - 1)

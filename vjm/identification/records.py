@@ -11,7 +11,7 @@ from vjm.errors import ChoiceError
 from vjm.identification.training_data import PreparedRecording
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.markers.angles import ShapeSettings, estimate_angles
-from vjm.records import Array, Estimate, Experiment, Recording, RecordingComparison, SimulatedResult, estimate_of
+from vjm.records import Array, ByParameter, Estimate, Experiment, Recording, RecordingComparison, SimulatedResult
 from vjm.simulation.model import Model
 
 Method = Literal["torque", "torque+frequency", "trajectory"]
@@ -53,7 +53,7 @@ class Comparison(SimulatedResult):
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Comparison):
+class Identification(Comparison, ByParameter):
     """An identified model beside its recordings, and what is known about it.
 
     Attributes:
@@ -89,14 +89,6 @@ class Identification(Comparison):
     status: Literal["converged", "not converged", "failed"]
     remedy: str
     notes: tuple[str, ...] = ()
-
-    def __getitem__(self, name: str) -> Estimate:
-        """Return a parameter's estimate by its name, such as `beam.bending_stiffness`.
-
-        Raises:
-            ChoiceError: no parameter of that name; the message lists those there are.
-        """
-        return estimate_of(self.parameters, name)
 
     def phi(self, recording: Recording | str) -> tuple[Array, Array]:
         """Return the angles of all links' virtual joints in a recording, from the base outwards.

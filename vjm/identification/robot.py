@@ -31,7 +31,7 @@ from vjm.identification.uncertainty import SINGULAR
 from vjm.markers.smoothing import Smoother
 from vjm.model.flexible import FlexibleModel
 from vjm.model.kinematics import marker_tree
-from vjm.records import CI95, Array, Estimate, Indices, Mask, Record, estimate_of
+from vjm.records import CI95, Array, ByParameter, Estimate, Indices, Mask, Record
 
 # Turns about axes at one place do not commute: half of phi_y phi_z is torsion or not, by their order. An angle that is
 # ten times that has its stiffness right to a tenth.
@@ -43,7 +43,7 @@ _SETTLED = 5  # rounds; weights follow from the estimate, and settle in two or t
 
 
 @dataclass(frozen=True, repr=False)
-class RobotIdentification(Record):
+class RobotIdentification(Record, ByParameter):
     """Stiffness and damping of a robot's virtual joints, identified.
 
     Attributes:
@@ -70,14 +70,6 @@ class RobotIdentification(Record):
     residual_torque: Array
     marker_noise: float
     marker_misfit: float
-
-    def __getitem__(self, name: str) -> Estimate:
-        """Return a parameter's estimate by its name, such as `forearm_link.bending_stiffness_y`.
-
-        Raises:
-            ChoiceError: no parameter of that name; the message lists those there are.
-        """
-        return estimate_of(self.parameters, name)
 
     @property
     def not_identifiable(self) -> tuple[Estimate, ...]:
