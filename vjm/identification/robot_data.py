@@ -189,9 +189,9 @@ def angles_from_markers(
         ShapeError: markers far from where the model can have them.
     """
 
-    def coordinates(phi: Array) -> Array:
+    def coordinates(phi: Array, active: Array = motors) -> Array:
         q = np.zeros((len(phi), model.model.nv))
-        q[:, model.active], q[:, shown] = motors, phi
+        q[:, model.active], q[:, shown] = active, phi
         return q
 
     def locate(phi: Array) -> tuple[Array, Array]:
@@ -207,6 +207,15 @@ def angles_from_markers(
     if determined.sum() < FEWEST_FRAMES:
         reason = f"only {int(determined.sum())} frames show markers enough to tell all angles"
         raise InsufficientDataError("stiffness", reason, f"record {FEWEST_FRAMES} or more of them")
+    if np.array_equal(np.fmin.reduce(seen), np.fmax.reduce(seen), equal_nan=True):
+        reason = "every frame shows the markers at the same places, without any noise"
+        raise InsufficientDataError("stiffness", reason, "record a motion that bends the links")
+    # Bends that are large enough may bring the markers anywhere: in a rigid robot degrees are told from radians.
+    in_degrees = tree.positions(coordinates(straight, np.radians(motors)))[0]
+    rigid, rigid_in_degrees = (float(np.sqrt(np.nanmean((seen - places) ** 2))) for places in (at_rest, in_degrees))
+    if rigid_in_degrees <= _LARGEST_MISFIT * reach < rigid:
+        misfits = f"{rigid:.3g} m (RMS) off the markers, and degrees {rigid_in_degrees:.3g} m"
+        raise ShapeError("q_active", f"angles that would be {misfits}, were the robot rigid", _EXPECTED)
     phi = solve_angles(locate, seen, straight)
     residual = np.where(determined[:, None, None], seen - locate(phi)[0], np.nan)
     misfit = float(np.sqrt(np.nanmean(residual**2)))
