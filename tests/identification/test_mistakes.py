@@ -337,6 +337,18 @@ def test_gravity_that_was_not_declared(
         assert identify(unknown, "torque", virtual_joints=2).warnings[0] == str(found)
 
 
+def test_the_beginning_of_a_decay_shows_no_sag() -> None:
+    released = hanging("clamped", (0.0, 0.0), 0.4)
+    swing = np.s_[15:65]  # about a turning point
+    part = recordings(
+        lambda r: replace(
+            r, time=r.time[swing], markers=r.markers[swing] * [1.0, 4.0], theta=r.theta[swing], tau=r.tau[swing]
+        )
+    )(released)
+    assert np.nanmedian(part.recordings[0].markers[25:, -1, 1]) < -0.05
+    assert find_mistakes(part) == ()
+
+
 @pytest.mark.parametrize("rig", BOTH)
 def test_nothing_held_out_is_a_warning_of_the_check(rig: Callable[[], Experiment]) -> None:
     wrong = markers(lambda m: 1e3 * m)(rig())  # whose check ends early, but warns all the same
