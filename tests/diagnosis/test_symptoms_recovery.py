@@ -217,6 +217,8 @@ def test_noise_at_rest(seed: int) -> None:
     )
     assert the(louder, "noise_size", "camera").value == pytest.approx(0.5, abs=0.05)
     assert {"noise_size"} == kinds(louder)
+    rounding = found(simulated(seed, STILL, STILL, kind="quiet", noise=lambda r, like: np.full_like(like, 0.3)))
+    assert not {"noise_size", "noise_correlation", "quiet_tone"} & kinds(rounding)
 
     def coloured(rng: np.random.Generator, like: Array) -> Array:
         white = rng.standard_normal(like.shape)

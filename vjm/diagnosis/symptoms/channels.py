@@ -318,10 +318,17 @@ class SensorAtRest(NamedTuple):
 
     @classmethod
     def of(cls, sensor: Channels) -> SensorAtRest | None:
-        """Return size, correlation and tone of a sensor's residual at rest; None with hardly any values."""
+        """Return size, correlation and tone of a sensor's residual at rest.
+
+        None with hardly any values, and where each coordinate has one value throughout: a sensor that rounds shows
+        nothing of its noise at rest.
+        """
         from statsmodels.stats.diagnostic import acorr_ljungbox
 
         if sensor.time.size < 3 * _LEAST_VALUES:
+            return None
+        measured = np.where(sensor.known, sensor.measured, np.nan)
+        if np.allclose(np.nanmin(measured, axis=0), np.nanmax(measured, axis=0), rtol=1e-12, atol=1e-9 * sensor.noise):
             return None
         count, power = int(sensor.known.sum()), np.sum(sensor.residual**2, axis=1)
         size = math.sqrt(power.sum() / count) - 1
