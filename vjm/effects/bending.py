@@ -270,7 +270,7 @@ class Hysteresis(LinkEffect):
         fast = 2.7 * self.yields(chain) / self.max_step(chain)
 
         def rates(time: Array, q: Array, v: Array, z: Array) -> Array:
-            rate = np.clip(v[..., part], -fast, fast)
+            rate = np.minimum(np.maximum(v[..., part], -fast), fast)  # a fifth of the time of `np.clip`
             # |z| sign(phi' z) = z sign(phi')
             return np.asarray(rate * (1 - scale * (np.abs(z) + z * np.tanh(rate / slow))))
 

@@ -131,10 +131,18 @@ class Arm:
         steps = np.diff(time, axis=0)[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
             missing = np.where(steps > 0, np.diff(q, axis=0) / steps, 0.0) - (v[:-1] + v[1:]) / 2
-        for k, (step, correction) in enumerate(zip(steps, missing, strict=True) if states.size else ()):
-            slope = self.state_rates(time[k], q[k], v[k] + correction, states[k])
-            end_slope = self.state_rates(time[k + 1], q[k + 1], v[k + 1] + correction, states[k] + step * slope)
-            states[k + 1] = self.update_states(q[k], states[k] + step / 2 * (slope + end_slope), q[k + 1])
+        if not states.size:
+            return states
+        first, last = v[:-1] + missing, v[1:] + missing
+        # A single effect's rates without the array for all effects': there are many short steps.
+        rates = self._state_rates[0][0] if self._state_rates and len(self.effects) == 1 else self.state_rates
+        for k, step in enumerate(steps):
+            end = states[k]
+            if self._state_rates:
+                slope = rates(time[k], q[k], first[k], end)
+                end_slope = rates(time[k + 1], q[k + 1], last[k], end + step * slope)
+                end = end + step / 2 * (slope + end_slope)
+            states[k + 1] = self.update_states(q[k], end, q[k + 1]) if self._state_updates else end
         return states
 
     def urdf(self) -> str:
