@@ -61,12 +61,12 @@ def fit_baseline(experiment: Experiment, progress: Progress | None = None) -> Ba
     # With eight joints the third mode's frequency is right to 0.1 % (`tests/chain/test_layout_accuracy.py`).
     joints = tuple(max(8, link.virtual_joints) for link in fit.point.chain.links)
     delay = max(effect.longest_delay(experiment.rig) for effect in BUILTIN)
-    observed = tuple(_prepared(trimmed(run), sensor_noise, noise, delay) for run in runs)
+    observed = tuple(_prepared(run.observed, run, sensor_noise, noise, delay) for run in runs)
     fit = replace(fit, point=replace(fit.point, runs=tuple(runs)))
     # Where the model lacks much, its best parameters are only a start for the search: a rough minimum will do.
     fit = replace(search, observed=observed, rough=fit.point.misfit > INCOMPLETE_MISFIT).fit_from(joints, fit)
-    outlier_free = [next((trimmed(run) for run in _simulated(fit.point, [measured])), measured) for measured in changed]
-    prepared = tuple(_prepared(measured, sensor_noise, noise, delay) for measured in outlier_free)
+    changed_runs = [(measured, next(iter(_simulated(fit.point, [measured])), None)) for measured in changed]
+    prepared = tuple(_prepared(measured, run, sensor_noise, noise, delay) for measured, run in changed_runs)
     fit = corrected_for_discretization(fit, experiment.rig) or fit
     return Baseline(fit, noise, prepared, (*search.data.problems, *unused))
 
@@ -110,12 +110,18 @@ def _simulated(point: Point, observed: Sequence[Observations]) -> list[Run]:
     return runs
 
 
-def _prepared(observed: Observations, sensor_noise: tuple[float, float], noise: Noise, delay: float) -> Observations:
-    """Return measurements with the noise found, but not the frames that a camera with a delay [s] took outside."""
-    recording = observed.recording
+def _prepared(
+    observed: Observations, run: Run | None, sensor_noise: tuple[float, float], noise: Noise, delay: float
+) -> Observations:
+    """Return measurements with the noise found, but without outliers, which a run of them shows, if there is one.
+
+    Frames that a camera with a delay [s] took outside the recording are left out as well.
+    """
+    recording = (observed if run is None else trimmed(run)).recording
     if recording.theta.shape[1]:
         begin, end = recording.time[0] + delay, recording.time[-1] - delay
         interior = (recording.time >= begin) & (recording.time <= end)
         if interior.sum() > recording.time.size / 2:
             recording = replace(recording, markers=np.where(interior[:, None, None], recording.markers, np.nan))
-    return noise.whitened(observed.of_recording(recording, sensor_noise))
+    observed = noise.whitened(observed.of_recording(recording, sensor_noise))
+    return observed if run is None else run.with_motion_errors(observed)

@@ -46,7 +46,9 @@ def _bands(run: Run) -> Iterator[ResidualBand]:
     time = observed.recording.time
     for sensor, series, instants in (("markers", markers, time[observed.frames]), ("encoder", angles, time)):
         rows = np.isfinite(series).any(axis=1)
-        if rows.sum() < 2 * _LEAST_COEFFICIENTS:
+        # What is left of encoders that give the motion is what smoothing has taken off.
+        is_input = sensor == "encoder" and observed.recording.input == "motion"
+        if is_input or rows.sum() < 2 * _LEAST_COEFFICIENTS:
             continue
         known = np.isfinite(series[rows])
         channels = known.all(axis=0) if known.all(axis=0).any() else known.mean(axis=0) > 0.5

@@ -212,7 +212,7 @@ def first_fit(
     search = TrajectoryMethod(usable_data, observed, data.driven_hubs(recordings), torque, progress, rough)
     joints = search.joint_counts()[0]
     fit = search._fit_from_far(joints)
-    observed = tuple(trimmed(run) for run in fit.point.runs)
+    observed = tuple(run.with_motion_errors(trimmed(run)) for run in fit.point.runs)
     if any(cleaned is not original for cleaned, original in zip(observed, search.observed, strict=True)):
         search = replace(search, observed=observed)
         fit = search.fit_from(joints, fit)

@@ -20,7 +20,6 @@ from vjm.records import NOT_NOISE, Array, Mask, Progress
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, linearize
 
-_DRAWS = 32  # of the noise of a given motion: its part of a standard error is then right to 1 / sqrt(2 * 32) = 13 %
 SINGULAR = 1e-10  # of the largest eigenvalue: below, forward differences of 1e-6 leave rounding errors only
 
 
@@ -76,7 +75,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
 
     White residuals give the Fisher information, scaled by their own mean square. Where they are coloured, or larger
     than the noise, the scores' long-run covariance is taken instead, if it is larger (sandwich): Bartlett weights over
-    a bandwidth by Andrews (1991). Where joints turn as their encoders say, these' noise adds to the scores.
+    a bandwidth by Andrews (1991).
 
     `noise_known` says whether the sensors' noise was given, not estimated from the same data.
     """
@@ -89,26 +88,18 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
         R = linearized.eliminated(linearized.columns - count).R[:, :-1]
         normal += R.T @ R
         uncorrelated += R.T @ R * (max(white.chi2, 1.0) if noise_known else white.chi2)
-    coloured = any(white.coloured for white in whiteness)
-    given = [run.observed.recording.input == "motion" for run in point.runs]
-    if not coloured and not any(given):
+    if not any(white.coloured for white in whiteness):
         return Information(normal, uncorrelated), whiteness
-    sandwich, by_given_motion = np.zeros((2, count, count))
-    for run, linearized, by_parameters, is_given in zip(
-        point.runs, point.linearizations, linearize(point.runs, perturbed), given, strict=True
+    sandwich = np.zeros((count, count))
+    for run, linearized, by_parameters in zip(
+        point.runs, point.linearizations, linearize(point.runs, perturbed), strict=True
     ):
-        if is_given:
-            draws = run.given_motion_scores(by_parameters, linearized, point.problem.step_multiple, _DRAWS)
-            by_given_motion += draws.T @ draws / _DRAWS
-        if not coloured:
-            continue
         scores = run.scores(by_parameters, linearized)
         frames = run.observed.frames  # summed from one camera frame to the next: an even rate
         starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
         summed = np.add.reduceat(scores, starts, axis=0)
         sandwich += _long_run_covariance(summed, _correlation_length(summed))
-    # Residuals show the noise of a given motion only as far as initial states do not take it up.
-    return Information(normal, _larger(sandwich, uncorrelated, normal) + by_given_motion), whiteness
+    return Information(normal, _larger(sandwich, uncorrelated, normal)), whiteness
 
 
 def _long_run_covariance(scores: Array, lags: int) -> Array:
@@ -146,7 +137,9 @@ def _whiteness(run: Run) -> Whiteness:
     Correlations are pooled over a sensor's coordinates, and values that were not measured count as zero.
     """
     statistic, freedom, largest = 0.0, 0, 0.0
-    for series in run.residual_series():
+    # What is left of encoders that give the motion is what smoothing has taken off.
+    sensors = 1 if run.observed.recording.input == "motion" else 2
+    for series in run.residual_series()[:sensors]:
         known = np.isfinite(series).any(axis=1)
         values = np.nan_to_num(series[known])
         lags = min(10, len(values) // 4)
@@ -314,6 +307,8 @@ def _simulated(run: Run, kind: ErrorKind, rng: np.random.Generator) -> Observati
     """Return the recording as the run would have made it, with new errors."""
     observed = run.observed
     errors = rng.standard_normal(observed.count) if kind == "noise" else _block_errors(run, rng)
+    if observed.motion_errors is not None:
+        errors = errors + observed.motion_errors @ rng.standard_normal(observed.motion_errors.shape[1])
     return replace(observed, values=observed.predicted(run.arm, run.trajectory) + errors / observed.weights)
 
 

@@ -61,12 +61,11 @@ class Arm:
 
         Where the motion of the active joints is given, that is the torque by which their drives follow it.
         """
-        acceleration = recording.acceleration
         for effect in self.effects:
             recording = effect.true_inputs(recording)
-        if acceleration is None:
+        if recording.acceleration is None:
             return recording
-        return replace(recording, tau=self.chain.armature * acceleration, input="torque")
+        return replace(recording, tau=self.chain.armature * recording.acceleration, input="torque")
 
     @cached_property
     def states(self) -> tuple[int, ...]:

@@ -10,20 +10,21 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.interpolate import make_smoothing_spline
-from scipy.optimize import brentq
 
 from vjm.chain.curve import marker_poses, transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
 from vjm.records import Array, Indices, Recording, Rig, Simulation
 from vjm.simulation.arm import Arm
+from vjm.simulation.given_motion import given_acceleration
 from vjm.simulation.least_squares import LINEAR, Loss
 from vjm.simulation.system import Trajectory, torque_at
 
 # Forward difference, largest at a joint [rad, rad/s or units of internal states]: its relative error is of the order of
 # the step, and rounding adds 1e-16 / 1e-6.
 DIFFERENCE_STEP = 1e-6
+# Variance that errors of a given motion add to the noise, below which they do not matter: a percent of it.
+_LEAST_VARIANCE = 0.01
 
 
 @dataclass(frozen=True)
@@ -115,52 +116,6 @@ def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory
     return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
 
 
-def _given_acceleration(recording: Recording, noise: float) -> Array:
-    """Return accelerations (T, n_a) [rad/s^2] of joints that turn as their encoders say; noise is these' 1-sigma [rad].
-
-    They are of the smoothest cubic spline whose residuals are as large as the noise (discrepancy principle: Reinsch,
-    Numerische Mathematik 10, 1967). Linear from one measured angle to the next, they integrate to the spline exactly.
-    """
-    return np.asarray(_smoothed_accelerations(recording, noise, recording.theta[None])[0])
-
-
-def redrawn_motions(recording: Recording, noise: float, random: np.random.Generator, count: int) -> list[Recording]:
-    """Return a recording of joints that turn as their encoders say as often, with other noise of these [rad] in it."""
-    errors = noise * random.standard_normal((count, *recording.theta.shape))
-    given = _given_acceleration(recording, noise) if recording.acceleration is None else recording.acceleration
-    return [
-        replace(recording, acceleration=given + error) for error in _smoothed_accelerations(recording, noise, errors)
-    ]
-
-
-def _smoothed_accelerations(recording: Recording, noise: float, angles: Array) -> Array:
-    """Return accelerations (count, T, n_a) of angles (count, T, n_a), by the filter for the recording's own angles."""
-    accelerations = np.empty(angles.shape)
-    for joint, theta in enumerate(recording.theta.T):
-        known = np.isfinite(theta)
-        knots = recording.time[known]
-        penalty = _largest_penalty(knots, theta[known], noise)
-        for values, acceleration in zip(angles[:, known, joint], accelerations[:, :, joint], strict=True):
-            acceleration[:] = np.interp(
-                recording.time, knots, make_smoothing_spline(knots, values, lam=penalty)(knots, 2)
-            )
-    return accelerations
-
-
-def _largest_penalty(time: Array, values: Array, noise: float) -> float:
-    """Return the penalty [s^3] of the smoothest cubic spline that misses values (T,) by their noise (RMS)."""
-
-    def excess(exponent: float) -> float:
-        spline = make_smoothing_spline(time, values, lam=np.exp(exponent))
-        return float(np.log(max(float(np.std(values - spline(time))), 1e-300) / noise))
-
-    # The penalty is a time cubed: from a thousandth of an interval, which interpolates, to all of the recording.
-    lowest, highest = 3 * np.log([1e-3 * float(np.diff(time).min()), float(np.ptp(time))])
-    if excess(lowest) >= 0:
-        return float(np.exp(lowest))
-    return float(np.exp(highest if excess(highest) <= 0 else brentq(excess, lowest, highest, rtol=1e-3)))
-
-
 @dataclass(frozen=True, eq=False)
 class PrecedingMotion:
     """Estimated motion of an arm in a recording, of which effects with a memory remember what is before a segment.
@@ -211,7 +166,9 @@ class Observations:
         values: (N_m + N_t,) measured values [m, rad].
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
-        whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the weighted residuals' noise; None: it is white.
+        whitening: (N_m + N_t, N_m + N_t) sparse, makes white noise of the sensors' weighted noise; None: it is white.
+        motion_errors: (N_m + N_t, k) what independent errors, each of one standard deviation, of the motion of joints
+            that turn as their encoders say make of the weighted values; None: nothing.
         discretization_offset: (N_m + N_t,) added to predictions [m, rad]; None: nothing.
         start: instant at which the recording began, where this is part of a longer one [s]; None: its first.
         preceding: motion of the whole recording; None: not known, effects remember nothing.
@@ -226,6 +183,7 @@ class Observations:
     noise: tuple[float, float]
     loss: Loss = LINEAR
     whitening: sparse.csr_array | None = None
+    motion_errors: Array | None = None
     discretization_offset: Array | None = None
     start: float | None = None
     preceding: PrecedingMotion | None = None
@@ -234,7 +192,7 @@ class Observations:
     def of(cls, rig: Rig | MarkerArcs, recording: Recording, noise: tuple[float, float], loss: Loss = LINEAR) -> Self:
         """Return everything measured in a recording of a rig, with the sensors' 1-sigma noise [m, rad]."""
         if recording.input == "motion" and recording.acceleration is None:
-            recording = replace(recording, acceleration=_given_acceleration(recording, noise[1]))
+            recording = replace(recording, acceleration=given_acceleration(recording, noise[1]))
         frames = recording.frames
         coordinates, theta = recording.markers[frames].ravel(), recording.theta.ravel()
         markers, angles = np.flatnonzero(np.isfinite(coordinates)), np.flatnonzero(np.isfinite(theta))
@@ -282,7 +240,25 @@ class Observations:
 
     def whitened(self, weighted: Array) -> Array:
         """Return weighted values (N_m + N_t, ...) transformed so that their noise is white."""
-        return weighted if self.whitening is None else np.asarray(self.whitening @ weighted)
+        white = weighted if self.whitening is None else np.asarray(self.whitening @ weighted)
+        if self.motion_errors is None:
+            return white
+        directions, gains = self._error_directions
+        return np.asarray(white - (directions * (1 - gains)) @ (directions.T @ white))
+
+    @property
+    def is_white(self) -> bool:
+        """True if `whitened` changes nothing."""
+        return self.whitening is None and self.motion_errors is None
+
+    @cached_property
+    def _error_directions(self) -> tuple[Array, Array]:
+        """Orthonormal directions (N_m + N_t, r) of the motion's errors, and factors (r,) that whiten noise there."""
+        errors = np.zeros((self.count, 0)) if self.motion_errors is None else self.motion_errors
+        errors = errors if self.whitening is None else np.asarray(self.whitening @ errors)
+        variances, combinations = np.linalg.eigh(errors.T @ errors)
+        seen = variances > _LEAST_VARIANCE
+        return errors @ (combinations[:, seen] / np.sqrt(variances[seen])), 1 / np.sqrt(1 + variances[seen])
 
     @cached_property
     def instants(self) -> Indices:
@@ -363,6 +339,7 @@ class Observations:
             angles=self.angles[angles],
             values=self.values[mask],
             whitening=None if self.whitening is None else self.whitening[mask][:, mask],
+            motion_errors=None if self.motion_errors is None else self.motion_errors[mask],
             discretization_offset=None if offset is None else offset[mask],
         )
 

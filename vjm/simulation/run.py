@@ -17,9 +17,10 @@ from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import Modes, linearise, locked_modes
 from vjm.records import Array, Indices, Recording, SimulatedRecording
 from vjm.simulation.arm import Arm
+from vjm.simulation.given_motion import acceleration_errors
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observations, redrawn_motions, sensor_readings
+from vjm.simulation.measurement import Observations, sensor_readings
 from vjm.simulation.sensitivity import Linearization, with_coefficients
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
@@ -205,7 +206,7 @@ class Run:
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         parts = linearization.jacobian()
-        if self.observed.whitening is None and not self.arm.timing_variance:
+        if self.observed.is_white and not self.arm.timing_variance:
             yield from parts
             return
         rows, slopes = zip(*parts, strict=True)
@@ -275,22 +276,24 @@ class Run:
             np.add.at(scores, instants[measured], slopes * self.residual[measured, None])
         return scores
 
-    def given_motion_scores(
-        self, linearization: Linearization, linearized: SquareRootInformation, step_multiple: float, count: int
-    ) -> Array:
-        """Return scores (count, p) that the encoders' noise gives by the motion of joints that turn as these say.
+    def with_motion_errors(self, observed: Observations) -> Observations:
+        """Return measurements of the same motion with what errors of given motions make of the markers.
 
-        Each is of one draw of this noise: what it changes of the simulation is a residual, initial state eliminated.
+        Of the encoders' readings, from which the motions are, no more than their own noise is known.
         """
-        observed = self.observed
-        recordings = redrawn_motions(observed.recording, observed.noise[1], np.random.default_rng(0), count)
-        varied = [replace(observed, recording=recording) for recording in recordings]
-        runs = simulate_runs([self.arm] * count, varied, [self.prior] * count, [self.state] * count, step_multiple)
-        changes = np.stack([run.residual - self.residual for run in runs])
-        scores = np.zeros((count, len(linearization.perturbed)))
-        for measured, slopes in self._parameter_jacobian(linearization, linearized):
-            scores += changes[:, measured] @ slopes
-        return scores
+        if observed.recording.input != "motion":
+            return observed
+        run, effects = replace(self, observed=observed), self.arm.smooth[0].effects
+        resolved = 4 * 2 * self.stride * self.trajectory.step  # four intervals of the variational equations
+        errors = [
+            PerturbedArm(Arm(self.chain, (*effects, error)), 1.0)
+            for error in acceleration_errors(observed.recording, observed.noise[1], resolved)
+        ]
+        by_errors = np.zeros((observed.count, len(errors)))
+        for measured, slopes in run.linearization(errors).jacobian():
+            by_errors[measured] = slopes[:, slopes.shape[1] - len(errors) :]
+        by_errors[observed.markers.size :] = 0.0
+        return replace(observed, motion_errors=by_errors)
 
     def _parameter_jacobian(
         self, linearization: Linearization, linearized: SquareRootInformation
