@@ -14,12 +14,15 @@ from tests.experiment.experiment_files import DRIVEN, TOML, csv_text, rows, writ
 from tests.simulation.integrators import simulate
 from tests.simulation.setups import jerky_torque, recording_of, rig_of, two_link_arm
 from vjm.chain.virtual_links import Chain
+from vjm.diagnosis.residual_tests import residual_test
 from vjm.effects import BUILTIN, CoulombFriction, JointSpring, TorqueGain, ViscousFriction
 from vjm.errors import ExperimentError, InsufficientDataError, RecordingError
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
+from vjm.simulation.given_motion import acceleration_errors, given_acceleration
 from vjm.simulation.initial_state import fit_initial_states
 from vjm.simulation.measurement import Observations
+from vjm.simulation.run import simulate_runs
 
 EXACT = (1e-6, 1e-7)  # m, rad
 
@@ -144,22 +147,63 @@ def test_what_acts_on_the_drive_is_not_testable() -> None:
     assert not any(effect.untestable(RIG, mixed) for effect in BUILTIN if effect.id in hidden)
 
 
-def standardised(seed: int, encoder_noise: float) -> list[float]:
-    """Errors over standard errors of what is identified from motions given by a coarse encoder."""
+def test_errors_of_the_accelerations_are_those_of_the_encoders_noise() -> None:
+    """Standard deviations by drawing this noise, and by the errors' independent components."""
+    noise, random = 5e-4, np.random.default_rng(0)
+    recording = replace(recorded(Arm(chain_of()), 1, duration=3.0, noise=(0.0, 0.0))[1], input="motion")
+    drawn = [
+        given_acceleration(
+            replace(recording, theta=recording.theta + noise * random.normal(size=recording.theta.shape)), noise
+        )
+        for _ in range(20)
+    ]
+    noisy = replace(recording, theta=recording.theta + noise * random.normal(size=recording.theta.shape))
+    errors = np.array([each.error for each in acceleration_errors(noisy, noise, 0.01)])
+    inner = slice(50, -50)
+    by_components = np.sqrt(np.sum(errors**2, axis=0))[inner]
+    assert np.std(drawn, axis=0)[inner].mean() == pytest.approx(by_components.mean(), rel=0.1)
+
+
+@pytest.mark.parametrize("joints", [2, 4])
+def test_errors_of_the_motion_move_the_markers_as_a_simulation_says(joints: int) -> None:
+    chain = chain_of(joints)
+    recording = replace(recorded(Arm(chain), 1, duration=2.0, noise=(0.0, 3e-4))[1], input="motion")
+    observed = Observations.of(replace(RIG, encoder_noise=3e-4), recording, (3e-4, 3e-4))
+    ((run, _),) = fit_initial_states([Arm(chain).in_recording(recording)], [observed])
+    with_errors = run.with_motion_errors(observed)
+    assert with_errors.motion_errors is not None
+    shortest = 8 * run.stride * run.trajectory.step
+    for k, error in enumerate(acceleration_errors(observed.recording, 3e-4, shortest)):
+        if k in (1, 5, 20):
+            moved = replace(observed, recording=error.true_inputs(observed.recording))
+            (other,) = simulate_runs([run.arm], [moved], [run.prior], [run.state], 1.0)
+            change = (run.residual - other.residual)[: observed.markers.size]
+            found = with_errors.motion_errors[: observed.markers.size, k]
+            assert np.linalg.norm(found - change) < 0.02 * np.linalg.norm(change)
+    # What the errors do is taken out of the residual's size, where they are as large as they may be.
+    white = with_errors.whitened(with_errors.motion_errors @ np.random.default_rng(1).standard_normal(k + 1))
+    assert float(white @ white) < 1.3 * (k + 1)
+
+
+def standardised(seed: int, encoder_noise: float) -> tuple[list[float], float]:
+    """Errors over standard errors of what coarsely given motions identify, and the p-value of the residual."""
     truth, rig = chain_of(), replace(RIG, encoder_noise=encoder_noise)
     noise = 3e-4, encoder_noise
     recordings = [replace(one, input="motion") for one in recorded(Arm(truth), seed, duration=4.0, noise=noise)]
     fit = vjm.identify(vjm.Experiment(rig, recordings), virtual_joints=3, baselines=False)
     link = truth.links[0]
     true = {"bending_stiffness": link.bending_stiffness, "kelvin_voigt_time": link.kelvin_voigt_time}
-    return [(fit[f"beam.{name}"].value - value) / (fit[f"beam.{name}"].error or 0.0) for name, value in true.items()]
+    errors = [(fit[f"beam.{name}"].value - value) / (fit[f"beam.{name}"].std or 0.0) for name, value in true.items()]
+    assert fit.trajectory is not None
+    return errors, residual_test(fit.trajectory.point.runs).p_value
 
 
 @pytest.mark.parametrize(
     "seeds", [range(1, 3), pytest.param(range(3, 16), marks=pytest.mark.slow)], ids=["few", "many"]
 )
-def test_standard_errors_hold_the_noise_of_a_given_motion(seeds: range) -> None:
-    """With the markers' noise alone, errors of these seeds are up to four standard errors."""
-    deviations = np.array([standardised(seed, 5e-4) for seed in seeds])
-    assert 0.3 < np.sqrt(np.mean(deviations**2)) < 1.6
+def test_weights_and_standard_errors_hold_the_noise_of_a_given_motion(seeds: range) -> None:
+    """With the markers' noise alone, errors are up to nine standard errors, and residuals are no noise."""
+    deviations, p_values = zip(*(standardised(seed, 5e-4) for seed in seeds), strict=True)
+    assert 0.3 < np.sqrt(np.mean(np.array(deviations) ** 2)) < 1.5
     assert np.abs(deviations).max() < 3.5
+    assert min(p_values) > 0.01 / len(seeds)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.fft import idct
 from scipy.interpolate import BSpline, make_smoothing_spline
-from scipy.optimize import brentq
+from scipy.optimize import minimize_scalar
 
 from vjm.effects.effect import Effect
 from vjm.records import Array, Recording
@@ -36,8 +36,8 @@ class AccelerationError(Effect):
 def given_acceleration(recording: Recording, noise: float) -> Array:
     """Return accelerations (T, n_a) [rad/s^2] of joints that turn as their encoders say; noise is these' 1-sigma [rad].
 
-    They are of the smoothest cubic spline whose residuals are as large as the noise (discrepancy principle: Reinsch,
-    Numerische Mathematik 10, 1967). Linear from one measured angle to the next, they integrate to the spline exactly.
+    They are of the cubic smoothing spline with the least expected error. Linear from one measured angle to the next,
+    they integrate to the spline exactly.
     """
     accelerations = np.empty(recording.theta.shape)
     for joint in range(recording.theta.shape[1]):
@@ -75,7 +75,7 @@ def _smoothing(recording: Recording, joint: int, noise: float) -> tuple[Array, A
     """Return instants (K,) at which an angle was measured [s], the angles (K,) [rad], and the penalty [s^3]."""
     known = np.isfinite(recording.theta[:, joint])
     knots, values = recording.time[known], recording.theta[known, joint]
-    return knots, values, _largest_penalty(knots, values, noise)
+    return knots, values, _best_penalty(knots, values, noise)
 
 
 def _at_instants(recording: Recording, knots: Array, spline: BSpline) -> Array:
@@ -84,15 +84,20 @@ def _at_instants(recording: Recording, knots: Array, spline: BSpline) -> Array:
     return np.stack([np.interp(recording.time, knots, column) for column in columns], axis=1)
 
 
-def _largest_penalty(time: Array, values: Array, noise: float) -> float:
-    """Return the penalty [s^3] of the smoothest cubic spline that misses values (T,) by their noise (RMS)."""
+def _best_penalty(time: Array, values: Array, noise: float) -> float:
+    """Return the penalty [s^3] with the least expected error of a smoothing spline through values (T,) of known noise.
 
-    def excess(exponent: float) -> float:
-        spline = make_smoothing_spline(time, values, lam=np.exp(exponent))
-        return float(np.log(max(float(np.std(values - spline(time))), 1e-300) / noise))
+    It minimises Mallows' statistic (Craven and Wahba, Numerische Mathematik 31, 1979): the squared residuals over the
+    noise, and twice the degrees of freedom, which for even instants are the sum of 1 / (1 + penalty omega^4 dt).
+    """
+    count, duration = time.size, float(np.ptp(time))
+    fourth_powers = (np.pi * np.arange(count) / duration) ** 4 * duration / max(count - 1, 1)
+
+    def risk(exponent: float) -> float:
+        penalty = float(np.exp(exponent))
+        residual = values - make_smoothing_spline(time, values, lam=penalty)(time)
+        return float(residual @ residual / noise**2 + 2 * np.sum(1 / (1 + penalty * fourth_powers)))
 
     # The penalty is a time cubed: from a thousandth of an interval, which interpolates, to all of the recording.
-    lowest, highest = 3 * np.log([1e-3 * float(np.diff(time).min()), float(np.ptp(time))])
-    if excess(lowest) >= 0:
-        return float(np.exp(lowest))
-    return float(np.exp(highest if excess(highest) <= 0 else brentq(excess, lowest, highest, rtol=1e-3)))
+    bounds = 3 * np.log([1e-3 * float(np.diff(time).min()), duration])
+    return float(np.exp(minimize_scalar(risk, bounds=bounds, method="bounded", options={"xatol": 0.05}).x))
