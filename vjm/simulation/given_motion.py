@@ -15,9 +15,7 @@ from vjm.records import Array, Recording
 
 # Share of a component of the encoders' noise that the smoothed motion keeps, below which no resonance shows it.
 _LEAST_GAIN = 1e-3
-# Bound on time and memory: components of a joint's noise, the slowest first. In a minute they reach up to 8 Hz.
-_MOST_COMPONENTS = 1000
-_BATCH = 128
+_BATCH = 128  # components that are smoothed at once
 
 
 @dataclass(frozen=True)
@@ -47,14 +45,15 @@ def given_acceleration(recording: Recording, noise: float) -> Array:
     return accelerations
 
 
-def acceleration_errors(recording: Recording, noise: float, shortest: float) -> Iterator[AccelerationError]:
+def acceleration_errors(recording: Recording, noise: float, shortest: float, most: int) -> Iterator[AccelerationError]:
     """Yield errors of `given_acceleration` by the encoders' noise: independent, each of one standard deviation.
 
-    They are those of cosines over the recording, the slowest first, down to a shortest period [s].
+    They are those of cosines over the recording, the slowest first: for each joint as many as given at most, down to a
+    shortest period [s].
     """
     for joint in range(recording.theta.shape[1]):
         knots, _, penalty = _smoothing(recording, joint, noise)
-        slow = int(min(knots.size, _MOST_COMPONENTS, 1 + 2 * np.ptp(knots) / shortest))
+        slow = int(min(knots.size, most, 1 + 2 * np.ptp(knots) / shortest))
         for first in range(0, slow, _BATCH):
             count = min(_BATCH, slow - first)
             cosines = idct(np.eye(knots.size, count, -first), axis=0, norm="ortho")
@@ -99,5 +98,5 @@ def _best_penalty(time: Array, values: Array, noise: float) -> float:
         return float(residual @ residual / noise**2 + 2 * np.sum(1 / (1 + penalty * fourth_powers)))
 
     # The penalty is a time cubed: from a thousandth of an interval, which interpolates, to all of the recording.
-    bounds = 3 * np.log([1e-3 * float(np.diff(time).min()), duration])
+    bounds = 3 * float(np.log(1e-3 * np.diff(time).min())), 3 * float(np.log(duration))
     return float(np.exp(minimize_scalar(risk, bounds=bounds, method="bounded", options={"xatol": 0.05}).x))

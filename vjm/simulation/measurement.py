@@ -153,6 +153,15 @@ class PrecedingMotion:
         return self._known[key]
 
 
+def principal_errors(errors: Array) -> Array:
+    """Return the principal components (N, r) of independent errors (N, k) of weighted values, as far as they matter.
+
+    They are orthogonal, and independent as well.
+    """
+    variances, combinations = np.linalg.eigh(errors.T @ errors)
+    return np.asarray(errors @ combinations[:, variances > _LEAST_VARIANCE])
+
+
 @dataclass(frozen=True)
 class Observations:
     """Values measured in one recording: marker coordinates first, then active joints' angles, each in order of time.
@@ -255,10 +264,9 @@ class Observations:
     def _error_directions(self) -> tuple[Array, Array]:
         """Orthonormal directions (N_m + N_t, r) of the motion's errors, and factors (r,) that whiten noise there."""
         errors = np.zeros((self.count, 0)) if self.motion_errors is None else self.motion_errors
-        errors = errors if self.whitening is None else np.asarray(self.whitening @ errors)
-        variances, combinations = np.linalg.eigh(errors.T @ errors)
-        seen = variances > _LEAST_VARIANCE
-        return errors @ (combinations[:, seen] / np.sqrt(variances[seen])), 1 / np.sqrt(1 + variances[seen])
+        errors = principal_errors(errors if self.whitening is None else np.asarray(self.whitening @ errors))
+        sizes = np.linalg.norm(errors, axis=0)
+        return errors / sizes, 1 / np.sqrt(1 + sizes**2)
 
     @cached_property
     def instants(self) -> Indices:

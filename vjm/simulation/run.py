@@ -20,7 +20,7 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.given_motion import acceleration_errors
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observations, sensor_readings
+from vjm.simulation.measurement import Observations, principal_errors, sensor_readings
 from vjm.simulation.sensitivity import Linearization, with_coefficients
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
@@ -29,6 +29,8 @@ from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
 _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a finite number
 # Modes that chains may exchange are nearer to each other; the first ten of a beam are further apart, ((2k+1)/(2k-1))^2.
 _FREQUENCY_TOLERANCE = 0.1
+# Values that errors of a given motion make at once, 0.3 GB: the slowest, in a minute of five markers up to 5 Hz.
+_MOST_ERROR_VALUES = 40_000_000
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
 
@@ -283,17 +285,18 @@ class Run:
         """
         if observed.recording.input != "motion":
             return observed
-        run, effects = replace(self, observed=observed), self.arm.smooth[0].effects
+        run, effects, recording = replace(self, observed=observed), self.arm.smooth[0].effects, observed.recording
         resolved = 4 * 2 * self.stride * self.trajectory.step  # four intervals of the variational equations
+        most = max(1, _MOST_ERROR_VALUES // (observed.count * recording.theta.shape[1]))
         errors = [
             PerturbedArm(Arm(self.chain, (*effects, error)), 1.0)
-            for error in acceleration_errors(observed.recording, observed.noise[1], resolved)
+            for error in acceleration_errors(recording, observed.noise[1], resolved, most)
         ]
         by_errors = np.zeros((observed.count, len(errors)))
         for measured, slopes in run.linearization(errors).jacobian():
             by_errors[measured] = slopes[:, slopes.shape[1] - len(errors) :]
         by_errors[observed.markers.size :] = 0.0
-        return replace(observed, motion_errors=by_errors)
+        return replace(observed, motion_errors=principal_errors(by_errors))
 
     def _parameter_jacobian(
         self, linearization: Linearization, linearized: SquareRootInformation
