@@ -179,6 +179,31 @@ def test_nothing_is_found_where_nothing_is(plant: Plant) -> None:
     assert all(each.smallest_detectable for each in diagnosis.candidates if each.testable)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [601, 602])
+@pytest.mark.parametrize("effect", [None, "tip_payload"])
+def test_what_a_coarse_encoder_makes_of_a_given_motion_is_noise(plant: Plant, effect: str | None, seed: int) -> None:
+    """Half a milliradian; without the motion's errors, clean recordings leave what no candidate explains."""
+    file, truth = plant("hub", *([effect] if effect else []), seed=seed)
+    experiment, random = vjm.load_experiment(file), np.random.default_rng(seed)
+    recordings = [
+        replace(
+            each,
+            theta=each.theta + 5e-4 * random.standard_normal(each.theta.shape),
+            input="motion" if each.kind == "driven" else each.input,
+        )
+        for each in experiment.recordings
+    ]
+    rig = replace(experiment.rig, encoder_noise=float(np.hypot(5e-4, experiment.rig.encoder_noise or 0.0)))
+    diagnosis = vjm.diagnose(vjm.Experiment(rig, recordings), budget=UNLIMITED)
+    assert diagnosis.remaining.p_value is not None
+    assert diagnosis.remaining.p_value > 0.01
+    assert [cause.effect.id for cause in diagnosis.causes] == [planted.effect for planted in truth.effects]
+    for cause, planted in zip(diagnosis.causes, truth.effects, strict=True):
+        mass = cause.parameters[0]
+        assert abs(mass.value - planted.parameters["mass"]) < 3 * (mass.std or 0.0)
+
+
 def test_a_cause_that_is_not_in_the_list_is_not_named(plant: Plant) -> None:
     file, _ = plant("hub", "time_offset", seed=15)
     others = [*(effect for effect in SOME if effect != "time_offset"), "actuator_lag"]
