@@ -81,7 +81,7 @@ CANDIDATES = "diagnose", "--jobs", "2", "--effects", "tip_payload,linear_drag,cl
         ("reading", 0.0, ("identify",)),
         ("fitting trajectories", 0.0, ("identify",)),
         ("drawing", 0.0, ("identify",)),
-        ("drawing shapes", 0.0, ("identify",)),
+        pytest.param("drawing shapes", 0.0, ("identify",), marks=pytest.mark.slow),
         *(("testing candidates", delay, CANDIDATES) for delay in (0.0, 0.3)),  # while processes start
         pytest.param("testing candidates", 0.1, CANDIDATES, marks=pytest.mark.slow),
     ],

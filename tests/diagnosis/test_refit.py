@@ -78,7 +78,7 @@ def test_a_gear_has_its_stiffness_though_its_search_begins_far_away(seed: int) -
     assert found.effects[0].values["motor_share"] == pytest.approx(0.35, abs=0.02)
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.05, 0.3])
+@pytest.mark.parametrize("damping", [0.0, pytest.param(0.05, marks=pytest.mark.slow), 0.3])
 def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> None:
     """At zero it ends at its bound; what is found of the gear beside it is as certain as anywhere."""
     truth = GearElasticity(link=0, stiffness=56.0, motor_share=0.35, damping=damping)
@@ -96,7 +96,7 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
     assert is_determined(found, gear, 1e-6)
 
 
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_a_segment_that_sticks_is_begun_from_rest_or_from_the_end_of_the_one_before(seed: int) -> None:
     truth = CoulombFriction(link=0, torque=0.008)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
@@ -214,6 +214,7 @@ def test_a_fit_beside_sticking_ends_once_its_parameters_promise_little(
     assert search.is_nonsmooth_minimum(point) is ended
 
 
+@pytest.mark.slow
 def test_friction_that_explains_all_is_fitted_before_a_slow_candidate() -> None:
     truth = CoulombFriction(link=0, torque=0.008)
     start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1)))
@@ -225,7 +226,7 @@ def test_friction_that_explains_all_is_fitted_before_a_slow_candidate() -> None:
     assert not [step for step in steps if "base_compliance" in step]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_a_small_effect_beside_the_discretization_error_is_that_of_a_beam(seed: int) -> None:
     """By itself a chain of four joints needs one of 40 standard errors; its own parameters stay shifted."""
     start = TrajectoryFit(point_of(chain_of(4), (), recorded(Arm(chain_of(36)), seed, factor=3.0)))
@@ -405,7 +406,7 @@ def test_a_further_parameter_must_bring_its_share() -> None:
     assert strict.criterion(two) == pytest.approx(2 * strict.criterion(one), rel=1e-3)
 
 
-@pytest.mark.parametrize(("seed", "off"), [(1, 1.1), (2, -0.9), (3, 0.9)])  # rad
+@pytest.mark.parametrize(("seed", "off"), [(1, 1.1), (2, -0.9), pytest.param(3, 0.9, marks=pytest.mark.slow)])  # rad
 def test_a_table_that_slides_across_its_start_is_found(seed: int, off: float) -> None:
     """In coordinates about its start its direction ends 45 degrees away."""
     truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)

@@ -108,9 +108,10 @@ def test_dry_friction_is_found_beside_what_looks_like_it(plant: Plant) -> None:
     assert diagnosis.gain.reduction > 0.95
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("seed", "damping"),
-    [(1, 0.1), *(pytest.param(k, d, marks=pytest.mark.slow) for k, d in [(2, 0.02), (2, 0.0), (3, 0.0), (3, 0.1)])],
+    [(1, 0.1), (2, 0.02), (2, 0.0), (3, 0.0), (3, 0.1)],
 )
 def test_a_gear_has_its_stiffness_and_its_damping(tmp_path: Path, seed: int, damping: float) -> None:
     drawn = draw("gear_elasticity", seed)
@@ -200,7 +201,7 @@ def test_what_a_coarse_encoder_makes_of_a_given_motion_is_noise(plant: Plant, ef
     assert diagnosis.remaining.p_value > 0.01
     assert [cause.effect.id for cause in diagnosis.causes] == [planted.effect for planted in truth.effects]
     for cause, planted in zip(diagnosis.causes, truth.effects, strict=True):
-        mass = cause.parameters[0]
+        mass = cause.parameters["mass"]
         assert abs(mass.value - planted.parameters["mass"]) < 3 * (mass.std or 0.0)
 
 

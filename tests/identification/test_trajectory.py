@@ -37,7 +37,12 @@ ENCODER_NOISE = 1e-4
 
 
 @pytest.mark.parametrize(
-    ("joint", "n"), [("clamped", 2), ("revolute", 2), pytest.param("revolute", 3, marks=pytest.mark.slow)]
+    ("joint", "n"),
+    [
+        pytest.param("clamped", 2, marks=pytest.mark.slow),
+        ("revolute", 2),
+        pytest.param("revolute", 3, marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize("parameters", ["joints", "lengths"])
 def test_noise_free_chain_comes_back_from_twice_its_stiffness(joint: str, n: int, parameters: str) -> None:
@@ -217,6 +222,7 @@ def test_an_executor_changes_nothing() -> None:
     assert not np.array_equal(here, _resampled(point, 4, "noise", None, 8)[0])
 
 
+@pytest.mark.slow
 def test_blocks_of_residuals_scatter_the_estimates_as_the_noise_does(two_seconds: Identification) -> None:
     fit = two_seconds
     calls: list[int] = []
@@ -229,6 +235,7 @@ def test_blocks_of_residuals_scatter_the_estimates_as_the_noise_does(two_seconds
     assert np.abs((values.mean(axis=0) - truth) / std).max() < 1.5
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_is_an_executor_too() -> None:
     distributed = pytest.importorskip("dask.distributed")
     point = truth_point("clamped", 2, "uniform")

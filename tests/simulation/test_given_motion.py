@@ -83,7 +83,7 @@ def test_segments_have_the_motion_of_the_whole_recording() -> None:
         assert part.recording.acceleration == pytest.approx(whole.recording.acceleration[rows])
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_link_is_identified_whatever_its_joint_does(seed: int) -> None:
     truth = chain_of()
     friction = [CoulombFriction(link=0, torque=0.01), TorqueGain(link=0, gain=0.8)]

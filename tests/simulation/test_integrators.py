@@ -90,6 +90,9 @@ CASES = {
     "a link on a link, released in gravity": released(extended_chain(), (0.0, -9.81)),
 }
 
+# Of the same arms as others with more.
+FEWER_JOINTS = ("released, 4 joints", "driven, 4 joints")
+
 
 def markers_of(case: Case, integrator: str, step: float | None = None) -> Array:
     return simulate(
@@ -97,14 +100,18 @@ def markers_of(case: Case, integrator: str, step: float | None = None) -> Array:
     ).markers
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in FEWER_JOINTS else []) for name in CASES]
+)
 def test_default_agrees_with_runge_kutta_to_a_micrometre(name: str) -> None:
     expected = markers_of(CASES[name], "rk4", REFERENCE)
     assert np.ptp(expected[:, -1], axis=0).max() > 0.1
     assert np.abs(markers_of(CASES[name], "exponential") - expected).max() < 1e-6
 
 
-@pytest.mark.parametrize(("n", "kelvin_voigt", "step"), [(20, 3e-4, 1e-4), (40, 1e-4, 2.5e-5)])
+@pytest.mark.parametrize(
+    ("n", "kelvin_voigt", "step"), [(20, 3e-4, 1e-4), pytest.param(40, 1e-4, 2.5e-5, marks=pytest.mark.slow)]
+)
 def test_long_chains_take_long_steps_as_exactly(n: int, kelvin_voigt: float, step: float) -> None:
     """The top mode, of 1 to 4 kHz, turns 3 to 15 times in a step; Runge-Kutta has to follow it."""
     chain = arm_of(steel_link(n, kelvin_voigt=kelvin_voigt))
