@@ -22,9 +22,6 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.records import Array, Rig
 from vjm.simulation.run import Run, simulate_runs
 
-_REFINEMENT = 3  # times as many joints: leaves a ninth of the error, which the extrapolation removes
-_EXTRAPOLATION = _REFINEMENT**2 / (_REFINEMENT**2 - 1)  # Richardson's, for an error of order 1/n^2
-
 
 def parameter_shift(point: Point, rig: Rig) -> Array | None:
     """Return the coordinates (p,) of a beam less those of a fitted uniform chain, to first order.
@@ -38,13 +35,13 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
     """
     coarse = _with_offset(point, None)
     try:
-        predicted = _predictions(_finer(coarse, rig, _REFINEMENT), coarse)
+        predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
         offset = [fine - _predicted(run) for fine, run in zip(predicted, coarse.runs, strict=True)]
         corrected = _with_offset(coarse, offset)
         change: Array = corrected.reduced()[0].best() - coarse.reduced()[0].best()
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    return _EXTRAPOLATION * change
+    return _extrapolation(point) * change
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ class DiscretizationBias:
             The bias; None where the finer chain cannot be simulated, or corrections will not settle, or not in time.
         """
         start = _with_offset(point, None)
-        finer = _finer(start, rig, _REFINEMENT)
+        finer = _finer(start, rig, _refinement(point))
         best, chi2, current = None, np.inf, start
         try:
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
@@ -98,8 +95,9 @@ class DiscretizationBias:
         if best is None:
             return None
         predicted, x = best
-        offset = [_EXTRAPOLATION * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
-        return cls(tuple(offset), _EXTRAPOLATION * (x - point.x))
+        factor = _extrapolation(point)
+        offset = [factor * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
+        return cls(tuple(offset), factor * (x - point.x))
 
     def corrected(self, candidate: TrajectoryFit, max_misfit: float, deadline: float = np.inf) -> TrajectoryFit | None:
         """Fit a model again beside the bias; None where its misfit comes out larger than `max_misfit`.
@@ -135,6 +133,19 @@ def refined(fit: TrajectoryFit, rig: Rig, stop: Callable[[Point, float], bool] |
         return fit_trajectory(finer, fit.point.x, None, _transferred_states(finer, fit.point), stop=stop)
     except (SimulationDivergedError, InsufficientDataError):
         return None
+
+
+def _refinement(point: Point) -> int:
+    """Return how many times as many joints to compare with: three leave a ninth of the error, two a quarter.
+
+    With an elbow more joints take shorter steps as well, and three times as many ten times as long.
+    """
+    return 2 if point.chain.elbows.size else 3
+
+
+def _extrapolation(point: Point) -> float:
+    """Return the factor of Richardson's extrapolation, for an error of order 1/n^2."""
+    return 1 / (1 - _refinement(point) ** -2)
 
 
 def _finer(point: Point, rig: Rig, factor: int) -> TrajectoryProblem:
