@@ -48,10 +48,10 @@ def arm_of(*links: LinkChain) -> Chain:
     return Chain("arm", links)
 
 
-def two_link_arm() -> Chain:
-    """A shoulder and an elbow, both driven."""
-    upper = steel_link(3, "revolute", name="upper", length=0.6, hub_inertia=0.05, distal="joined")
-    return arm_of(upper, steel_link(3, "revolute", name="fore", length=0.5, bending_stiffness=1.0))
+def two_link_arm(n: int = 3) -> Chain:
+    """A shoulder and an elbow, both driven, n virtual joints in either link."""
+    upper = steel_link(n, "revolute", name="upper", length=0.6, hub_inertia=0.05, distal="joined")
+    return arm_of(upper, steel_link(n, "revolute", name="fore", length=0.5, bending_stiffness=1.0))
 
 
 def rig_of(chain: Chain) -> Rig:
