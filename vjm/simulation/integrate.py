@@ -26,7 +26,10 @@ _MOST_STEPS = 2e7  # of a long one: several GiB, and a day of an arm that swings
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
 _DIVERGED = 1e3  # rad; no joint turns so far
-_ELBOW_GRID = 0.0125  # rad between angles of an elbow at which the linear part is taken; four times it costs digits
+# With an elbow: joints a link from which on steps are as much shorter as there are more, and for so many the angle of the
+# elbow [rad] between those at which the linear part is taken; it shrinks with the square of the joints. Errors of 24
+# are four times those of eight then, and were seventy times as large with the same steps and angle.
+_FEW_JOINTS, _ELBOW_GRID = 8, 0.05
 
 
 def simulate_trajectories(
@@ -130,7 +133,9 @@ def default_step(chain: Chain, payload: float = 0.0) -> float:
     slowest, _ = locked_joint_frequencies(chain, payload)
     joints = max(link.virtual_joints for link in chain.links)
     # Derivatives are advanced over two steps at least: longer ones would do for the motion, and cost them digits.
-    steps_a_period = min(60.0 + 16.0 * joints, 220.0) if len(chain.links) == 1 else 110.0 * max(joints, 8)
+    steps_a_period = (
+        min(60.0 + 16.0 * joints, 220.0) if len(chain.links) == 1 else 880.0 * max(joints / _FEW_JOINTS, 1.0)
+    )
     return 1.0 / (steps_a_period * slowest)
 
 
@@ -271,6 +276,8 @@ class _LinearPropagator:
         self.system = system
         self.step = step
         self.elbows = system.active[system.active > 0]  # joints further out that bend the arm, or beyond a moving base
+        joints = max(link.virtual_joints for arm in system.arms for link in arm.chain.links)
+        self.grid = _ELBOW_GRID / max(joints / _FEW_JOINTS, 1.0) ** 2  # between angles of an elbow [rad]
         self.known: dict[tuple[int, ...], _Weights] = {}
         self.gathered: tuple[list[tuple[int, ...]], _Weights] | None = None  # keys of the copies' own matrices
         self.current: tuple[bytes, _Weights] | None = None
@@ -283,7 +290,7 @@ class _LinearPropagator:
         """Return those at angles x (C, >= nv)."""
         if self.current is not None and not self.elbows.size:
             return self.current[1]
-        places = np.round(x[:, self.elbows] / _ELBOW_GRID)
+        places = np.round(x[:, self.elbows] / self.grid)
         if self.current is None or self.current[0] != places.tobytes():
             self.current = places.tobytes(), self._gathered(places)
         return self.current[1]
@@ -311,7 +318,7 @@ class _LinearPropagator:
     def _inertia(self, places: Array, copies: Indices) -> Array:
         """Return mass matrices (c, nv, nv) of copies at zero angles, except the elbows', at places (c, elbows)."""
         q = np.zeros((copies.size, self.system.stiffness.shape[1]))
-        q[:, self.elbows] = _ELBOW_GRID * places
+        q[:, self.elbows] = self.grid * places
         inertia = np.empty((*q.shape, q.shape[1]))
         for group, mechanism in self.system.mechanisms:
             selected = np.isin(copies, np.arange(len(self.system.arms))[group])
