@@ -64,7 +64,8 @@ class DiscretizationBias:
             deadline: reading of `time.monotonic` after which nothing more is fitted [s].
 
         Returns:
-            The bias; None where the finer chain cannot be simulated, or corrections will not settle, or not in time.
+            The bias; None where the finer chain cannot be simulated, or corrections will not settle, or not in time, or
+            the bias is so large that what the extrapolation leaves of it may show in the residuals.
         """
         start = _with_offset(point, None)
         finer = _finer(start, rig, _refinement(point))
@@ -97,6 +98,13 @@ class DiscretizationBias:
         predicted, x = best
         factor = _extrapolation(point)
         offset = [factor * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
+        # What the extrapolation adds is a bound of its own error. Five standard deviations of chi^2 are no noise.
+        added = [
+            run.observed.whitened(run.observed.weights * (1 - 1 / factor) * run_offset)
+            for run, run_offset in zip(start.runs, offset, strict=True)
+        ]
+        if sum(float(part @ part) for part in added) > 5 * (2 * point.count) ** 0.5:
+            return None
         return cls(tuple(offset), factor * (x - point.x))
 
     def corrected(self, candidate: TrajectoryFit, max_misfit: float, deadline: float = np.inf) -> TrajectoryFit | None:

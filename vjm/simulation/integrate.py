@@ -26,8 +26,8 @@ _MOST_STEPS = 2e7  # of a long one: several GiB, and a day of an arm that swings
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
 _DIVERGED = 1e3  # rad; no joint turns so far
-# With an elbow: joints a link from which on steps are as much shorter as there are more, and for so many the angle of the
-# elbow [rad] between those at which the linear part is taken; it shrinks with the square of the joints. Errors of 24
+# With an elbow: joints a link from which on steps are as much shorter as there are more, and for so many the angle
+# between those at which the linear part is taken [rad]; it shrinks with the square of the joints. Errors of 24 joints
 # are four times those of eight then, and were seventy times as large with the same steps and angle.
 _FEW_JOINTS, _ELBOW_GRID = 8, 0.05
 
