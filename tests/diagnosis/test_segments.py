@@ -15,7 +15,8 @@ from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.simulation.run import state_at
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_wrong_initial_states_of_an_elbows_segments_do_not_hold_back_its_parameters(tmp_path: Path, seed: int) -> None:
     """The likelihood of such a state has several maxima, and one too long a step in it must not be all segments'."""
     pytest.importorskip("mujoco")

@@ -47,6 +47,7 @@ def test_corrections_settle_where_many_samples_tell_much(plant: Plant) -> None:
     assert physical[0] == pytest.approx(stiffness, rel=3e-4)
 
 
+@pytest.mark.slow
 def test_steps_that_are_long_beside_a_rough_start_hide_no_mode_of_a_release(plant: Plant) -> None:
     """The third mode swings as fast as the camera looks, and is seen in a few frames."""
     file, _ = plant("clamped_arm", seed=10153)

@@ -161,6 +161,7 @@ def test_gravity_without_which_nothing_is_followed_is_found(plant: Plant) -> Non
     assert diagnosis.candidates[0].effect.id == "in_plane_gravity"  # the most needed at first sight
 
 
+@pytest.mark.slow
 def test_what_cannot_be_told_apart_is_a_set(plant: Plant) -> None:
     """Without gravity a turned camera and an encoder's offset are the same."""
     file, _ = plant("hub", "camera_rotation", seed=13)

@@ -86,6 +86,7 @@ def test_dropped_frames_are_missing(plant: Plant) -> None:
     assert len(columns(file.parent / "quiet.csv")["t"]) == pytest.approx(0.9 * 501, rel=0.05)
 
 
+@pytest.mark.slow
 def test_reference_recordings_hide_nothing() -> None:
     effects = (Planted("torque_gain", {"gain": 1.2}), Planted("camera_scale", {"scale": 1.05}))
     hidden, clean = perform("hub", effects, 1, reference=True), perform("hub", (), 1, reference=True)
@@ -204,6 +205,7 @@ def test_twins_are_known_on_their_rig() -> None:
     assert not set(effects_of("clamped")) & set(ONLY_WITH_HUB)
 
 
+@pytest.mark.slow
 def test_everyday_effects_are_seen() -> None:
     clean = perform("clamped", (), 2)
     for effect in ("tip_payload", "linear_drag", "marker_offset", "external_tone"):

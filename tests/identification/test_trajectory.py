@@ -74,6 +74,7 @@ def test_a_torque_that_is_unknown_for_a_while_costs_information_and_no_more() ->
     assert found.damping == pytest.approx(true.damping, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_every_parameter_at_once_finds_a_model_that_fits_as_well_as_the_truth() -> None:
     experiment, _ = chain_recordings("revolute", 2, 1)
     experiment = replace(experiment, rig=replace(experiment.rig, marker_noise=1e-5, encoder_noise=1e-5))
