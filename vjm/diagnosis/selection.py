@@ -437,7 +437,7 @@ class Search:
         if fit is None:
             return False
         allowed = _NONSMOOTH_REST * (reduced.chi2 - fit.chi2) if is_nonsmooth(fit.effects) else 0.0
-        return bool(fit.chi2 < _noise_limit(fit) + allowed)
+        return bool(fit.chi2 < fit.point.noise_limit + allowed)
 
     def _matters(self, reduced: TrajectoryFit, full: TrajectoryFit) -> bool:
         gained = reduced.chi2 - full.chi2
@@ -546,7 +546,7 @@ class Search:
         if fit.misfit > CLOSE_MISFIT or left > before / 2 or self.options.exhausted:
             return fit
         self.report("refining the chain")
-        finer = refined(fit, self.rig, self.options.stop(_noise_limit(fit)))
+        finer = refined(fit, self.rig, self.options.stop(fit.point.noise_limit))
         if finer is None or not self._explains_all(finer, reduced):
             return fit
         fits[finer.effect_keys] = finer
@@ -583,11 +583,6 @@ def _refit_within_bounds(
         retried = refit(start, effects, options.stop(max_chi2), states_first=True)
         fit = min(filter(None, (fit, retried)), key=lambda fit: fit.chi2, default=None)
     return None if fit is None or any(effect.at_bound for effect in fit.new_effects) else fit
-
-
-def _noise_limit(fit: TrajectoryFit) -> float:
-    """Return the chi^2 below which a model leaves only noise: five standard deviations above its expected value."""
-    return fit.point.expected_chi2 + 5 * float(np.sqrt(2 * fit.point.count))
 
 
 def _batches(chosen: Sequence[int], count: int) -> list[Sequence[int]]:

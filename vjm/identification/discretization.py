@@ -98,12 +98,12 @@ class DiscretizationBias:
         predicted, x = best
         factor = _extrapolation(point)
         offset = [factor * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
-        # What the extrapolation adds is a bound of its own error. Five standard deviations of chi^2 are no noise.
+        # What the extrapolation adds is a bound of its own error.
         added = [
             run.observed.whitened(run.observed.weights * (1 - 1 / factor) * run_offset)
             for run, run_offset in zip(start.runs, offset, strict=True)
         ]
-        if sum(float(part @ part) for part in added) > 5 * (2 * point.count) ** 0.5:
+        if sum(float(part @ part) for part in added) > point.noise_limit - point.expected_chi2:
             return None
         return cls(tuple(offset), factor * (x - point.x))
 

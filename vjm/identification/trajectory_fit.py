@@ -222,6 +222,11 @@ class Point(Record):
         return sum(run.expected_chi2 for run in self.runs)
 
     @property
+    def noise_limit(self) -> float:
+        """Chi^2 below which only noise is left: five standard deviations above its expected value."""
+        return self.expected_chi2 + 5 * float(np.sqrt(2 * self.count))
+
+    @property
     def misfit(self) -> float:
         """RMS weighted residual, the root of the reduced chi^2: one where only noise is left."""
         return float(np.sqrt(self.chi2 / max(self.expected_chi2, 1.0)))
