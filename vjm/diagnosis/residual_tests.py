@@ -46,8 +46,7 @@ def _bands(run: Run) -> Iterator[ResidualBand]:
     time = observed.recording.time
     for sensor, series, instants in (("markers", markers, time[observed.frames]), ("encoder", angles, time)):
         rows = np.isfinite(series).any(axis=1)
-        # What is left of encoders that give the motion is what smoothing has taken off.
-        is_input = sensor == "encoder" and observed.recording.input == "motion"
+        is_input = sensor == "encoder" and observed.encoders_are_input
         if is_input or rows.sum() < 2 * _LEAST_COEFFICIENTS:
             continue
         known = np.isfinite(series[rows])

@@ -137,8 +137,7 @@ def _whiteness(run: Run) -> Whiteness:
     Correlations are pooled over a sensor's coordinates, and values that were not measured count as zero.
     """
     statistic, freedom, largest = 0.0, 0, 0.0
-    # What is left of encoders that give the motion is what smoothing has taken off.
-    sensors = 1 if run.observed.recording.input == "motion" else 2
+    sensors = 1 if run.observed.encoders_are_input else 2
     for series in run.residual_series()[:sensors]:
         known = np.isfinite(series).any(axis=1)
         values = np.nan_to_num(series[known])

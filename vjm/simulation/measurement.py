@@ -256,6 +256,11 @@ class Observations:
         return np.asarray(white - (directions * (1 - gains)) @ (directions.T @ white))
 
     @property
+    def encoders_are_input(self) -> bool:
+        """True if joints turn as their encoders say, whose residuals are what smoothing has taken off."""
+        return self.recording.input == "motion"
+
+    @property
     def is_white(self) -> bool:
         """True if `whitened` changes nothing."""
         return self.whitening is None and self.motion_errors is None

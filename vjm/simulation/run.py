@@ -283,7 +283,7 @@ class Run:
 
         Of the encoders' readings, from which the motions are, no more than their own noise is known.
         """
-        if observed.recording.input != "motion":
+        if not observed.encoders_are_input:
             return observed
         run, effects, recording = replace(self, observed=observed), self.arm.smooth[0].effects, observed.recording
         resolved = 4 * 2 * self.stride * self.trajectory.step  # four intervals of the variational equations
