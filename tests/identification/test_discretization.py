@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -92,6 +93,21 @@ def test_a_correction_that_leads_away_from_the_recordings_is_dropped(size: float
     corrected = DiscretizationBias(tuple(offset), np.zeros(fit.point.x.size)).corrected(fit, 2.0)
     assert (corrected is not None) == kept
     assert corrected is None or corrected.misfit == pytest.approx(fit.misfit, rel=1e-3)
+
+
+@pytest.mark.parametrize(("times_less_noise", "kept"), [(1, True), (16, True), (32, False)])
+def test_a_correction_whose_own_error_would_show_is_dropped(times_less_noise: float, kept: bool) -> None:
+    """Of a bias of 1.5 (of 16) standard errors a ninth, the extrapolation's part, hides in the noise; of 3 it shows."""
+    fit = identified("hub", 1)
+    assert fit.trajectory is not None
+    point = fit.trajectory.point
+    noise = [tuple(size / times_less_noise for size in run.observed.noise) for run in point.runs]
+    observed = tuple(replace(run.observed, noise=each) for run, each in zip(point.runs, noise, strict=True))
+    runs = tuple(replace(run, observed=each) for run, each in zip(point.runs, observed, strict=True))
+    bias = DiscretizationBias.of(
+        replace(point, problem=replace(point.problem, observed=observed), runs=runs), fit.model.rig
+    )
+    assert (bias is not None) == kept
 
 
 @pytest.mark.slow
