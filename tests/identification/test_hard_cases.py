@@ -201,6 +201,21 @@ def test_without_torque_errors_other_stiffnesses_are_tried() -> None:
     assert fit.parameters[0].value == pytest.approx(1.9736, rel=1e-3)
 
 
+def test_of_exact_recordings_nothing_is_said_to_be_missing() -> None:
+    """Simulated with the package itself, without any noise: a first thing to try."""
+    rig = vjm.Rig("exact", [vjm.Link("beam", "revolute", 1.0, 0.44, 1.9, (0.25, 0.5, 0.75, 1.0), hub_inertia=0.02)])
+    truth = vjm.Model.nominal(replace(rig, links=(replace(rig.links[0], bending_stiffness=1.976),)), 3, 2e-3)
+    time = np.linspace(0, 2, 101)
+    recordings = []
+    for role, torque in (("train", 0.2 * np.sin(7 * time) * time), ("holdout", 0.2 * np.sin(7 * time + 1))):
+        motion = truth.simulate(torque=torque, duration=2.0)
+        recordings.append(vjm.Recording(motion.time, motion.markers, motion.theta, torque, kind="driven", role=role))
+    fit = vjm.identify(vjm.Experiment(rig, recordings), virtual_joints=3, baselines=False)
+    assert fit.parameters[0].value == pytest.approx(1.976, rel=1e-6)
+    assert "to within camera noise" in " ".join(fit.summary().split())
+    assert not any("unmodelled" in warning or "residual" in warning for warning in fit.warnings)
+
+
 # What is left out before anything is fitted
 
 

@@ -25,9 +25,9 @@ def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, floa
     """Return marker noise [m] and encoder noise [rad]: the experiment's, else as measured, else as much as may be."""
     length = max(link.length for link in rig.links)
     markers, encoder = measured_noise(recordings)
-    # Exact data still need a finite weight.
-    markers = max(markers, 1e-9 * length) if np.isfinite(markers) else DEFAULT_NOISE * length
-    encoder = max(encoder, 1e-9) if np.isfinite(encoder) else DEFAULT_NOISE
+    # Exact data still need a finite weight, at which errors of simulations (1e-8 of the length, abrupt starts) hide.
+    markers = max(markers, 1e-7 * length) if np.isfinite(markers) else DEFAULT_NOISE * length
+    encoder = max(encoder, 1e-7) if np.isfinite(encoder) else DEFAULT_NOISE
     return rig.marker_noise or markers, rig.encoder_noise or encoder
 
 

@@ -376,7 +376,8 @@ def fit_warnings(
     coloured = [
         f"{test.file} ({ratio(test.chi2**0.5)} × noise, correlation up to {test.correlation:.2f})"
         for test in whiteness
-        if test.coloured and (test.correlation > 0.2 or test.chi2 > _LARGE_RESIDUAL)
+        # A fifth of the noise power: what is left of exact data is correlated, and far below any noise.
+        if test.coloured and (test.correlation * min(test.chi2, 1.0) > 0.2 or test.chi2 > _LARGE_RESIDUAL)
     ]
     warnings = []
     if coloured:
