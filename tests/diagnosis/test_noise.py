@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.diagnosis.rigs import NOISE, chain_of, point_of, recorded
-from vjm.diagnosis.noise import Noise, _autoregression
+from vjm.diagnosis.noise import Noise, _autoregression, _frame_numbers
 from vjm.effects import CameraVibration, InPlaneGravity
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
@@ -61,6 +61,21 @@ def test_whitened_noise_is_white_and_of_unit_size(seed: int, coefficients: list[
         assert abs(correlation) < 4 / np.sqrt(values.size)
     raw = observed.values.reshape(-1, 4)
     assert np.mean(raw[1:] * raw[:-1]) / np.mean(raw**2) > 0.5
+
+
+@pytest.mark.parametrize("rate", [15, 24, 30, 60, 90, 120])
+def test_frames_are_counted_by_time_stamps_of_milliseconds(rate: int) -> None:
+    numbers = np.flatnonzero(np.random.default_rng(rate).random(3000) >= 0.2)
+    numbers = np.setdiff1d(numbers, np.arange(1000, 1060)) - numbers[0]
+    assert _frame_numbers(np.round(numbers / rate, 3)).tolist() == numbers.tolist()
+
+
+def test_what_is_correlated_beyond_any_process_is_no_noise() -> None:
+    """Exact recordings leave what the model lacks; correlations over gaps may come out above one."""
+    correlation = np.array([1.0, 1.001, 0.99, 1.0, 0.98])
+    coefficients = _autoregression(correlation, 1000)
+    assert np.abs(np.roots(np.r_[1.0, -coefficients])).max(initial=0.0) < 1
+    assert Noise(1e-3, coefficients, "").whitened(coloured(1, 200, [0.8], 0.1)).count
 
 
 def test_the_beginning_of_whitened_measurements_is_whitened_alike() -> None:

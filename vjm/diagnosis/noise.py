@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
+from vjm.experiment.spectrum import LEAST_NOISE
 from vjm.records import Array, Indices, Mask
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run
@@ -45,6 +46,9 @@ class Noise:
         if quiet:
             source = "the quiet recording" + "s" * (len(quiet) > 1)
         std, correlation, count = _autocorrelation(residuals)
+        least = LEAST_NOISE * max(link.length for link in runs[0].chain.links)
+        if std < least:
+            return cls(least, np.zeros(0), f"none: recordings exact to {number(1e3 * least, 2)} mm")
         coefficients = _autoregression(correlation, count)
         kind = f"coloured (lag-one correlation {correlation[1]:.2f})" if coefficients.size else "white"
         return cls(std, coefficients, f"{kind}, {number(1e3 * std, 2)} mm, estimated from {source}")
@@ -143,8 +147,13 @@ def _fit_frames(
 
 
 def _frame_numbers(time: Array) -> Indices:
-    """Return the numbers (F,) of frames taken at instants (F,) [s]; dropped frames are counted too."""
-    numbers: Indices = np.round((time - time[0]) / np.median(np.diff(time))).astype(int)
+    """Return the numbers (F,) of frames taken at instants (F,) [s]; dropped frames are counted too.
+
+    Each interval is rounded by itself: the errors of rounded time stamps do not add up.
+    """
+    intervals = np.diff(time)
+    single = intervals[intervals < 1.5 * np.median(intervals)].mean()  # of frames between which none was dropped
+    numbers: Indices = np.r_[0, np.cumsum(np.maximum(np.round(intervals / single), 1))].astype(int)
     return numbers
 
 
@@ -174,7 +183,9 @@ def _autoregression(correlation: Array, count: int) -> Array:
 
     _, _, partial, _, coefficients = levinson_durbin(correlation, _MAX_ORDER, isacov=True)
     # Four standard errors of 1/sqrt(N), which chance exceeds once in 16,000 times.
-    significant = np.flatnonzero(np.abs(partial[1:]) > 4 / np.sqrt(max(count, 1)))
+    # Below one, as those of any stationary process: what exact recordings leave is no noise at all.
+    stationary = np.logical_and.accumulate(np.abs(partial[1:]) < 1)
+    significant = np.flatnonzero(stationary & (np.abs(partial[1:]) > 4 / np.sqrt(max(count, 1))))
     order = int(significant[-1]) + 1 if significant.size else 0
     return np.asarray(coefficients[1 : order + 1, order])
 

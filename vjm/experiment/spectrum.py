@@ -20,14 +20,17 @@ from scipy.signal import lfilter, periodogram
 from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.experiment.records import Array, Complex, Recording, Rig
 
+# Of a link's length, and of an angle of one radian: exact data still need a finite weight, at which errors of
+# simulations hide (1e-8 after an abrupt start).
+LEAST_NOISE = 1e-7
+
 
 def sensor_noise(rig: Rig, recordings: Sequence[Recording]) -> tuple[float, float]:
     """Return marker noise [m] and encoder noise [rad]: the experiment's, else as measured, else as much as may be."""
     length = max(link.length for link in rig.links)
     markers, encoder = measured_noise(recordings)
-    # Exact data still need a finite weight, at which errors of simulations (1e-8 of the length, abrupt starts) hide.
-    markers = max(markers, 1e-7 * length) if np.isfinite(markers) else DEFAULT_NOISE * length
-    encoder = max(encoder, 1e-7) if np.isfinite(encoder) else DEFAULT_NOISE
+    markers = max(markers, LEAST_NOISE * length) if np.isfinite(markers) else DEFAULT_NOISE * length
+    encoder = max(encoder, LEAST_NOISE) if np.isfinite(encoder) else DEFAULT_NOISE
     return rig.marker_noise or markers, rig.encoder_noise or encoder
 
 

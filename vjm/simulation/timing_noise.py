@@ -83,7 +83,8 @@ class TimingNoise:
         """Return a row as of `score`, whose best variance and decrease of chi^2 are those of the likelihood itself.
 
         Rao's statistic, the square of the squares' excess, promises much more than large errors of time explain. The
-        unit is what the residuals are across the velocities: noise larger than it was given is no error of time.
+        unit is what the residuals are across the velocities, if more than one: noise larger than it was given is no
+        error of time.
         """
         squares, projections = self._errors(residual)
         projections = projections / self._mean_square_across(residual)
@@ -103,12 +104,12 @@ class TimingNoise:
         return decrease / best, decrease
 
     def _mean_square_across(self, residual: Array) -> float:
-        """Return the mean square of white residuals (N,) of moving frames across their velocities; one without any."""
+        """Return the mean square of white residuals (N,) of moving frames across their velocities; one at least."""
         moving, v = self._squares > 0, self.velocities
         ones = sparse.csr_array((np.ones(v.nnz), v.indices, v.indptr), shape=v.shape)
         freedom = float((np.diff(v.indptr) - 1)[moving].sum())
         squares = float(np.sum(np.asarray(ones @ residual**2)[moving]) - np.sum(self._errors(residual)[1]))
-        return squares / freedom if freedom > 0 and squares > 0 else 1.0
+        return max(squares / freedom, 1.0) if freedom > 0 else 1.0
 
     def _errors(self, residual: Array) -> tuple[Array, Array]:
         """Return squared lengths of moving frames' directions in white residuals (N,), and squares of these along."""
