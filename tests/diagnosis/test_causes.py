@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from vjm.diagnosis.alternatives import _with_errors, estimate_causes
+from vjm.diagnosis.alternatives import _with_errors, estimate_causes, ranked
 from vjm.diagnosis.records import Alternative
 from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
 
@@ -65,7 +65,7 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     search = SimpleNamespace(start=start, refit_without=lambda best, effect, fits: model((payload,), 30_000.0))
     result = SimpleNamespace(best=best, first_tests=family, p_values={payload.key: 1e-3, offset.key: 1e-5}, fits=tried)
     others = {payload.key: (alternative,)}
-    causes = estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(2))
+    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(2)))
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]

@@ -12,7 +12,7 @@ from tests.diagnosis.rigs import chain_of, point_of, recorded
 from vjm.diagnosis.candidate_fit import refit
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.effects import CameraRotation, ClampCompliance, CubicStiffness, Effect, EncoderOffset, StiffnessDrift
-from vjm.identification.trajectory_fit import TrajectoryFit
+from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Recording
 from vjm.simulation.arm import Arm
 
@@ -62,3 +62,14 @@ def test_the_nearest_of_several_counts() -> None:
     for one in propose_recordings(best, others):
         assert one.difference == pytest.approx(min(given[one.text] for given in each))
     assert np.isfinite([one.difference for one in propose_recordings(best, others)]).all()
+
+
+def test_where_an_alternative_diverges_a_recording_is_compared_with_itself_or_not_at_all() -> None:
+    best, other = fitted(drives(CUBIC, 7)[:2], CUBIC, DRIFT)
+    first, second = (
+        replace(other, point=Point(replace(other.point.problem, observed=(run.observed,)), other.point.x, (run,)))
+        for run in other.point.runs
+    )
+    assert all(one.difference == 0 for one in propose_recordings(best, [first]))  # the larger drive is missing
+    expected = [one.difference for one in propose_recordings(best, [other])]
+    assert [one.difference for one in propose_recordings(best, [second])] == pytest.approx(expected, rel=0.5)

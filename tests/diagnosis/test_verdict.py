@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from vjm.diagnosis.alternatives import ranked
 from vjm.diagnosis.diagnose import _default_budget
 from vjm.diagnosis.records import (
     Alternative,
@@ -56,7 +57,7 @@ def beside(measured: Recording, residual: Array | float) -> SimulatedRecording:
     markers = measured.markers - residual
     nothing = np.zeros((len(markers), 0))
     simulation = Simulation(measured.time, nothing, nothing, nothing, np.broadcast_to(markers, measured.markers.shape))
-    return SimulatedRecording(measured, simulation, NOISE, 1.0, markers.size, "converged")
+    return SimulatedRecording(measured, simulation, NOISE, "converged")
 
 
 def compared(
@@ -136,7 +137,7 @@ def test_large_causes_come_before_small_ones() -> None:
         replace(cause(effect), decrease=size, holdout_gain=gain)
         for effect, size, gain in zip(effects, sizes, gains, strict=True)
     )
-    diagnosis = conclude(findings(causes=causes))
+    diagnosis = conclude(findings(causes=ranked(causes)))
     assert [one.effect.id for one in diagnosis.main_causes] == ["cubic_stiffness", "camera_rotation"]
     # Of small ones, what gains most where it was not fitted comes first.
     assert [one.effect.id for one in diagnosis.minor_causes] == ["encoder_offset", "tip_payload"]
@@ -144,7 +145,7 @@ def test_large_causes_come_before_small_ones() -> None:
 
 
 def test_a_small_cause_alone_is_the_main_one() -> None:
-    diagnosis = conclude(findings(causes=(replace(cause(), decrease=30.0),)))
+    diagnosis = conclude(findings(causes=ranked([replace(cause(), decrease=30.0)])))
     assert [one.role for one in diagnosis.causes] == ["main"]
 
 

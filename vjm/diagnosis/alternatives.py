@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
 from vjm.effects import Effect
 from vjm.effects.effect import Key
 from vjm.identification.trajectory_fit import TrajectoryFit
-from vjm.records import Array, Estimate
+from vjm.records import VISIBLE_SHARE, Array, Estimate
 from vjm.text import number, ratio
 
 _MOST_ALTERNATIVES = 6  # refitted for each cause, to bound the time; the most similar ones
@@ -100,7 +101,7 @@ def estimate_causes(
     reference_misfit: float,
     covariance: Array,
 ) -> tuple[Cause, ...]:
-    """Return the best model's new effects as causes, in the order of the chi^2 that they explain.
+    """Return the best model's new effects as causes.
 
     Args:
         result: result of the search.
@@ -125,7 +126,16 @@ def estimate_causes(
         evidence = f"training residual falls from {before} to {after} × {unit}, chi² by {number(decrease)}"
         parameters = _with_errors(estimate, covariance[part, part])
         causes.append(Cause(effect, parameters, p_value, decrease, alternatives.get(effect.key, ()), evidence))
-    return tuple(sorted(causes, key=lambda cause: -cause.decrease))
+    return tuple(causes)
+
+
+def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """Return causes with their roles: main ones by the chi^2 that they explain, then minor ones by held-out gain."""
+    largest = max((cause.decrease for cause in causes), default=0.0)
+    roles = [replace(cause, role="minor" if cause.decrease < VISIBLE_SHARE * largest else "main") for cause in causes]
+    main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
+    minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
+    return (*main, *minor)
 
 
 def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:

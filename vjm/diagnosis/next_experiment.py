@@ -74,9 +74,12 @@ def _largest_motions(best: TrajectoryFit) -> list[Run]:
 
 def _difference(true: TrajectoryFit, candidate: TrajectoryFit, run: Run, change: _Change) -> float:
     """Return the chi^2 of another model refitted to what a true one simulates; zero if either diverges."""
-    k = [entry is run for entry in true.point.runs].index(True)
+    file = run.observed.recording.file
+    other = next((other for other in candidate.point.runs if other.observed.recording.file == file), None)
+    if other is None:  # it diverges over the recording itself
+        return 0.0
     try:
-        shown, predicted = (_changed_run(model, k, change) for model in (true, candidate))
+        shown, predicted = _changed_run(true, run, change), _changed_run(candidate, other, change)
         moved = replace(candidate.point.problem, observed=(predicted.observed,)).perturbed_arms(candidate.point.x)[0]
         states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
         slopes = np.zeros((predicted.residual.size, states + len(moved)))
@@ -94,10 +97,9 @@ def _difference(true: TrajectoryFit, candidate: TrajectoryFit, run: Run, change:
     return float(np.sum((difference - fitted) ** 2))
 
 
-def _changed_run(model: TrajectoryFit, k: int, change: _Change) -> Run:
-    """Simulate a changed version of a model's k-th recording."""
+def _changed_run(model: TrajectoryFit, run: Run, change: _Change) -> Run:
+    """Simulate a changed version of a model's recording."""
     point = model.point
-    run = point.runs[k]
     recording, state = change(run.observed.recording, run.state, run.chain.active)
     (arm,) = point.problem.arms(point.x, [recording])
     observed, prior = run.observed.of_recording(recording), InitialStatePrior.of(arm, recording)

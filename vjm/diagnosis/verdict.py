@@ -13,7 +13,6 @@ import numpy as np
 from vjm.diagnosis.records import (
     EQUIVALENT,
     Budget,
-    Cause,
     Diagnosis,
     Gain,
     Remaining,
@@ -135,7 +134,7 @@ def is_unexplained(findings: Diagnosis) -> bool:
 
 
 def conclude(findings: Diagnosis) -> Diagnosis:
-    """Add the conclusions: verdict, gain on held-out recordings, roles of the causes, what remains, what to do next.
+    """Add the conclusions: verdict, gain on held-out recordings, what remains, what to do next.
 
     Causes that together explain too little to be seen in the residual are dropped.
     """
@@ -151,7 +150,6 @@ def conclude(findings: Diagnosis) -> Diagnosis:
     if findings.causes and findings.decrease < VISIBLE_SHARE and not unexplained:
         findings = _without_causes(findings)
         gain = _estimate_gain(findings.recordings, findings.seed)
-    findings = replace(findings, causes=_ranked(findings.causes))
     verdict: Verdict = "named" if findings.causes else "none"
     if any(cause.alternatives for cause in findings.causes):
         verdict = "set"
@@ -165,15 +163,6 @@ def conclude(findings: Diagnosis) -> Diagnosis:
     remaining = Remaining(findings.residuals.p_value, _description(findings))
     next_experiment = _next_experiment(findings, verdict)
     return replace(findings, verdict=verdict, gain=gain, remaining=remaining, next_experiment=next_experiment)
-
-
-def _ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
-    """Return causes with their roles, large ones before small ones."""
-    largest = max((cause.decrease for cause in causes), default=0.0)
-    roles = [replace(cause, role="minor" if cause.decrease < VISIBLE_SHARE * largest else "main") for cause in causes]
-    main = sorted((cause for cause in roles if cause.role == "main"), key=lambda cause: -cause.decrease)
-    minor = sorted((cause for cause in roles if cause.role == "minor"), key=lambda cause: -(cause.holdout_gain or 0.0))
-    return (*main, *minor)
 
 
 def _without_causes(findings: Diagnosis) -> Diagnosis:
