@@ -136,7 +136,9 @@ def test_a_recording_at_rest_is_not_called_the_worst() -> None:
 
 
 def test_whiteness_table() -> None:
-    (table,) = _whiteness_tables((Whiteness("a.csv", 1.21, 0.03, False), Whiteness("b.csv", 4.0, 0.9, True)))
+    (table,) = _whiteness_tables(
+        (Whiteness("a.csv", 1.21, 0.03, False, False), Whiteness("b.csv", 4.0, 0.9, True, True))
+    )
     assert table.rows == (("a.csv", "yes", "1.10", "0.030"), ("b.csv", "no", "2.00", "0.90"))
 
 

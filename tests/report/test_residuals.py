@@ -188,7 +188,7 @@ def test_a_peak_is_named_only_where_the_table_finds_no_white_residual() -> None:
     fit = white(demo_fit())
     recordings = list(fit.recordings)
     recordings[3] = noisy(recordings[3], 3, sine(recordings[3], 3.0, 5e-4))
-    called = Whiteness(recordings[3].recording.file, 1.0, 0.0, coloured=False)
+    called = Whiteness(recordings[3].recording.file, 1.0, 0.0, correlated=False, excessive=False)
     for whiteness, words in (((), "at 2.99 Hz in"), ((called,), "no peak above noise")):
         changed = replace(fit, recordings=tuple(recordings), whiteness=whiteness)
         assert words in residual_pictures(changed)[1].alternative

@@ -373,17 +373,27 @@ def fit_warnings(
     modes: Sequence[ModeComparison] = (),
 ) -> list[str]:
     """Warn where residuals are no noise, modes differ, recordings are not followed or parameters not determined."""
-    coloured = [
+    correlated = [
         f"{test.file} ({ratio(test.chi2**0.5)} × noise, correlation up to {test.correlation:.2f})"
         for test in whiteness
         # A fifth of the noise power: what is left of exact data is correlated, and far below any noise.
-        if test.coloured and (test.correlation * min(test.chi2, 1.0) > 0.2 or test.chi2 > _LARGE_RESIDUAL)
+        if test.correlated and (test.correlation * min(test.chi2, 1.0) > 0.2 or test.chi2 > _LARGE_RESIDUAL)
+    ]
+    excessive = [
+        f"{test.file} ({ratio(test.chi2**0.5)} × noise)"
+        for test in whiteness
+        if test.excessive and not test.correlated and test.chi2 > _LARGE_RESIDUAL
     ]
     warnings = []
-    if coloured:
+    if correlated:
         warnings.append(
-            f"unmodelled dynamics: the residual of all sensors is correlated in {listed(coloured)}; standard errors "
+            f"unmodelled dynamics: the residual of all sensors is correlated in {listed(correlated)}; standard errors "
             "include the correlation, values may be off by more"
+        )
+    if excessive:
+        warnings.append(
+            f"the residual is white noise, but larger than the sensors' in {listed(excessive)}: marker_noise or "
+            "encoder_noise of [sensors] is too small"
         )
     for k, mode in enumerate(modes, start=1):
         error = 0.0 if mode.frequency_measured is None else mode.frequency_model / mode.frequency_measured - 1

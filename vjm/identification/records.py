@@ -57,7 +57,6 @@ class Identification(Comparison, ByParameter):
     """An identified model beside its recordings, and what is known about it.
 
     Attributes:
-        torque_model: the torque method's, where the trajectory method started from it; else None.
         method: `torque`, `torque+frequency` or `trajectory`.
         parametrisation: `uniform`, `joints`, `lengths` or `full`.
         parameters: every parameter of the parametrisation, estimated or fixed.
@@ -75,7 +74,6 @@ class Identification(Comparison, ByParameter):
         notes: what was decided on the way, and why.
     """
 
-    torque_model: Model | None
     method: str
     parametrisation: str
     parameters: tuple[Estimate, ...]
@@ -123,4 +121,10 @@ class Whiteness:
     file: str  # the recording's
     chi2: float  # their mean square: one where they are noise
     correlation: float  # largest one of a residual with those up to ten samples later, over all sensors
-    coloured: bool  # True if they are certainly no white noise
+    correlated: bool  # True if they certainly are
+    excessive: bool  # True if they are certainly larger than the noise
+
+    @property
+    def white(self) -> bool:
+        """False if they are certainly no white noise as large as the sensors'."""
+        return not (self.correlated or self.excessive)

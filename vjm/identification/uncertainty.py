@@ -73,7 +73,7 @@ class Information:
 def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Information, tuple[Whiteness, ...]]:
     """Return the information in whole trajectories, and each recording's whiteness.
 
-    White residuals give the Fisher information, scaled by their own mean square. Where they are coloured, or larger
+    White residuals give the Fisher information, scaled by their own mean square. Where they are correlated, or larger
     than the noise, the scores' long-run covariance is taken instead, if it is larger (sandwich): Bartlett weights over
     a bandwidth by Andrews (1991).
 
@@ -81,16 +81,15 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     """
     point = fit.point
     count = point.x.size
-    perturbed = point.problem.perturbed_arms(point.x)
     whiteness = tuple(_whiteness(run) for run in point.runs)
     normal, uncorrelated = np.zeros((2, count, count))
-    for linearized, white in zip(point.linearizations, whiteness, strict=True):
+    for linearized, tested in zip(point.linearizations, whiteness, strict=True):
         R = linearized.eliminated(linearized.columns - count).R[:, :-1]
         normal += R.T @ R
-        uncorrelated += R.T @ R * (max(white.chi2, 1.0) if noise_known else white.chi2)
-    if not any(white.coloured for white in whiteness):
+        uncorrelated += R.T @ R * (max(tested.chi2, 1.0) if noise_known else tested.chi2)
+    if all(tested.white for tested in whiteness):
         return Information(normal, uncorrelated), whiteness
-    sandwich = np.zeros((count, count))
+    sandwich, perturbed = np.zeros((count, count)), point.problem.perturbed_arms(point.x)
     for run, linearized, by_parameters in zip(
         point.runs, point.linearizations, linearize(point.runs, perturbed), strict=True
     ):
@@ -150,8 +149,8 @@ def _whiteness(run: Run) -> Whiteness:
         largest = max(largest, float(np.abs(r).max()))
     count = max(run.expected_chi2, 1)
     correlated = freedom > 0 and statistic > stats.chi2.isf(NOT_NOISE, freedom)
-    large = freedom > 0 and run.chi2 > stats.chi2.isf(NOT_NOISE, count)
-    return Whiteness(run.observed.recording.file, run.chi2 / count, largest, bool(correlated or large))
+    excessive = freedom > 0 and run.chi2 > stats.chi2.isf(NOT_NOISE, count)
+    return Whiteness(run.observed.recording.file, run.chi2 / count, largest, bool(correlated), bool(excessive))
 
 
 ErrorKind = Literal["noise", "blocks"]

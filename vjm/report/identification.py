@@ -312,7 +312,7 @@ def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
     rows = []
     for test in whiteness:
         rms = math.sqrt(test.chi2) if test.chi2 >= 0 else None
-        rows.append((test.file, "no" if test.coloured else "yes", number(rms, 3), number(test.correlation, 2)))
+        rows.append((test.file, "yes" if test.white else "no", number(rms, 3), number(test.correlation, 2)))
     headers = ("recording", "white", "residual / noise, all sensors", "largest correlation (lags up to 10)")
     caption = "Residuals of the training recordings"
     return [Table(caption, headers, tuple(rows), words=2)] if rows else []

@@ -139,7 +139,7 @@ def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
 def _identification(fit: Identification) -> Result:
     # None for a recording that whole trajectories were not fitted to
     whiteness = {
-        test.file: {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation, "coloured": test.coloured}
+        test.file: {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation, "coloured": test.correlated}
         for test in reversed(fit.whiteness)
     }
     return {

@@ -145,7 +145,7 @@ def _residual_pictures(fit: Identification) -> Iterator[Picture]:
             "Amplitude of the residual, RMS over all marker coordinates. A peak above the dashed line at a natural "
             "frequency: its frequency or damping is off; elsewhere: unmodelled dynamics."
         )
-        white = {item.file for item in fit.whiteness if not item.coloured}  # the table says so
+        white = {item.file for item in fit.whiteness if item.white}  # the table says so
         yield Picture("residual_spectra", caption, partial(_residual_spectra, fit.model, spectra, white))
 
 
