@@ -229,6 +229,14 @@ def test_noise_at_rest(seed: int) -> None:
 
     red = found(simulated(seed, STILL, STILL, kind="quiet", noise=coloured))
     assert_found(red, the(red, "noise_correlation", "encoder"), 0.6)
+
+    def one_coordinate_rounded(rng: np.random.Generator, like: Array) -> Array:
+        values = coloured(rng, like)
+        values[:, 0] = 0.3
+        return values
+
+    some = found(simulated(seed, STILL, STILL, kind="quiet", noise=one_coordinate_rounded))
+    assert_found(some, the(some, "noise_correlation", "camera"), 0.6)
     assert "(lag-one correlation +0." in the(red, "noise_correlation", "encoder").sentence
 
 

@@ -108,7 +108,7 @@ class Symptoms(Record):
             recordings.append(RecordingSymptoms(replay, sensors, misfit, modes, at_rest=tuple(at_rest)))
         separate, together = joint_profiles(
             rig,
-            [(recording.simulated, recording.sensors * bool(recording.modes.remaining)) for recording in recordings],
+            [(recording.simulated, recording.sensors if recording.modes.remaining else ()) for recording in recordings],
         )
         recordings = [
             replace(recording, profiles=profiles) for recording, profiles in zip(recordings, separate, strict=True)
@@ -142,9 +142,11 @@ class Symptoms(Record):
             groups.setdefault((symptom.kind, symptom.mode), []).append(symptom)
         headlines = []
         for first, *weaker in list(groups.values())[:most]:
-            shared_by = {similar.recording for similar in weaker if similar.value * first.value > 0} - {first.recording}
-            sentence = f"{first.sentence.removesuffix('.')}; also in {counted(len(shared_by), 'other')}."
-            headlines.append(replace(first, sentence=sentence) if shared_by else first)
+            # Without a recording, a symptom is that of several together.
+            shared_by = {similar.recording for similar in weaker if similar.value * first.value > 0}
+            others = len(shared_by - {first.recording, None})
+            sentence = f"{first.sentence.removesuffix('.')}; also in {counted(others, 'other')}."
+            headlines.append(replace(first, sentence=sentence) if others and first.recording else first)
         return tuple(headlines)
 
 

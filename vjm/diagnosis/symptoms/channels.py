@@ -328,7 +328,9 @@ class SensorAtRest(NamedTuple):
         if sensor.time.size < 3 * _LEAST_VALUES:
             return None
         measured = np.where(sensor.known, sensor.measured, np.nan)
-        if np.allclose(np.nanmin(measured, axis=0), np.nanmax(measured, axis=0), rtol=1e-12, atol=1e-9 * sensor.noise):
+        smallest, largest = np.nanmin(measured, axis=0), np.nanmax(measured, axis=0)
+        varying = ~np.isclose(smallest, largest, rtol=1e-12, atol=1e-9 * sensor.noise)
+        if not varying.any():
             return None
         count, power = int(sensor.known.sum()), np.sum(sensor.residual**2, axis=1)
         size = math.sqrt(power.sum() / count) - 1
@@ -338,7 +340,7 @@ class SensorAtRest(NamedTuple):
         larger = Coefficient.of(size, math.hypot((2 * count) ** -0.5, 0.03), scatter, means.size - 1)
         tone = sensor.strongest_tone(sensor.residual, white=True)
         clean = sensor.centred(sensor.residual - (0.0 if tone is None else tone.wave))
-        columns = [column[known] for column, known in zip(clean.T, sensor.known.T, strict=True)]
+        columns = [column[known] for column, known in zip(clean.T[varying], sensor.known.T[varying], strict=True)]
         statistic = sum(float(acorr_ljungbox(column, lags=[1])["lb_stat"].iloc[0]) for column in columns)
         cross, variance = (sum(float(column[k:] @ column[: column.size - k]) for column in columns) for k in (1, 0))
         chance = float(stats.chi2.sf(statistic, len(columns)))
