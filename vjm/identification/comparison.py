@@ -142,7 +142,8 @@ def replay_without_outliers(
     cleaned, results, outlying = [*observed], replay_each(replay, observed, states), dict[int, Array | None]()
     for k, result in enumerate(results):
         if not isinstance(result, str) and (clean := trimmed(result[0])) is not observed[k]:
-            cleaned[k], outlying[k] = clean, states[k] if states else result[0].state
+            given = states[k] if states else None
+            cleaned[k], outlying[k] = clean, result[0].state if given is None else given
     repeated = replay_each(replay, [cleaned[k] for k in outlying], [*outlying.values()])
     for k, result in zip(outlying, repeated, strict=True):
         results[k] = result

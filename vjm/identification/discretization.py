@@ -69,17 +69,21 @@ class DiscretizationBias:
         """
         start = _with_offset(point, None)
         finer = _finer(start, rig, _refinement(point))
-        best, chi2, current = None, np.inf, start
+        best, chi2, fall, current = None, np.inf, np.inf, start
         try:
             for remaining in reversed(range(4)):  # corrections; each reduces the rest of the error by the error itself
                 predicted = _predictions(finer, current)
                 previous, chi2 = chi2, sum(map(_chi2, current.runs, predicted))
-                # What is left falls by about the same factor each time.
+                previous_fall, fall = fall, previous - chi2
+                # What is left falls by about the same factor each time, and so do the falls.
                 if chi2 * min(chi2 / previous, 1.0) ** remaining > max_misfit**2 * point.expected_chi2:
                     return None
-                if not chi2 < previous * (1 - 1e-4):  # below a tenth of a typical noise of chi^2
+                negligible = 1e-4 * chi2  # below a tenth of a typical noise of chi^2
+                if not fall > negligible:
                     break
                 best = predicted, current.x
+                if np.isfinite(previous_fall) and fall**2 / previous_fall < negligible:
+                    break
                 if remaining:
                     offset = [fine - _predicted(run) for fine, run in zip(predicted, current.runs, strict=True)]
                     shifted = _with_offset(current, offset)

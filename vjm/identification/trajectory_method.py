@@ -18,7 +18,7 @@ from vjm.identification.trajectory_fit import DIVERGED_MISFIT, Point, Trajectory
 from vjm.records import VISIBLE_SHARE, Array, Progress, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import default_step
-from vjm.simulation.least_squares import Loss
+from vjm.simulation.least_squares import Loss, LossName
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, is_followed, simulate_runs
 from vjm.simulation.system import Trajectory, measured_torque
@@ -126,10 +126,12 @@ class TrajectoryMethod:
 
     def joint_choices(self, fit: TrajectoryFit) -> tuple[JointChoice, ...]:
         """Return a fit's numbers of joints with their discretisation errors."""
-        links = zip(self.data.rig.links, self.data.shape.orders, fit.point.chain.links, strict=True)
-        requested = all(choice.requested for choice in self.data.joints)
+        data = self.data
         return tuple(
-            JointChoice.of(link, order, link_chain.virtual_joints, requested) for link, order, link_chain in links
+            JointChoice.of(link, order, link_chain.virtual_joints, planned.requested)
+            for link, order, link_chain, planned in zip(
+                data.rig.links, data.shape.orders, fit.point.chain.links, data.joints, strict=True
+            )
         )
 
     def _problem(self, joints: Sequence[int]) -> TrajectoryProblem:
@@ -181,7 +183,7 @@ class TrajectoryMethod:
 
 
 def first_fit(
-    data: TrainingData, loss: str = "linear", progress: Progress | None = None, rough: bool = False
+    data: TrainingData, loss: LossName = "linear", progress: Progress | None = None, rough: bool = False
 ) -> tuple[TrajectoryMethod, TrajectoryFit]:
     """Fit uniform links with the smallest number of joints, from far away, to recordings without their outliers.
 
