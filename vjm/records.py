@@ -246,16 +246,12 @@ class SimulatedRecording(Record):
         recording: without coordinates that cannot be right.
         simulation: at the recording's instants, as its sensors would show it.
         noise: 1-sigma of a marker coordinate [m] and of an encoder [rad].
-        chi2: weighted sum of squared residuals.
-        count: number of measured values behind it.
         status: `converged`, or `not converged` (the remedy is a better model: the state alone cannot follow the data).
     """
 
     recording: Recording
     simulation: Simulation
     noise: tuple[float, float]
-    chi2: float
-    count: int
     status: Literal["converged", "not converged"]
 
     @cached_property

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import vjm
-from vjm.errors import ChoiceError, RecordingError, ShapeError
+from vjm.errors import ChoiceError, InsufficientDataError, RecordingError, ShapeError
 from vjm.records import Experiment, Recording
 
 DEMO = Path(vjm.__file__).parent / "demo" / "later.toml"
@@ -69,6 +69,12 @@ def test_options_that_mean_nothing_are_refused() -> None:
         vjm.diagnose(experiment, effects=["rust"])
     with pytest.raises(ShapeError, match="each once"):
         vjm.diagnose(experiment, effects=["tip_payload", "tip_payload"])
-    for options in ({"jobs": 0}, {"max_effects": 0}, {"seed": -1}):
+    for options in ({"jobs": 0}, {"max_effects": 0}, {"seed": -1}, {"seed": True}, {"budget": 0}):
         with pytest.raises(ShapeError):
             vjm.diagnose(experiment, **options)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    one = np.int64(1)
+    with pytest.raises(InsufficientDataError):  # about the recordings, of which nothing can be fitted
+        vjm.diagnose(changed(lambda all_: [short(all_[0])]), FEW, jobs=one, max_effects=one, seed=one, budget=one)

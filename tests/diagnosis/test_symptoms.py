@@ -113,7 +113,7 @@ def test_markers_in_the_links_own_frame_are_left_as_they_are() -> None:
     markers = np.concatenate([upper, fore], axis=1)
     recording = Recording(time, markers, theta, np.zeros_like(theta), kind="driven", role="train", file="a.csv")
     simulation = Simulation(time, theta, theta, theta, np.nan_to_num(markers, nan=0.4))
-    whole = SimulatedRecording(recording, simulation, (3e-4, 1e-4), 0.0, 500, "converged")
+    whole = SimulatedRecording(recording, simulation, (3e-4, 1e-4), "converged")
     camera, encoder = Channels.of(Rig("elbow", links), whole)
     assert camera.names == ("upper.m1 along", "upper.m1 across", "upper.m2 along", "upper.m2 across", "fore.m1.y")
     assert encoder.names == ("upper.theta", "fore.theta")

@@ -129,7 +129,7 @@ def simulated(
     angle = np.empty((t.size, 0)) if clamped else model.theta(t)
     state = np.empty((t.size, 0))
     simulation = Simulation(t, state, state, angle, model.markers(t, clamped))
-    return SimulatedRecording(recording, simulation, NOISE, 0.0, t.size, "converged")
+    return SimulatedRecording(recording, simulation, NOISE, "converged")
 
 
 def found(*recordings: SimulatedRecording) -> Symptoms:

@@ -19,7 +19,10 @@ from tests.fine_beam.make_hub import TRUTH, write_hub_experiment
 from tests.identification.test_recovery import DEMO
 from vjm.errors import InsufficientDataError
 from vjm.experiment.checks import _impossible, cleaned
-from vjm.identification import Identification, identify
+from vjm.identification import Identification, comparison, identify
+from vjm.identification.check import fit_warnings
+from vjm.identification.comparison import replay_without_outliers
+from vjm.identification.records import Whiteness
 from vjm.identification.trajectory_method import _StallRule
 from vjm.records import Link
 
@@ -214,6 +217,29 @@ def test_of_exact_recordings_nothing_is_said_to_be_missing() -> None:
     assert fit.parameters[0].value == pytest.approx(1.976, rel=1e-6)
     assert "to within camera noise" in " ".join(fit.summary().split())
     assert not any("unmodelled" in warning or "residual" in warning for warning in fit.warnings)
+
+
+def test_residuals_that_are_too_large_and_white_are_no_missing_dynamics() -> None:
+    noisy, moving = Whiteness("a.csv", 4.0, 0.03, False, True), Whiteness("b.csv", 4.0, 0.5, True, True)
+    (warning,) = fit_warnings((), whiteness=[noisy])
+    assert "white noise, but larger" in warning
+    assert "a.csv (2.00 × noise)" in warning
+    (warning,) = fit_warnings((), whiteness=[moving])
+    assert "unmodelled dynamics" in warning
+
+
+def test_a_search_without_outliers_begins_where_the_one_with_them_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    starts: list[object] = []
+
+    def replay(observed: object, states: object) -> list[object]:
+        starts.append(states)
+        return [(SimpleNamespace(state="found"), True)]
+
+    monkeypatch.setattr(comparison, "trimmed", lambda run: SimpleNamespace())
+    for given, then in ((None, "found"), ("given", "given")):
+        starts.clear()
+        replay_without_outliers(replay, [SimpleNamespace()], [given])  # type: ignore[arg-type,list-item]
+        assert starts == [[given], [then]]
 
 
 # What is left out before anything is fitted

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +12,7 @@ import pytest
 import vjm
 from tests.identification.test_recovery import demo
 from vjm.identification import Identification, identify
-from vjm.identification.identify import LossName
 from vjm.records import Estimate
-from vjm.simulation.least_squares import LOSSES
 
 
 @cache
@@ -83,7 +81,3 @@ def test_an_unknown_option_is_refused_with_its_choices(option: str, choice: str)
     with pytest.raises(vjm.InputError, match=f"unknown {option} 'guess'; choose one of: .*") as error:
         identify(demo(), **options)
     assert choice in str(error.value)
-
-
-def test_editors_complete_every_loss() -> None:
-    assert get_args(LossName) == LOSSES

@@ -39,10 +39,8 @@ def quick_replay(model: Model, recording: Recording) -> SimulatedRecording:
     """A simulation from the state that the first frames show: not the most likely one, but a real one."""
     q, v = _first_state(model, recording)
     simulation = simulate(model.chain, model.rig, recording, q, v)
-    residual = recording.markers - simulation.markers
-    chi2, count = float(np.nansum((residual / model.marker_noise) ** 2)), int(np.isfinite(residual).sum())
     noise = (model.marker_noise, model.encoder_noise)
-    return SimulatedRecording(recording, simulation, noise, chi2, count, "converged")
+    return SimulatedRecording(recording, simulation, noise, "converged")
 
 
 def with_rms(simulated: SimulatedRecording, rms: float) -> SimulatedRecording:
@@ -98,7 +96,6 @@ def make_fit(
         experiment=experiment,
         model=model,
         nominal=nominal,
-        torque_model=before,
         method="torque" if before is None else "trajectory",
         parametrisation="uniform",
         parameters=estimates,
@@ -137,7 +134,7 @@ def _trajectory(model: Model, train: list[Recording]) -> TrajectoryFit:
 
 
 def _whiteness(train: list[Recording]) -> tuple[Whiteness, ...]:
-    return tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0) for k, each in enumerate(train))
+    return tuple(Whiteness(each.file, 1.0 + 0.2 * k, 0.05 + 0.3 * k, k > 0, False) for k, each in enumerate(train))
 
 
 def _chain(rig: Rig, joints: int, bending: float, time_constant: float) -> Chain:

@@ -27,7 +27,7 @@ from vjm.records import NOT_NOISE, Array, Rig
 from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run, earlier_runs, is_followed, state_at
+from vjm.simulation.run import Run, by_recording, earlier_runs, is_followed, state_at
 from vjm.simulation.system import Trajectory
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
@@ -93,8 +93,7 @@ def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
     chain_information = Information(information.normal[chain_part, chain_part], scores)
     physical = parametrisation.physical_covariance(estimate, information.covariance[chain_part, chain_part])
     parameters = estimates(parametrisation, estimate, chain_information, physical)
-    chain = parametrisation.chain(fit.point.x[chain_part])
-    return Model(chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)
+    return Model(fit.point.chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)
 
 
 def starting_effect(effect: Effect, guess: Array, chain: Chain) -> Effect:
@@ -208,8 +207,7 @@ def _fit_accurately(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         if multiple == fit.point.problem.step_multiple:
             break
         shorter = replace(fit.point.problem, step_multiple=multiple)
-        refined = _fit_recentred(shorter, fit.point.x, fit.point.states, stop)
-        fit = replace(refined, iterations=fit.iterations + refined.iterations)
+        fit = _fit_recentred(shorter, fit.point.x, fit.point.states, stop)
     return fit
 
 
@@ -233,8 +231,7 @@ def _fit_recentred(problem: TrajectoryProblem, x: Array, states: Sequence[Array]
         problem = replace(problem, effects=effects)
         chain = fit.point.x[: len(problem.parametrisation.coordinates)]
         x = np.concatenate([chain, *(effect.coordinates for effect in effects)])
-        continued = _fit_multistart(problem, x, fit.point.states, stop)
-        fit = replace(continued, iterations=fit.iterations + continued.iterations)
+        fit = _fit_multistart(problem, x, fit.point.states, stop)
 
 
 def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array], stop: StoppingRule) -> TrajectoryFit:
@@ -247,20 +244,19 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
     nonsmooth = is_nonsmooth(problem.effects)
     if stop.max_steps < _STEPS_BETWEEN_MULTISTARTS:
         return fit_trajectory(problem, x, None, states, stop=stop)
-    before, iterations = np.inf, 0
+    before = np.inf
     # With stick-slip or play the first steps are not stopped by `max_chi2`: before the first multistart, the predicted
     # decrease does not tell what chi^2 can be reached.
     max_chi2, steps = (np.inf, _STEPS_BETWEEN_MULTISTARTS) if nonsmooth else (stop.max_chi2, stop.max_steps)
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
-        iterations += fit.iterations
         max_chi2 = stop.max_chi2
         if not nonsmooth and fit.chi2 > stop.max_chi2:
-            return replace(fit, iterations=iterations)
+            return fit
         point = replace(fit.point, runs=_multistart(fit.point))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         if gained < _least_decrease(point) or monotonic() > stop.deadline:
-            return replace(fit, point=point, iterations=iterations)
+            return replace(fit, point=point)
         before, x, states = point.chi2, point.x, point.states
 
 
@@ -372,11 +368,10 @@ def segments(observed: Observations, duration: float) -> tuple[Observations, ...
 
 def _with_preceding_motion(observed: Sequence[Observations], runs: Sequence[Run]) -> list[Observations]:
     """Return segments with the motion of their recordings before them, as last simulated segment by segment."""
-    parts: dict[str, list[Run]] = {}
-    for run in sorted(runs, key=lambda run: float(run.trajectory.time[0])):
-        parts.setdefault(run.observed.recording.file, []).append(run)
+    in_order = sorted(runs, key=lambda run: float(run.trajectory.time[0]))
     motions = {
-        file: _concatenate([run.trajectory for run in own_runs], own_runs[0].chain) for file, own_runs in parts.items()
+        file: _concatenate([run.trajectory for run in parts], parts[0].chain)
+        for file, parts in by_recording(in_order).items()
     }
     return [
         replace(part, preceding=motions[part.recording.file]) if part.start is not None else part for part in observed

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from numbers import Integral, Real
 from time import monotonic
 
 import numpy as np
 
-from vjm.diagnosis.alternatives import estimate_causes, find_alternatives
+from vjm.diagnosis.alternatives import estimate_causes, find_alternatives, ranked
 from vjm.diagnosis.baseline import Baseline, fit_baseline
 from vjm.diagnosis.candidate_fit import information_of, model_of
 from vjm.diagnosis.next_experiment import propose_recordings
 from vjm.diagnosis.records import Budget, Candidate, Cause, Diagnosis
 from vjm.diagnosis.reference import add_changed_recordings, find_preexisting_effects
 from vjm.diagnosis.residual_tests import compare_repeats, describe_residual, residual_test
+from vjm.diagnosis.screen import CandidateSet
 from vjm.diagnosis.selection import Search, SearchOptions, SearchResult
 from vjm.diagnosis.simulations import (
     open_loop,
@@ -78,9 +80,9 @@ def diagnose(
     require_experiment(experiment)
     chosen = _chosen_effects(effects)
     for name, value, minimum in (("max_effects", max_effects, 1), ("jobs", jobs, 1), ("seed", seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+        if isinstance(value, bool) or not isinstance(value, Integral) or value < minimum:
             raise ShapeError(name, value, f"a whole number of at least {minimum}")
-    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, int | float) or not budget > 0):
+    if budget is not None and (isinstance(budget, bool) or not isinstance(budget, Real) or not budget > 0):
         raise ShapeError("budget", budget, "a positive number of seconds, or None")
     likely = refuse_mistakes(experiment)
     began, seconds = monotonic(), _default_budget(experiment, jobs) if budget is None else float(budget)
@@ -106,11 +108,12 @@ def diagnose(
         # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
         # recordings, and otherwise in these, which show more.
         tested = result.first_tests if result.best.effects else result.last_tests
+        absent = CandidateSet.of(chosen, experiment.rig, search.recordings, search.start.point.runs)
         table = tested.table(options.alpha, options.least_decrease(min(search.start.chi2, search.start.point.count)))
         findings = replace(
             _findings(experiment, baseline, reference_misfit, search, result),
             # Last, since the search for alternatives fits single candidates too.
-            candidates=(*_with_residuals(table, search.start, result), *search.candidate_set.untestable),
+            candidates=(*_with_residuals(table, search.start, result), *absent.untestable),
             insufficient=insufficient,
             warnings=(*likely, *experiment.warnings, *baseline.problems, warning),
         )
@@ -166,7 +169,7 @@ def _findings(
     next_best = search.next_best(result)
     recordings = simulate_recordings(experiment, noise, before, after, next_best)
     model, reference = model_of(best, rig, noise), model_of(search.start, rig, noise)
-    causes = with_holdout_gains(rig, causes, recordings, best, result.fits)
+    causes = ranked(with_holdout_gains(rig, causes, recordings, best, result.fits))
     changed = [run for run in best.point.runs if run.observed.recording.condition != REFERENCE]
     chi2, count = sum(run.chi2 for run in changed), sum(run.expected_chi2 for run in changed)
     ambiguous = next((cause for cause in causes if cause.alternatives), None)

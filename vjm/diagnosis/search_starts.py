@@ -15,7 +15,7 @@ from vjm.errors import ShapeError
 from vjm.model.modes import linearise
 from vjm.records import REFERENCE, Array, Complex, Recording
 from vjm.simulation.integrate import phi_functions
-from vjm.simulation.run import Run
+from vjm.simulation.run import Run, by_recording
 
 _MOST_PEAKS = 3  # more tones at once have not been met
 
@@ -164,8 +164,7 @@ def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peak
 def _power(runs: Sequence[Run], frequencies: Array) -> Array:
     """Return the power (F,) of the residuals of all recordings, marker coordinates and encoders together."""
     power = np.zeros(frequencies.size)
-    for file in dict.fromkeys(run.observed.recording.file for run in runs):
-        parts = [run for run in runs if run.observed.recording.file == file]
+    for parts in by_recording(runs).values():
         grids = [(run.observed.recording.time, *run.observed.on_grid(run.residual)) for run in parts]
         frames = [time[run.observed.frames] for run, (time, _, _) in zip(parts, grids, strict=True)]
         end = max(float(time[-1]) for time, _, _ in grids) - parts[0].observed.began

@@ -134,7 +134,6 @@ class Search:
         self.report, self.workers = report, workers
         self.whole = tuple(replace(run.observed, discretization_offset=None) for run in start.point.runs)
         self.recordings = [observed.recording for observed in self.whole]
-        self.candidate_set = CandidateSet.of(effects, rig, self.recordings, start.point.runs)
         self.p_values: dict[Key, float] = {}
         self.unfinished: set[str] = set()
         self.unjustified: list[str] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from numbers import Integral
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
@@ -37,10 +37,8 @@ from vjm.markers.shape import FAMILIES, FamilyName
 from vjm.model.dynamics import objective
 from vjm.model.modes import modes
 from vjm.records import Array, Complex, Experiment, Progress, Rig, Stages
-from vjm.simulation.least_squares import LOSSES
+from vjm.simulation.least_squares import LOSSES, LossName
 from vjm.simulation.model import Model
-
-LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
 
 
 def identify(
@@ -153,7 +151,6 @@ def _result(
         experiment=experiment,
         model=model,
         nominal=nominal,
-        torque_model=torque_model,
         method=method,
         parametrisation=parametrisation.kind,
         parameters=parameters,

@@ -345,8 +345,8 @@ def fit_trajectory(
     lower, upper = problem.bounds
     x = np.clip(start, lower + 1e-6, upper)
     known = 0.0 if states is None else known_duration
-    durations = problem.durations(problem.first_horizon(x))
-    horizons = [*(duration for duration in durations[:-1] if duration > _GROWTH / 2 * known), np.inf]
+    durations = problem.durations(problem.first_horizon(x))[:-1] if np.isfinite(known) else []
+    horizons = [*(duration for duration in durations if duration > _GROWTH / 2 * known), np.inf]
     iterations = 0
     for k, horizon in enumerate(horizons):
         last = k == len(horizons) - 1

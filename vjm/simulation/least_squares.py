@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, Self, TypeVar
+from typing import Generic, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 
@@ -206,8 +206,11 @@ def minimise(
 
 _TUNING = 3.0**2  # robust losses leave the square at three standard deviations; normal noise exceeds these at 0.3 %
 
+LossName = Literal["linear", "huber", "soft_l1", "cauchy"]
+LOSSES: tuple[LossName, ...] = get_args(LossName)
+
 # rho(z) and rho'(z) of the squared weighted residual z, for a tuning constant of one; names as in SciPy.
-_LOSSES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
+_LOSSES: dict[LossName, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "linear": (lambda z: z, np.ones_like),
     "huber": (
         lambda z: np.where(z <= 1, z, 2 * np.sqrt(np.maximum(z, 1)) - 1),
@@ -216,7 +219,6 @@ _LOSSES: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = 
     "soft_l1": (lambda z: 2 * (np.sqrt(1 + z) - 1), lambda z: 1 / np.sqrt(1 + z)),
     "cauchy": (np.log1p, lambda z: 1 / (1 + z)),
 }
-LOSSES = tuple(_LOSSES)
 
 
 @dataclass(frozen=True)
@@ -227,7 +229,7 @@ class Loss:
         name: one of `LOSSES`, as in `scipy.optimize.least_squares`.
     """
 
-    name: str
+    name: LossName
 
     def value(self, z: Array) -> Array:
         """Return rho(z)."""

@@ -318,8 +318,6 @@ class Run:
             recording=observed.recording,
             simulation=sensor_readings(self.arm, observed.arcs, observed.recording, self.trajectory),
             noise=observed.noise,
-            chi2=float(self.residual @ self.residual),
-            count=observed.count,
             status="converged" if converged else "not converged",
         )
 
@@ -335,22 +333,29 @@ def is_followed(runs: Sequence[Run]) -> bool:
     return all(run.observed.recording.kind == "quiet" for run in runs) or excess <= 0.3**2 * motion
 
 
+def by_recording(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Return the runs of each recording's segments, by its file."""
+    grouped: dict[str, list[Run]] = {}
+    for run in runs:
+        grouped.setdefault(run.observed.recording.file, []).append(run)
+    return grouped
+
+
 def all_followed(runs: Sequence[Run]) -> bool:
     """Return True if each recording is followed by the runs of it."""
-    files = {run.observed.recording.file for run in runs}
-    return all(is_followed([run for run in runs if run.observed.recording.file == file]) for file in files)
+    return all(map(is_followed, by_recording(runs).values()))
 
 
 def earlier_runs(runs: Sequence[Run], observed: Observations) -> list[Run]:
     """Return the runs of the same recording that begin before a segment of it."""
-    same_recording = [run for run in runs if run.observed.recording.file == observed.recording.file]
+    same_recording = by_recording(runs).get(observed.recording.file, [])
     return [run for run in same_recording if run.trajectory.time[0] < observed.recording.time[0]]
 
 
 def state_at(runs: Sequence[Run], observed: Observations) -> Array:
     """Return the state (2 nv,) in which the runs of a recording pass the beginning of a segment of it."""
     instant = observed.recording.time[:1]
-    paths = [run.trajectory for run in runs if run.observed.recording.file == observed.recording.file]
+    paths = [run.trajectory for run in by_recording(runs)[observed.recording.file]]
     begun = [path for path in paths if path.time[0] <= instant[0]]
     path = max(begun, key=lambda path: float(path.time[0]), default=paths[0])
     return np.concatenate([values[0] for values in path.sample(instant)])

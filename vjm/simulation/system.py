@@ -135,7 +135,6 @@ class System:
         stiffness, damping: (C, nv) of each copy's joints [N m/rad, N m s/rad].
         active: coordinates that torques drive.
         arms: one a copy.
-        payloads: extra point mass on each copy's tip [kg].
         acting: effects that exert forces or have internal states, copies with the same ones together.
     """
 
@@ -144,7 +143,6 @@ class System:
     damping: Array
     active: NDArray[np.intp]
     arms: tuple[Arm, ...]
-    payloads: tuple[float, ...]
     acting: tuple[_Acting, ...]
 
     @classmethod
@@ -157,7 +155,6 @@ class System:
             np.stack([chain.damping for chain in chains]),
             chains[0].active,
             tuple(arms),
-            tuple(payloads),
             _acting_effects(arms, payloads),
         )
 
