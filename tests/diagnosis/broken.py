@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from vjm.chain.virtual_links import Array, Chain
-from vjm.effects import Effect, Motion, RateIndependentUpdate, magnitude, shape_parameter
+from vjm.effects import Effect, RateIndependentUpdate, StateFunction, magnitude, shape_parameter
 from vjm.effects.effect import JointEffect
 from vjm.records import Recording, Rig
 
@@ -30,7 +30,7 @@ class CubicFriction(JointEffect):
         """At the joint."""
         return -self.coefficient * rate**3
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """At the joint only."""
         if self.is_null:
             return None
@@ -86,7 +86,7 @@ class WithoutSize(Effect):
     assumptions = "none"
     reference = "A. Author, A Book, 2001"
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         return lambda time, q, v, z: np.ones(q.shape)
 
 
@@ -119,7 +119,7 @@ class NotNothing(CubicFriction):
 
 @dataclass(frozen=True)
 class PushesWhenAbsent(CubicFriction):
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         return lambda time, q, v, z: -(self.coefficient + 1e-12) * v
 
 
@@ -131,13 +131,13 @@ class RoundsWhenAbsent(Camera):
 
 @dataclass(frozen=True)
 class WrongShape(CubicFriction):
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         return None if self.is_null else lambda time, q, v, z: -self.coefficient * v[..., :1]
 
 
 @dataclass(frozen=True)
 class OneInstantOnly(CubicFriction):
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         return None if self.is_null else lambda time, q, v, z: -self.coefficient * v * float(np.linalg.norm(v))
 
 
@@ -205,7 +205,7 @@ class SmoothWithStates(CubicFriction):
     def initial_states(self, chain: Chain, q: Array) -> Array:
         return np.zeros((*q.shape[:-1], 1 if self.smooth else 0))
 
-    def state_rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> StateFunction | None:
         return (lambda time, q, v, z: -z) if self.smooth else None
 
 

@@ -18,7 +18,7 @@ from scipy.fft import dct
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.records import RepeatComparison, ResidualBand, ResidualTest
 from vjm.diagnosis.screen import Screen
-from vjm.effects.effect import Effect, Motion, magnitude, shape_parameter
+from vjm.effects.effect import Effect, LinkEffect, StateFunction, magnitude, shape_parameter
 from vjm.identification.trajectory_fit import Point
 from vjm.records import Array, Rig
 from vjm.simulation.run import Run
@@ -99,7 +99,7 @@ def _marker_residuals(run: Run) -> tuple[Array, Array]:
     return time[run.observed.frames] - time[0], run.observed.on_grid(run.residual)[0]
 
 
-# In words, and as functions of time [s], angle [rad] and rate [rad/s].
+# In words, and as functions of time, angle [rad] and rate, in the link's unit of time.
 _SHAPES: tuple[tuple[str, Callable[[Array, Array, Array], Array]], ...] = (
     ("constant", lambda t, q, v: np.ones_like(q)),
     ("odd in position (spring)", lambda t, q, v: q),
@@ -108,42 +108,35 @@ _SHAPES: tuple[tuple[str, Callable[[Array, Array, Array], Array]], ...] = (
     ("odd in velocity (damper)", lambda t, q, v: v),
     ("even in velocity", lambda t, q, v: v**2),
     ("odd in velocity (quadratic)", lambda t, q, v: v * np.abs(v)),
-    ("odd in velocity (dry friction)", lambda t, q, v: np.tanh(v / 0.02)),  # rad/s; less is rest
+    (
+        "odd in velocity (dry friction)",
+        lambda t, q, v: np.tanh(v / 0.01),
+    ),  # less is rest: 0.003 of a swing by one radian in the first mode
     ("growing with time", lambda t, q, v: t[..., None] * q),
 )
 
 
 @dataclass(frozen=True)
-class _Probe(Effect):
+class _Probe(LinkEffect):
     """A torque of a given shape at an active joint, or a bending moment all along a link."""
 
-    torque: float = magnitude("N m", 0.01)
+    torque: float = magnitude("N m", 0.01, in_rig_units=True)
     bending: int = shape_parameter("", 0, integer=True, grid=(0, 1))
     shape: int = shape_parameter("", 0, integer=True, grid=tuple(range(len(_SHAPES))))
 
     id = "probe"
-    clause = "a force in {link}"
 
-    def places(self, rig: Rig) -> tuple[int | None, ...]:
-        """Return all links."""
-        return tuple(range(len(rig.links)))
-
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction:
         """Return torques (..., nv) on the joint, or on the link's, by curvature times length."""
-        i = self.link or 0
-        link, shape = chain.links[i], _SHAPES[self.shape][1]
-        if self.bending:
-            joints, scale = chain.passive_slices[i], link.length / link.cells
-        else:
-            joint = chain.joint_names.index(f"{link.name}_joint")
-            joints, scale = slice(joint, joint + 1), np.ones(1)
+        link, shape, unit = self.link_of(chain), _SHAPES[self.shape][1], self.units(chain)[2]
+        joint = chain.joint_names.index(f"{link.name}_joint") if not self.bending else 0
+        joints = self.virtual_joints(chain) if self.bending else slice(joint, joint + 1)
+        scale = link.length / link.cells if self.bending else np.ones(1)
 
-        def force(time: Array, q: Array, v: Array, z: Array) -> Array:
-            forces = np.zeros(q.shape)
-            forces[..., joints] = self.torque * shape(time, q[..., joints] * scale, v[..., joints] * scale)
-            return forces
+        def torque(time: Array, q: Array, v: Array, z: Array) -> Array:
+            return self.torque * shape(time / unit, q[..., joints] * scale, v[..., joints] * scale * unit)
 
-        return force
+        return self.force_on(joints, torque)
 
 
 def describe_residual(point: Point, effects: tuple[Effect, ...], rig: Rig) -> str:

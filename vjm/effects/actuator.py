@@ -17,7 +17,15 @@ import numpy as np
 from scipy import linalg
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import ColumnEffect, JointEffect, Motion, Parameter, WaveEffect, magnitude, shape_parameter
+from vjm.effects.effect import (
+    ColumnEffect,
+    JointEffect,
+    Parameter,
+    StateFunction,
+    WaveEffect,
+    magnitude,
+    shape_parameter,
+)
 from vjm.records import Array, Recording, Rig
 
 
@@ -191,7 +199,7 @@ class Cogging(WaveEffect, JointEffect):
             variants.append(replace(variant, lowest=2 * np.pi / largest if largest > 0 else 0.0))
         return tuple(variants)
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the torque on the joint."""
         joint = self.active_joint(chain)
         return self.force_on(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vjm.chain.virtual_links import Chain, LinkChain
-from vjm.effects.effect import Effect, LinkEffect, Motion, magnitude, shape_parameter
+from vjm.effects.effect import Effect, LinkEffect, StateFunction, magnitude, shape_parameter
 from vjm.model.modes import linearise, modes_of
 from vjm.records import Array, Recording, Rig
 
@@ -35,7 +35,7 @@ class StructuralDamping(LinkEffect):
     abscissa = "amplitude"
     dissipative = True
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return moments proportional to the rates."""
         matrix = self.matrix(chain, payload)
         return lambda time, q, v, z: -v @ matrix
@@ -69,7 +69,7 @@ class CubicStiffness(LinkEffect):
     distinguishing_experiment = "recordings at two amplitudes"
     abscissa = "amplitude"
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return moments proportional to the angles' cubes."""
         link, part = self.link_of(chain), self.virtual_joints(chain)
         factor = -self.coefficient * link.stiffness / link.cells**2
@@ -88,7 +88,7 @@ class StiffnessDrift(LinkEffect):
     reference = "H. Sohn, Effects of environmental and operational variability, Phil. Trans. Royal Society A 365, 2007"
     distinguishing_experiment = "recordings at two amplitudes, or a restart after the link has warmed up"
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return moments proportional to time and angles."""
         part, factor = self.virtual_joints(chain), -self.rate * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: np.asarray(time)[..., None] * q[..., part] * factor)
@@ -177,7 +177,7 @@ class StiffnessAsymmetry(LinkEffect):
     distinguishing_experiment = "static deflections to both sides, or decays released from either side"
     abscissa = "position"
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return moments proportional to the angles' sizes."""
         part, factor = self.virtual_joints(chain), -self.ratio * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: factor * np.abs(q[..., part]))
@@ -217,12 +217,12 @@ class ViscoelasticCreep(LinkEffect):
         """Return the angles of the relaxing springs, one at each virtual joint: none."""
         return np.zeros_like(q[..., self.virtual_joints(chain)])
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the moments of the relaxing springs."""
         factor = -self.ratio * self.link_of(chain).stiffness
         return self.force_on(self.virtual_joints(chain), lambda time, q, v, z: factor * z)
 
-    def state_rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> StateFunction | None:
         """Return how the springs follow phi and relax: z' = phi' - z / time_constant."""
         part, relaxation = self.virtual_joints(chain), 1 / self.time_constant
         return lambda time, q, v, z: v[..., part] - relaxation * z
@@ -256,12 +256,12 @@ class Hysteresis(LinkEffect):
         yields = self.yields(chain)
         return yields * np.tanh(q[..., self.virtual_joints(chain)] / yields)
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the moments beside the springs' own -K phi."""
         part, factor = self.virtual_joints(chain), self.ratio * self.link_of(chain).stiffness
         return self.force_on(part, lambda time, q, v, z: factor * (q[..., part] - z))
 
-    def state_rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> StateFunction | None:
         """Return how the springs slip: z' = phi' (1 - |z| / y (1 + sign(phi' z)) / 2)."""
         part, scale = self.virtual_joints(chain), 0.5 / self.yields(chain)
         slow = 5e-5 / self.units(chain)[2]  # rad/s; the sign of a slower rate is rounded off

@@ -22,7 +22,7 @@ from vjm.records import Array, Recording, Rig
 
 Key = tuple[str, int | None]
 # From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
-Motion = Callable[[Array, Array, Array, Array], Array]
+StateFunction = Callable[[Array, Array, Array, Array], Array]
 # From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
 RateIndependentUpdate = Callable[[Array, Array, Array], Array]
 SENSING_HOOKS = ("camera_instants", "marker_positions", "encoder_angles")
@@ -326,7 +326,7 @@ class Effect:
         """Return the recording with the torque and the gravity that really acted on the arm."""
         return recording
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the function that gives its generalised forces (..., nv) [N m] on the joints, or None without any.
 
         The function takes the time since the recording's start (...) [s], angles (..., nv) [rad], rates (..., nv)
@@ -342,7 +342,7 @@ class Effect:
         """
         return np.zeros((*q.shape[:-1], 0))
 
-    def state_rates(self, chain: Chain) -> Motion | None:
+    def state_rates(self, chain: Chain) -> StateFunction | None:
         """Return the function, as of `force`, that gives the internal states' rates of change (..., nz).
 
         It is needed where there are states and `rate_independent_update` returns None.
@@ -508,7 +508,7 @@ class LinkEffect(Effect):
         return replace(chain, links=tuple(links))
 
     @staticmethod
-    def force_on(coordinates: slice | int, force: Motion) -> Motion:
+    def force_on(coordinates: slice | int, force: StateFunction) -> StateFunction:
         """Return generalised forces that act on some coordinates only, where they are what a function returns."""
 
         def on_all(time: Array, q: Array, v: Array, z: Array) -> Array:

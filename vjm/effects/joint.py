@@ -14,8 +14,8 @@ from vjm.effects.effect import (
     Effect,
     JointEffect,
     LinkEffect,
-    Motion,
     RateIndependentUpdate,
+    StateFunction,
     magnitude,
     shape_parameter,
 )
@@ -55,7 +55,7 @@ class _DryFriction(JointEffect):
         """Return the bristle's angle, none."""
         return super().initial_states(chain, q) if self.smooth else np.zeros((*q.shape[:-1], 1))
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the torque of the bristle, or one whose sign changes gradually."""
         joint, torque, share = self.active_joint(chain), self.largest, self.share
         if self.smooth:
@@ -427,7 +427,7 @@ class Backlash(JointEffect):
         flank = _in_series(link, _FLANK_STIFFNESS * unit, _FLANK_DAMPING * unit * time)
         return self.with_link(chain, **flank, **_behind_gear(link, self.motor_share))
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the torque that cancels the root joint's spring and damper inside the gap."""
         link, root = self.link_of(chain), self.virtual_joints(chain).start - 1
         stiffness, damping = link.root_stiffness or 0.0, link.root_damping

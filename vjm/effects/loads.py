@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, LinkEffect, Motion, WaveEffect, magnitude, shape_parameter
+from vjm.effects.effect import Effect, LinkEffect, StateFunction, WaveEffect, magnitude, shape_parameter
 from vjm.records import Array, Complex, Recording, Rig
 
 
@@ -89,7 +89,7 @@ class ExternalTone(WaveEffect, _TipEffect):
     distinguishing_experiment = "a quiet recording, in which nothing drives the arm"
     abscissa = "frequency"
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         """Return the force on the end of the last virtual link."""
         rods, zero = Rods(chain), np.zeros(chain.size)
         last = np.zeros(rods.lengths.size)
@@ -173,7 +173,7 @@ class _Drag(LinkEffect):
         """Return the force per length [N/m] at normal velocities [m/s]; its sign may be smoothed below a slow one."""
         raise NotImplementedError
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         rods = Rods(chain)
         # Three nodes a virtual link; two are exact except where the velocity changes its sign.
         abscissae, gauss = np.polynomial.legendre.leggauss(3)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Motion, RateIndependentUpdate, is_nonsmooth
+from vjm.effects.effect import Effect, RateIndependentUpdate, StateFunction, is_nonsmooth
 from vjm.model.urdf import chain_to_urdf, simulator_file
 from vjm.records import Array, Recording
 from vjm.text import in_sentence
@@ -84,7 +84,7 @@ class Arm:
             q = effect.rest_angles(self.chain, q)
         return q
 
-    def forces(self, payload: float) -> Motion | None:
+    def forces(self, payload: float) -> StateFunction | None:
         """Return the sum of the effects' generalised forces; None where there are none."""
         forces = self._hooks(lambda effect: effect.force(self.chain, payload))
         if not forces:
@@ -219,7 +219,7 @@ class Arm:
         return smooth, np.concatenate([np.arange(part.start, part.start + count) for part, count in slices])
 
     @cached_property
-    def _state_rates(self) -> list[tuple[Motion, slice]]:
+    def _state_rates(self) -> list[tuple[StateFunction, slice]]:
         return self._hooks(lambda effect: effect.state_rates(self.chain))
 
     @cached_property

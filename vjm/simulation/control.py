@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, Motion
+from vjm.effects.effect import Effect, StateFunction
 from vjm.errors import ShapeError, SimulationDivergedError, shown
 from vjm.model.modes import linearise
 from vjm.records import Array, Recording, Rig, Simulation
@@ -29,7 +29,7 @@ class _Feedback(Effect):
     law: ControlLaw
     effects: tuple[Effect, ...] = ()
 
-    def force(self, chain: Chain, payload: float) -> Motion:
+    def force(self, chain: Chain, payload: float) -> StateFunction:
         """Return the function that gives the law's torque as a force on the joints."""
         return lambda time, q, v, z: np.stack([self._forces(chain, *state) for state in zip(time, q, v, strict=True)])
 

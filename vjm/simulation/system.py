@@ -12,7 +12,7 @@ from numpy.polynomial.polynomial import polyder, polyval
 from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Motion
+from vjm.effects.effect import StateFunction
 from vjm.errors import InsufficientDataError
 from vjm.model.dynamics import Mechanism, mechanism_of
 from vjm.records import Array, Indices, Recording
@@ -123,7 +123,7 @@ class _Acting(NamedTuple):
 
     copies: Indices | slice
     arm: Arm
-    force: Motion | None
+    force: StateFunction | None
 
 
 @dataclass(frozen=True)
