@@ -456,4 +456,4 @@ def test_a_candidate_shows_the_residual_of_its_fit_as_far_as_that_says_something
 
     candidate = Candidate(ViscousFriction(link=0), 9.0, 0.0, {}, {})
     found = _with_residual(candidate, fit(misfit, runs), fit(9.0, 2))  # type: ignore[arg-type]
-    assert (found.residual, found.bound) == shown
+    assert (found.misfit, found.bound) == shown

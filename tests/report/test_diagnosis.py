@@ -227,9 +227,9 @@ def test_the_table_of_candidates_says_which_fits_better_and_why_one_is_not_possi
     found = named()
     first, second, third, *others = (each for each in found.candidates if each.testable)
     fitted = (
-        replace(first, residual=1.004),
-        replace(second, residual=2.5, bound="lower"),
-        replace(third, residual=7.0, bound="upper", z=0.0),
+        replace(first, misfit=1.004),
+        replace(second, misfit=2.5, bound="lower"),
+        replace(third, misfit=7.0, bound="upper", z=0.0),
     )
     found = replace(found, candidates=(*fitted, *others))
     table = _candidate_table(found)

@@ -57,12 +57,12 @@ class StoppingRule:
         self.steps += 1
         if not self.accepted or point.chi2 != self.accepted[-1]:
             self.accepted.append(point.chi2)
-        stuck = len(self.accepted) > 5 and self.accepted[-5] - point.chi2 < _least_decrease(point)
+        stuck = len(self.accepted) > 5 and self.accepted[-5] - point.chi2 < _stall_decrease(point)
         ended = self.steps > self.max_steps or monotonic() > self.deadline
         return ended or stuck or stays_above(point, predicted, self.max_chi2)
 
 
-def _least_decrease(point: Point) -> float:
+def _stall_decrease(point: Point) -> float:
     """Return the decrease of chi^2 that four accepted steps must bring for a fit to go on.
 
     The first bound is just below the decrease from which an effect matters (`SearchOptions.least_share`). The second is
@@ -255,7 +255,7 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
             return fit
         point = replace(fit.point, runs=_multistart(fit.point))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
-        if gained < _least_decrease(point) or monotonic() > stop.deadline:
+        if gained < _stall_decrease(point) or monotonic() > stop.deadline:
             return replace(fit, point=point)
         before, x, states = point.chi2, point.x, point.states
 

@@ -109,7 +109,7 @@ def diagnose(
         # recordings, and otherwise in these, which show more.
         tested = result.first_tests if result.best.effects else result.last_tests
         absent = CandidateSet.of(chosen, experiment.rig, search.recordings, search.start.point.runs)
-        table = tested.table(options.alpha, options.least_decrease(min(search.start.chi2, search.start.point.count)))
+        table = tested.table(options.alpha, options.negligible(min(search.start.chi2, search.start.point.count)))
         findings = replace(
             _findings(experiment, baseline, reference_misfit, search, result),
             # Last, since the search for alternatives fits single candidates too.
@@ -139,10 +139,10 @@ def _with_residual(candidate: Candidate, fit: TrajectoryFit, start: TrajectoryFi
     """Add the residual of a candidate's fit, as far as it says how well the candidate alone can do."""
     segmented = len(fit.point.runs) > len(start.point.runs)
     if fit.converged or fit.predicted_decrease < VISIBLE_SHARE * fit.chi2:
-        return replace(candidate, residual=fit.misfit, bound="lower" if segmented else None)
+        return replace(candidate, misfit=fit.misfit, bound="lower" if segmented else None)
     if segmented or fit.misfit > start.misfit:  # the start is the candidate at no size at all
         return candidate
-    return replace(candidate, residual=fit.misfit, bound="upper")
+    return replace(candidate, misfit=fit.misfit, bound="upper")
 
 
 def _default_budget(experiment: Experiment, jobs: int) -> float:

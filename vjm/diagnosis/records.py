@@ -53,8 +53,8 @@ class Candidate:
     sizes: Mapping[str, float]  # as the score test guesses them, by parameter
     smallest_detectable: Mapping[str, float]  # size that is found with a probability of 90 %, by parameter
     reason: str = ""  # why it cannot be tested, as a clause; empty where it can
-    residual: float | None = None  # RMS weighted one with it alone, all other parameters fitted; None: not fitted
-    # Whether `residual` is only a bound of that over whole recordings: `lower` if the fit was to segments, each with
+    misfit: float | None = None  # RMS weighted residual with it alone, all other parameters fitted; None: not fitted
+    # Whether `misfit` is only a bound of that over whole recordings: `lower` if the fit was to segments, each with
     # its own initial state; `upper` if the fit was stopped early, as it could not become the best.
     bound: Literal["lower", "upper"] | None = None
 

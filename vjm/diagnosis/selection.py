@@ -80,7 +80,7 @@ class SearchOptions:
         parameters = fit.point.x.size - len(fit.point.problem.parametrisation.coordinates)
         return fit.chi2 * (1 + self.parameter_share) ** parameters
 
-    def least_decrease(self, chi2: float) -> float:
+    def negligible(self, chi2: float) -> float:
         """Return the decrease of a chi^2 from which an effect matters: a share of what remains after it."""
         return chi2 * self.least_share / (1 + self.least_share)
 
@@ -289,7 +289,7 @@ class Search:
         Fits of stick-slip and play may leave a share of what they explain.
         """
         explained = sum(self._decreases.get(effect.key, 0.0) for effect in fit.effects if effect.nonsmooth)
-        return max(self.options.least_decrease(fit.chi2), _NONSMOOTH_REST * explained)
+        return max(self.options.negligible(fit.chi2), _NONSMOOTH_REST * explained)
 
     def least_decrease(self, fit: TrajectoryFit, gained: Array | float = 0.0) -> Array:
         """Return the decrease of chi^2 from which a further effect matters beside a model.
@@ -306,7 +306,7 @@ class Search:
         excess, z = np.asarray(fit.chi2 - fit.point.expected_chi2 - gained, dtype=np.float64), norm.ppf(0.95)
         # The root of x = excess + z sqrt(2 n + 4 x).
         limit = excess + 2 * z**2 + z * np.sqrt(np.maximum(2 * fit.point.count + 4 * excess + 4 * z**2, 0.0))
-        minimum = self.options.least_decrease(fit.chi2)
+        minimum = self.options.negligible(fit.chi2)
         return np.asarray(np.clip(limit, minimum, max(minimum, self.negligible(fit))), dtype=np.float64)
 
     def needed(self, fit: TrajectoryFit, family: FamilyTest) -> list[int]:

@@ -374,15 +374,16 @@ def fit_warnings(
 ) -> list[str]:
     """Warn where residuals are no noise, modes differ, recordings are not followed or parameters not determined."""
     correlated = [
-        f"{test.file} ({ratio(test.chi2**0.5)} × noise, correlation up to {test.correlation:.2f})"
+        f"{test.file} ({ratio(test.mean_square**0.5)} × noise, correlation up to {test.correlation:.2f})"
         for test in whiteness
         # A fifth of the noise power: what is left of exact data is correlated, and far below any noise.
-        if test.correlated and (test.correlation * min(test.chi2, 1.0) > 0.2 or test.chi2 > _LARGE_RESIDUAL)
+        if test.correlated
+        and (test.correlation * min(test.mean_square, 1.0) > 0.2 or test.mean_square > _LARGE_RESIDUAL)
     ]
     excessive = [
-        f"{test.file} ({ratio(test.chi2**0.5)} × noise)"
+        f"{test.file} ({ratio(test.mean_square**0.5)} × noise)"
         for test in whiteness
-        if test.excessive and not test.correlated and test.chi2 > _LARGE_RESIDUAL
+        if test.excessive and not test.correlated and test.mean_square > _LARGE_RESIDUAL
     ]
     warnings = []
     if correlated:

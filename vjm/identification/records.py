@@ -119,7 +119,7 @@ class Whiteness:
     """Test of a recording's weighted residuals for white noise."""
 
     file: str  # the recording's
-    chi2: float  # their mean square: one where they are noise
+    mean_square: float  # one where they are noise
     correlation: float  # largest one of a residual with those up to ten samples later, over all sensors
     correlated: bool  # True if they certainly are
     excessive: bool  # True if they are certainly larger than the noise

@@ -38,7 +38,7 @@ class TrajectoryMethod:
     rough: bool = False  # True for loose tolerances: minima of uniform links are only a start for other searches
 
     def joint_counts(self) -> list[tuple[int, ...]]:
-        """Return the numbers of joints of each link to try, from the number of modes seen up to the planned ones."""
+        """Return the numbers of joints of each link to try, from as many as modes are seen."""
         data = self.data
         planned = tuple(choice.joints for choice in data.joints)
         if all(choice.requested for choice in data.joints):

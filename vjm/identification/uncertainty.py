@@ -86,7 +86,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
     for linearized, tested in zip(point.linearizations, whiteness, strict=True):
         R = linearized.eliminated(linearized.columns - count).R[:, :-1]
         normal += R.T @ R
-        uncorrelated += R.T @ R * (max(tested.chi2, 1.0) if noise_known else tested.chi2)
+        uncorrelated += R.T @ R * (max(tested.mean_square, 1.0) if noise_known else tested.mean_square)
     if all(tested.white for tested in whiteness):
         return Information(normal, uncorrelated), whiteness
     sandwich, perturbed = np.zeros((count, count)), point.problem.perturbed_arms(point.x)

@@ -273,7 +273,7 @@ def _candidate_table(diagnosis: Diagnosis, count: int | None = None) -> Table:
             "found" if effect.key in causes else "",
             number(candidate.z, 3),
             _probability(candidate.p_value),
-            UNKNOWN if candidate.residual is None else _BOUNDS[candidate.bound] + ratio(candidate.residual),
+            UNKNOWN if candidate.misfit is None else _BOUNDS[candidate.bound] + ratio(candidate.misfit),
             UNKNOWN if error is None else number(1e3 * error, 2),
             estimate,
             sizes_text(effect, candidate.smallest_detectable, from_null=True),

@@ -311,7 +311,7 @@ def _remedy_tables(estimates: Sequence[Estimate]) -> list[Table]:
 def _whiteness_tables(whiteness: Sequence[Whiteness]) -> list[Table]:
     rows = []
     for test in whiteness:
-        rms = math.sqrt(test.chi2) if test.chi2 >= 0 else None
+        rms = math.sqrt(test.mean_square) if test.mean_square >= 0 else None
         rows.append((test.file, "yes" if test.white else "no", number(rms, 3), number(test.correlation, 2)))
     headers = ("recording", "white", "residual / noise, all sensors", "largest correlation (lags up to 10)")
     caption = "Residuals of the training recordings"

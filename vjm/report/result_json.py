@@ -139,7 +139,11 @@ def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
 def _identification(fit: Identification) -> Result:
     # None for a recording that whole trajectories were not fitted to
     whiteness = {
-        test.file: {"chi2_per_sample": test.chi2, "largest_correlation": test.correlation, "coloured": test.correlated}
+        test.file: {
+            "chi2_per_sample": test.mean_square,
+            "largest_correlation": test.correlation,
+            "coloured": test.correlated,
+        }
         for test in reversed(fit.whiteness)
     }
     return {
@@ -292,7 +296,7 @@ def _candidate(candidate: Candidate, diagnosis: Diagnosis) -> Result:
         "p_value": candidate.p_value,
         "size": candidate.sizes,
         "smallest_detectable": candidate.smallest_detectable,
-        "residual": candidate.residual,
+        "residual": candidate.misfit,
         "residual_bound": candidate.bound,
         "holdout_rms_m": diagnosis.held_out_alone.get(candidate.effect.key),
         "testable": candidate.testable,
