@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from vjm.errors import RecordingError
+from vjm.text import counted
 
 if TYPE_CHECKING:
     from vjm.experiment.conventions import Conventions
@@ -329,7 +330,7 @@ def _absence_warnings(markers: Array, names: list[str], needs_x: Mask) -> Iterat
         yield f"no position of {', '.join(never)} in this recording"
     halves = int(((measured[..., 0] != measured[..., 1]) & needs_x).any(axis=1).sum())
     if halves:
-        yield f"in {halves} frame{'s' if halves > 1 else ''} a marker has one coordinate but not the other"
+        yield f"in {counted(halves, 'frame')} a marker has one coordinate but not the other"
 
 
 def _gap_warnings(times: Array) -> Iterator[str]:
@@ -339,7 +340,7 @@ def _gap_warnings(times: Array) -> Iterator[str]:
     if gaps.size:
         longest = gaps[intervals[gaps].argmax()]
         yield (
-            f"{gaps.size} gap{'s' if gaps.size > 1 else ''} without any marker, the longest {intervals[longest]:.4g} s "
+            f"{counted(gaps.size, 'gap')} without any marker, the longest {intervals[longest]:.4g} s "
             f"from t = {times[longest]:.6g} s, where frames usually follow every {median:.4g} s"
         )
 
@@ -388,7 +389,7 @@ def _distance_warnings(time: Array, markers: Array, arcs: Array, names: list[str
         count, largest = int(bad.sum()), excess.max(axis=0)
         first, second = np.unravel_index(largest.argmax(), largest.shape)
         yield (
-            f"in {count} frame{'s' if count > 1 else ''} (first at t = {time[bad][0]:.6g} s) markers are farther apart "
+            f"in {counted(count, 'frame')} (first at t = {time[bad][0]:.6g} s) markers are farther apart "
             f"than the link allows, by up to {largest.max() + limits[0, 0]:.3g} m between {names[first]} and "
             f"{names[second]}, which are {abs(arcs[second] - arcs[first]):.4g} m apart along the link"
             + _swap_hint(markers[bad], limits, names)

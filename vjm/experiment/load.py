@@ -39,6 +39,7 @@ from vjm.experiment.records import (
 )
 from vjm.experiment.schema import STRICT, explain, table_model
 from vjm.files import check_file, read_file
+from vjm.text import counted
 
 _TEXT = "a CSV text file in UTF-8"
 _SECTIONS: dict[str, Any] = {
@@ -198,7 +199,7 @@ def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> Ex
         key, items = str(location[0]) if location else "", location[1:]
     problem, expected = explain(details[0], model, key, items)
     remaining = len(details) - 1
-    note = f" (and {remaining} more fault{'s' if remaining > 1 else ''} in this file)" if remaining else ""
+    note = f" (and {counted(remaining, 'more fault')} in this file)" if remaining else ""
     return ExperimentError(file, table, key, problem + note, expected)
 
 
@@ -427,8 +428,8 @@ def _parse_row_by_row(file: Path, columns: tuple[str, ...], text: str, used: tup
             if not any(cell.strip() for cell in cells) and len(cells) <= 1:
                 continue
             if len(cells) != len(columns):
-                problem = f"{len(cells)} cell{'' if len(cells) == 1 else 's'}"
-                raise RecordingError(file, line, None, problem, f"{len(columns)} cells, as in the header")
+                expected = f"{len(columns)} cells, as in the header"
+                raise RecordingError(file, line, None, counted(len(cells), "cell"), expected)
             named = zip(columns, cells, used, strict=True)
             rows.append([_parse_cell(file, line, name, cell) if use else math.nan for name, cell, use in named])
             lines.append(line)

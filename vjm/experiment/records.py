@@ -19,6 +19,7 @@ from vjm.errors import ExperimentError, RecordingError, printable, shown
 from vjm.experiment.arrays import as_array, check_rate, check_time, check_turns, column_numbers
 from vjm.experiment.checks import MIN_FRAMES, cleaned, experiment_warnings
 from vjm.experiment.conventions import Conventions, angle_of, check_columns
+from vjm.text import counted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -483,7 +484,7 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         raise RecordingError(name, None, f"{active[0]}.theta", "the column is missing", angle_of(active[0]))
     if width != len(active):
         expected = f"{len(active)}, one for each active joint: {', '.join(active) or 'there is none'}"
-        raise RecordingError(name, None, "theta", f"{width} column{'s' if width > 1 else ''}", expected)
+        raise RecordingError(name, None, "theta", counted(width, "column"), expected)
     for column, joint in enumerate(active):
         if not np.isfinite(recording.theta[:, column]).any():
             raise RecordingError(name, None, f"{joint}.theta", "every cell is empty", "joint angles [rad]")
@@ -508,8 +509,8 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
             usable[:, marker_slice] &= measured[:, marker_slice, 0]
     count = int(usable.any(axis=1).sum())
     if count < MIN_FRAMES:
-        problem = f"{count} usable frame{'' if count == 1 else 's'}"
-        raise RecordingError(name, None, None, problem, f"at least {MIN_FRAMES} rows with a measured marker")
+        expected = f"at least {MIN_FRAMES} rows with a measured marker"
+        raise RecordingError(name, None, None, counted(count, "usable frame"), expected)
 
 
 def _check_fields(record: object, name: object) -> None:
