@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from rich.console import Console
 from rich.prompt import InvalidResponse, Prompt, PromptBase
@@ -24,7 +24,6 @@ _GIVEN = (
     *("name", "joint", "length", "mass", "bending_stiffness", "youngs_modulus", "width", "thickness"),
     *("hub_inertia", "gravity"),
 )
-T = TypeVar("T")
 
 
 def init(arguments: argparse.Namespace, ask: bool) -> tuple[Path, list[str]]:
