@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from math import inf, isfinite
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, TypeVar
+
+T = TypeVar("T", int, float)
 
 # Written out here so that --help need not import the identification and the diagnosis; a test holds them equal.
 METHODS = ("torque", "torque+frequency", "trajectory")
@@ -199,37 +203,24 @@ class _Version(argparse.Action):
         parser.exit()
 
 
+def _number(kind: Callable[[str], T], valid: Callable[[T], bool], expected: str) -> Callable[[str], T]:
+    """Return a parser of an argument that is a number of some kind for which `valid` holds."""
+
+    def parsed(text: str) -> T:
+        with suppress(ValueError):
+            if valid(value := kind(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} is not {expected}")
+
+    return parsed
+
+
+_positive = _number(float, lambda value: 0 < value < inf, "a positive number")
+_finite = _number(float, isfinite, "a finite number")
+
+
 def _at_least(minimum: int) -> Callable[[str], int]:
-    def whole(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = minimum - 1
-        if value < minimum:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least {minimum}")
-        return value
-
-    return whole
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number")
-    return value
-
-
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
-    return value
+    return _number(int, lambda value: value >= minimum, f"a whole number of at least {minimum}")
 
 
 def _numbers(text: str) -> tuple[float, ...]:
