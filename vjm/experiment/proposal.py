@@ -6,7 +6,7 @@ import io
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import resources
@@ -60,9 +60,9 @@ class _CsvFile:
         header_name = next((header for header, standard in self.names.items() if standard == name), None)
         return None if header_name is None else self.values[header_name]
 
-    def ending(self, *endings: str) -> list[str]:
-        """Return the documentation's names of columns with one of these endings."""
-        return [standard for standard in self.names.values() if standard.endswith(endings)]
+    def ending(self, *endings: str) -> dict[str, Array]:
+        """Return the numbers (T,) of columns with one of these endings, by their documentation's names."""
+        return {name: self.values[header] for header, name in self.names.items() if name.endswith(endings)}
 
     @property
     def has_markers(self) -> bool:
@@ -115,7 +115,7 @@ class ExperimentProposal:
 
     def is_revolute(self, link: str) -> bool:
         """Return True if the angle of the link's proximal joint was measured."""
-        return self._largest_value(f"{link}.theta") is not None
+        return _largest_value(self._all_files, f"{link}.theta") is not None
 
     @cached_property
     def units(self) -> dict[str, tuple[str, str]]:
@@ -124,11 +124,6 @@ class ExperimentProposal:
             quantity: (self.chosen[quantity], "as chosen") if quantity in self.chosen else self._guess(quantity)
             for quantity in FACTORS
         }
-
-    def _largest_value(self, *endings: str) -> float | None:
-        columns = [file.column(name) for file in self._all_files for name in file.ending(*endings)]
-        sizes = [float(np.nanmax(np.abs(column))) for column in columns if column is not None]
-        return max(sizes, default=None)
 
     def _guess(self, quantity: str) -> tuple[str, str]:
         """Return the unit that a header names, else the one in which the numbers are of a usual size."""
@@ -140,7 +135,7 @@ class ExperimentProposal:
                 return unit, f"the column {header_name!r} says so"
         if quantity == "time":
             return self._guess_time()
-        largest = self._largest_value(*endings)
+        largest = _largest_value(self._all_files, *endings)
         usual = {"length": 0.5, "angle": np.pi, "torque": 1.0}[quantity]  # m, rad, N m: arms that stand on a table
         choices: tuple[str, ...] = {"length": ("m", "mm"), "angle": ("rad", "deg"), "torque": ("N m", "N mm")}[quantity]
         if largest is None:
@@ -170,8 +165,8 @@ class ExperimentProposal:
             return (letters[0], letters[1]) if len(letters) == 2 else ("x", "y")
         spans = {}
         for letter in letters:
-            columns = [file.column(name) for file, _ in self.files for name in file.ending(f".{letter}")]
-            values = np.concatenate([column for column in columns if column is not None])
+            columns = [column for file, _ in self.files for column in file.ending(f".{letter}").values()]
+            values = np.concatenate(columns)
             spans[letter] = float(np.nanmax(values) - np.nanmin(values))
         first, second = sorted(sorted(letters, key=lambda letter: spans[letter])[1:])
         return first, second
@@ -220,16 +215,11 @@ class ExperimentProposal:
         return tuple(proposed)
 
     def _kind(self, file: _CsvFile, motors: _CsvFile | None) -> tuple[str, str]:
-        files = [source for source in (file, motors) if source is not None]
-        torques = [
-            column for source in files for name in source.ending(".tau") if (column := source.column(name)) is not None
-        ]
-        largest = max((float(np.nanmax(np.abs(torque))) for torque in torques), default=0.0)
-        if largest > 0:
+        largest = _largest_value([source for source in (file, motors) if source is not None], ".tau")
+        if largest:
             return "driven", f"guessed: the torque reaches {largest:.4g} {self.units['torque'][0]}"
         factor = FACTORS["length"][self.units["length"][0]]
-        coordinates = [file.column(name) for name in file.ending(".x", ".y", ".z")]
-        if not any(column is not None and moves(factor * column, None) for column in coordinates):
+        if not any(moves(factor * column, None) for column in file.ending(".x", ".y", ".z").values()):
             return "quiet", "guessed: nothing moves beyond the noise"
         return "decay", "guessed: it moves without a torque"
 
@@ -247,7 +237,13 @@ class ExperimentProposal:
         return environment.from_string(template).render(proposal=self, given=self.given, unknown=UNKNOWN)
 
 
-def read_csv(path: Path) -> _CsvFile:
+def _largest_value(files: Iterable[_CsvFile], *endings: str) -> float | None:
+    """Return the largest absolute number of the columns with one of these endings; None where there are none."""
+    columns = [column for file in files for column in file.ending(*endings).values()]
+    return max((float(np.nanmax(np.abs(column))) for column in columns), default=None)
+
+
+def _read_csv(path: Path) -> _CsvFile:
     """Read a CSV file of numbers with a header, and guess what its columns are.
 
     Raises:
@@ -313,7 +309,7 @@ def propose(folder: Path, paths: Sequence[Path]) -> ExperimentProposal:
     for path in paths:
         if re.search("[\ud800-\udfff]", str(path)):
             raise RecordingError(path, None, None, "its name is not UTF-8", "a name that an experiment file can hold")
-    files = [read_csv(path) for path in paths]
+    files = [_read_csv(path) for path in paths]
     markers = [file for file in files if file.has_markers]
     motors: dict[Path, _CsvFile] = {}
     for file in files:
