@@ -407,13 +407,11 @@ def _swap_hint(markers: Array, limits: Array, names: list[str]) -> str:
         order[[first, second]] = second, first
         repaired[first, second] = int((distances <= limits[np.ix_(order, order)]).all(axis=(1, 2)).sum())
     (first, second), count = max(repaired.items(), key=lambda item: item[1])
+    if not count:
+        return ""
     return (
-        ""
-        if not count
-        else (
-            f"; labels may be swapped: exchanging {names[first]} and {names[second]} makes "
-            f"{count} of the {len(sample)} such frames looked at consistent"
-        )
+        f"; labels may be swapped: exchanging {names[first]} and {names[second]} makes "
+        f"{count} of the {len(sample)} such frames looked at consistent"
     )
 
 

@@ -382,10 +382,8 @@ class Experiment:
             recording = for_rig(rig, recording, free)
             namesake = taken.setdefault(recording.file, recording)
             if not np.array_equal(recording.markers, namesake.markers, equal_nan=True):
-                table, problem = (
-                    f"recording[{number}] {recording.file}",
-                    "also the name of a recording of other markers",
-                )
+                table = f"recording[{number}] {recording.file}"
+                problem = "also the name of a recording of other markers"
                 raise ExperimentError(self.file, table, "file", problem, "a name of its own")
             recordings.append(recording)
         object.__setattr__(self, "rig", rig)
@@ -404,10 +402,8 @@ class Experiment:
                 if value != earlier_value:
                     place = f"[recording[{number + 1}] {earlier.file}] with the same repeat label '{recording.repeat}'"
                     problem = f"{shown(value)}, but {place} has another"
-                    table, expected = (
-                        f"recording[{index + 1}] {recording.file}",
-                        f"{shown(earlier_value)}, or another label",
-                    )
+                    table = f"recording[{index + 1}] {recording.file}"
+                    expected = f"{shown(earlier_value)}, or another label"
                     raise ExperimentError(self.file, table, key, problem, expected)
 
     def __repr__(self) -> str:
