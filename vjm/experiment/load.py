@@ -118,7 +118,7 @@ def load_experiment(path: str | os.PathLike[str]) -> Experiment:
     files = _recording_files(file, document)
     all_columns: dict[str, None] = {}  # header names of all files, in order
     recordings = [
-        _read_recording(*sources, dict(table), rig, conventions, all_columns)
+        _read_recording(sources, table, rig, conventions, all_columns)
         for sources, table in zip(files, document["recording"], strict=True)
     ]
     for standard, header in columns.items():
@@ -203,9 +203,9 @@ def _refusal(file: Path, document: dict[str, Any], error: ValidationError) -> Ex
     return ExperimentError(file, table, key, problem + note, expected)
 
 
-def _recording_files(file: Path, document: dict[str, Any]) -> list[tuple[Path, Path | None]]:
+def _recording_files(file: Path, document: dict[str, Any]) -> list[list[Path]]:
     """Return for each recording its file and, where there is one, that of its motors."""
-    paths: list[tuple[Path, Path | None]] = []
+    paths: list[list[Path]] = []
     first: dict[str, int] = {}
     tables = document["recording"]
     for index, table in enumerate(tables):
@@ -216,8 +216,8 @@ def _recording_files(file: Path, document: dict[str, Any]) -> list[tuple[Path, P
         if role != table["role"]:
             problem = f"the same file is recording[{number + 1}], of role '{role}'"
             raise ExperimentError(file, place, "file", problem, "a file to be either train or holdout")
-        motors = table.get("motors_file")
-        paths.append((path, None if motors is None else _existing_file(file, place, "motors_file", motors)))
+        motors = [table["motors_file"]] if "motors_file" in table else []
+        paths.append([path, *(_existing_file(file, place, "motors_file", name) for name in motors)])
     return paths
 
 
@@ -249,36 +249,30 @@ class _Table:
 
 
 def _read_recording(
-    file: Path,
-    motors: Path | None,
-    table: dict[str, Any],
-    rig: Rig,
-    conventions: Conventions,
-    all_columns: dict[str, None],
+    files: Sequence[Path], table: dict[str, Any], rig: Rig, conventions: Conventions, all_columns: dict[str, None]
 ) -> Recording:
     """Return the recording in a CSV file, or two; its table in the experiment file is valid by itself.
 
     Names of the files' columns are added to `all_columns`.
     """
-    table.pop("motors_file", None)
-    axes, sources = conventions.camera.letters, [file] if motors is None else [file, motors]
-    tables = [_read_table(source, rig, conventions, all_columns) for source in sources]
+    tables = [_read_table(file, rig, conventions, all_columns) for file in files]
     columns = [column for csv_table in tables for column in csv_table.values]
-    for column in tables[-1].values if motors is not None else ():
+    for column in tables[1].values if len(tables) > 1 else ():
         if column != "t" and ".m" in column:
             problem, expected = "a marker's column in a motors_file", "only times, angles and torques"
-            raise RecordingError(tables[-1].file, 1, conventions.name_in_files(column), problem, expected)
+            raise RecordingError(tables[1].file, 1, conventions.name_in_files(column), problem, expected)
         if column != "t" and column in tables[0].values:
-            problem = f"the column is in {file.name} as well"
-            raise RecordingError(tables[-1].file, 1, conventions.name_in_files(column), problem, "it in one of them")
+            problem = f"the column is in {tables[0].file.name} as well"
+            raise RecordingError(tables[1].file, 1, conventions.name_in_files(column), problem, "it in one of them")
     torque = table["kind"] == "driven" and table.get("input", "torque") == "torque"
-    for column, expected in needed_columns(columns, rig, torque, axes):
-        source = tables[-1] if column.rpartition(".")[2] in ("theta", "tau") else tables[0]
-        if column not in columns or (column == "t" and any("t" not in csv_table.values for csv_table in tables)):
-            source = next((csv_table for csv_table in tables if column == "t" and "t" not in csv_table.values), source)
+    for column, expected in needed_columns(columns, rig, torque, conventions.camera.letters):
+        lacking = [csv_table for csv_table in tables if column not in csv_table.values]
+        if len(lacking) == len(tables) or (lacking and column == "t"):  # times are needed in each file
+            source = lacking[-1] if column.endswith((".theta", ".tau")) else lacking[0]
             name = conventions.name_in_files(column)
             raise RecordingError(source.file, 1, name, "the column is missing", expected)
-    return _to_recording(_merged(tables, conventions), tables, table, rig, conventions)
+    fields = {key: value for key, value in table.items() if key != "motors_file"}
+    return _to_recording(_merged(tables, conventions), tables, fields, rig, conventions)
 
 
 def _read_table(file: Path, rig: Rig, conventions: Conventions, all_columns: dict[str, None]) -> _Table:
@@ -341,11 +335,11 @@ def _merged(tables: Sequence[_Table], conventions: Conventions) -> tuple[dict[st
 def _to_recording(
     merged: tuple[dict[str, Array], Indices],
     tables: Sequence[_Table],
-    table: dict[str, Any],
+    fields: dict[str, Any],
     rig: Rig,
     conventions: Conventions,
 ) -> Recording:
-    """Return a recording in SI and the base frame of the numbers in its files."""
+    """Return a recording with these fields, in SI and the base frame, of the numbers in its files."""
     values, rows = merged
     with np.errstate(over="ignore"):  # of absurd numbers; infinite ones are refused
         si = {name: numbers * conventions.units.factor(name) for name, numbers in values.items()}
@@ -358,7 +352,7 @@ def _to_recording(
                 if coordinates[0] is not None and coordinates[1] is not None:
                     si[f"{marker}.x"], si[f"{marker}.y"] = conventions.camera.to_base(coordinates[0], coordinates[1])
     try:
-        return Recording.from_dataframe(pd.DataFrame(si), rig, **table)
+        return Recording.from_dataframe(pd.DataFrame(si), rig, **fields)
     except RecordingError as error:
         columns = [error.column or "", conventions.name_in_files(error.column or "")]
         owners = [k for k, csv_table in enumerate(tables) if columns[0] in csv_table.values]  # both of the time
