@@ -38,7 +38,7 @@ from vjm.report.result_json import flexify_result, result_object, urdf_result
 from vjm.simulation.model import Model
 from vjm.text import counted, number
 
-Saved = Comparison | Diagnosis
+_Saved = Comparison | Diagnosis
 
 
 _COMPUTING = 0.9  # share of the bar; drawing takes the rest
@@ -64,7 +64,7 @@ def _progress(arguments: argparse.Namespace) -> Iterator[Callable[[str, float], 
         yield show
 
 
-def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], Saved]) -> Saved:
+def _saved(arguments: argparse.Namespace, folder: Path, compute: Callable[[Progress], _Saved]) -> _Saved:
     check_folder(folder)
     with _progress(arguments) as show:
         result = compute(lambda text, done, total: show(text, _COMPUTING * done / max(total, 1)))
@@ -92,7 +92,7 @@ def _print(text: str) -> None:
     sys.stdout.buffer.write(text.encode("utf-8", "backslashreplace"))
 
 
-def _show(arguments: argparse.Namespace, result: Saved | Check, folder: Path | None = None) -> None:
+def _show(arguments: argparse.Namespace, result: _Saved | Check, folder: Path | None = None) -> None:
     if arguments.json:
         _print(json_text(result_object(result)))
     elif not arguments.quiet:
@@ -106,7 +106,7 @@ def _show(arguments: argparse.Namespace, result: Saved | Check, folder: Path | N
             print(printable(f"Report: {folder / REPORT}"))
 
 
-def _run(arguments: argparse.Namespace, compute: Callable[[Progress], Saved]) -> None:
+def _run(arguments: argparse.Namespace, compute: Callable[[Progress], _Saved]) -> None:
     _show(arguments, _saved(arguments, arguments.out, compute), arguments.out)
 
 
@@ -134,7 +134,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
 def _demo(arguments: argparse.Namespace) -> None:
     with resources.as_file(resources.files("vjm") / "demo") as data:
         first, second = data / "experiment.toml", data / "later.toml"
-        steps: dict[Path, Callable[[Progress], Saved]] = {
+        steps: dict[Path, Callable[[Progress], _Saved]] = {
             arguments.out: lambda report: identify(load_experiment(first), progress=report),
             arguments.out / "diagnosis": lambda report: diagnose(load_experiment(second), progress=report),
         }

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from vjm.experiment.records import Input, Kind, Rig
 
 Array = NDArray[np.float64]
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+_Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
 _Offset = Annotated[float, Ge(-1e6), Le(1e6)]
 
 # SI units in each unit that recordings may have.
@@ -73,7 +73,7 @@ class Camera:
         tuple[_Offset, _Offset], "two finite numbers, the camera's origin in the base frame [m], at most 1e6"
     ] = (0.0, 0.0)
     rotation: Annotated[float, Ge(-1e6), Le(1e6), "a finite number [rad], at most 1e6"] = 0.0
-    axes: Annotated[tuple[Axis, Axis], 'two of "x", "y", "z", "-x", "-y", "-z", as ["x", "-z"]'] = ("x", "y")
+    axes: Annotated[tuple[_Axis, _Axis], 'two of "x", "y", "z", "-x", "-y", "-z", as ["x", "-z"]'] = ("x", "y")
 
     def __post_init__(self) -> None:
         """Validate."""
@@ -130,7 +130,7 @@ class Conventions:
         return f"{marker}.{axis}" if self.camera.rotation else self.name_in_files(f"{marker}.{letter}")
 
 
-def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, given: Input = "torque") -> None:
+def check_columns(name: Path | str, columns: Sequence[str], rig: Rig, kind: Kind, given: Input) -> None:
     """Check that each column occurs once, that the rig knows it, and that none is missing.
 
     Raises:
@@ -173,7 +173,7 @@ def check_known_columns(
             raise RecordingError(name, row, column, problem, f"only the columns {_known_columns(rig, letters)}")
 
 
-def known_columns(rig: Rig, letters: str = "xy") -> Iterator[str]:
+def known_columns(rig: Rig, letters: str) -> Iterator[str]:
     """Yield the names of all columns that recordings of a rig can have; `letters` as in `check_known_columns`."""
     yield "t"
     for link in rig.links:

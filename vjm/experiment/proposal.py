@@ -22,7 +22,8 @@ from vjm.experiment.checks import moves
 from vjm.experiment.conventions import FACTORS, Array, check_separator
 from vjm.files import read_file
 
-UNKNOWN = "?"  # stands where a number has to be filled in: no key takes a text there, so that reading the file names it
+# Stands where a number has to be filled in: no key takes a text there, so that reading the file names it.
+_UNKNOWN = "?"
 
 _STANDARD = re.compile(r"(?P<link>[A-Za-z0-9_]+)\.(?:theta|tau|m(?P<number>[1-9][0-9]*)\.(?P<axis>[xyz]))")
 _COORDINATE = re.compile(r"(?P<marker>.*?)[\s._:-]*(?P<axis>[xyzXYZ])(?P<unit>\W.*)?")
@@ -227,14 +228,14 @@ class ExperimentProposal:
     def missing(self) -> list[str]:
         """Keys that have to be filled in by hand."""
         lines = [line.partition("#")[0].partition("=") for line in self.text().splitlines()]
-        return [key.strip() for key, _, value in lines if f'"{UNKNOWN}"' in value]
+        return [key.strip() for key, _, value in lines if f'"{_UNKNOWN}"' in value]
 
     def text(self) -> str:
         """Return the experiment file."""
         environment = Environment(undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
         environment.filters["toml"] = lambda value: printable(json.dumps(value, ensure_ascii=False))
         template = resources.files("vjm.experiment").joinpath("experiment.toml.jinja").read_text(encoding="utf-8")
-        return environment.from_string(template).render(proposal=self, given=self.given, unknown=UNKNOWN)
+        return environment.from_string(template).render(proposal=self, given=self.given, unknown=_UNKNOWN)
 
 
 def _largest_value(files: Iterable[_CsvFile], *endings: str) -> float | None:

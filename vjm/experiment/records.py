@@ -24,11 +24,9 @@ from vjm.text import counted
 if TYPE_CHECKING:
     import pandas as pd
 
-Joint = Literal["revolute", "clamped"]
 Kind = Literal["driven", "decay", "static", "quiet"]
 Role = Literal["train", "holdout"]
 Input = Literal["torque", "motion"]
-MarkersFrame = Literal["base", "link"]
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
@@ -89,7 +87,7 @@ class Link:
     """
 
     name: Annotated[str, Predicate(re.compile("[A-Za-z0-9_]+").fullmatch), "a name of letters, digits and underscores"]
-    joint: Annotated[Joint, '"revolute" or "clamped"']
+    joint: Annotated[Literal["revolute", "clamped"], '"revolute" or "clamped"']
     length: _Metres
     mass: Annotated[float, Ge(1e-14), Le(1e9), "a finite positive number [kg], from 1e-14 to 1e9"]
     bending_stiffness: Annotated[
@@ -98,7 +96,7 @@ class Link:
     markers: Annotated[tuple[_Arc, ...], "a list of finite positive numbers, arc lengths [m]"] = ()
     hub_inertia: Annotated[float, Ge(0), Le(1e15), "a finite number, zero or positive [kg m^2], at most 1e15"] = 0.0
     payload: _Payload = 0.0
-    markers_frame: Annotated[MarkersFrame, '"base" or "link"'] = "base"
+    markers_frame: Annotated[Literal["base", "link"], '"base" or "link"'] = "base"
     width: _OptionalMetres = None
     thickness: _OptionalMetres = None
     youngs_modulus: _OptionalPascals = None

@@ -21,21 +21,21 @@ from vjm.records import Array, Estimate, RecordingComparison, SimulatedRecording
 from vjm.report.text import place
 from vjm.simulation.model import Model
 
-Result = dict[str, Any]
-Uncertain = Any  # a float, or a ufloat of the package uncertainties
+_Result = dict[str, Any]
+_Uncertain = Any  # a float, or a ufloat of the package uncertainties
 _IDENTIFIABLE = ("identifiable", "reason", "remedy")  # fields of an Estimate
 _ERRORS = ("std", "std_discretisation", "ci95")
 _ESTIMATED = ("value", *_ERRORS, "unit")
 _MORE_JOINTS = "more virtual joints"  # tag of the variable that stands for them
 
 
-def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> Result:
+def _model_object(chain: Chain, estimates: Sequence[Estimate], covariance: Array | None = None) -> _Result:
     """Return the virtual-joint model link by link, with the standard errors that follow from the estimates'."""
     known = _uncertain(estimates, covariance)
     return {"links": [_link(link, known) for link in chain.links]}
 
 
-def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, Uncertain]:
+def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[str, _Uncertain]:
     """Return the estimates that have a standard error by name, uncorrelated where there is no covariance (p, p).
 
     What more virtual joints would change is a variable of its own, since it moves all estimates together.
@@ -54,7 +54,7 @@ def _uncertain(estimates: Sequence[Estimate], covariance: Array | None) -> dict[
     return dict(zip([estimate.name for estimate in estimated], shifted, strict=True))
 
 
-def _quantity(value: Uncertain) -> Result:
+def _quantity(value: _Uncertain) -> _Result:
     """Return a value with its errors, None where it rests on nothing that was estimated or measured."""
     nominal = uncertainties.nominal_value(value)
     if not isinstance(value, uncertainties.UFloat):
@@ -66,7 +66,7 @@ def _quantity(value: Uncertain) -> Result:
     return {"value": nominal, **{name: getattr(estimate, name) for name in _ERRORS}}
 
 
-def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
+def _link(link: LinkChain, known: Mapping[str, _Uncertain]) -> _Result:
     names = [f"{link.name}.stiffness_{j + 1}" for j in range(link.virtual_joints)]
     joints = [known.get(name, float(K)) for name, K in zip(names, link.stiffness, strict=True)]
     # EI is an estimate, or the mean over the virtual joints of stiffness times cell, the cells being taken as known.
@@ -82,7 +82,7 @@ def _link(link: LinkChain, known: Mapping[str, Uncertain]) -> Result:
     }
 
 
-def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
+def _joint(link: LinkChain, j: int, known: Mapping[str, _Uncertain]) -> _Result:
     stiffness, damping = float(link.stiffness[j]), float(link.damping[j])
     # K = EI / cell and D = tau K where the link's own EI and tau were estimated, else each by itself.
     bending = known.get(f"{link.name}.bending_stiffness", stiffness * float(link.cells[j]))
@@ -94,7 +94,7 @@ def _joint(link: LinkChain, j: int, known: Mapping[str, Uncertain]) -> Result:
     }
 
 
-def result_object(result: Check | Comparison | Diagnosis) -> Result:
+def result_object(result: Check | Comparison | Diagnosis) -> _Result:
     """Return the result object of a command, as result.json holds it: every number finite or None."""
     if isinstance(result, Identification):
         command, content = "identify", _identification(result)
@@ -105,23 +105,23 @@ def result_object(result: Check | Comparison | Diagnosis) -> Result:
     else:
         command, content = "diagnose", _diagnosis(result)
     common = _common(command, result.experiment.rig.name, result.warnings)
-    return cast(Result, plain({**common, **content}))
+    return cast(_Result, plain({**common, **content}))
 
 
 def urdf_result(
     chain: Chain, text: str, file: str | None, beside: str | None = None, left_out: Sequence[str] = ()
-) -> Result:
+) -> _Result:
     """Return the result object of `vjm urdf`; it holds the text itself where no file was asked for.
 
     With a file `beside` for a simulator, it names the effects left out of both.
     """
-    content: Result = {"file": file, "joints": list(chain.joint_names), "urdf": text if file is None else None}
+    content: _Result = {"file": file, "joints": list(chain.joint_names), "urdf": text if file is None else None}
     if beside is not None:
         content |= {"simulator_file": beside, "left_out": list(left_out)}
     return {**_common("urdf", chain.name, ()), **content}
 
 
-def flexify_result(robot: str, springs: Sequence[Spring], text: str, file: str | None) -> Result:
+def flexify_result(robot: str, springs: Sequence[Spring], text: str, file: str | None) -> _Result:
     """Return the result object of `vjm flexify`; it holds the text itself where no file was asked for."""
     content = {
         "file": file,
@@ -131,12 +131,12 @@ def flexify_result(robot: str, springs: Sequence[Spring], text: str, file: str |
     return {**_common("flexify", robot, ()), **content}
 
 
-def _common(command: str, experiment: str, warnings: Sequence[str]) -> Result:
+def _common(command: str, experiment: str, warnings: Sequence[str]) -> _Result:
     names = {"command": command, "vjm": version("vjm"), "experiment": experiment}
     return {"schema": 1, **names, "warnings": list(warnings)}
 
 
-def _identification(fit: Identification) -> Result:
+def _identification(fit: Identification) -> _Result:
     # None for a recording that whole trajectories were not fitted to
     whiteness = {
         test.file: {
@@ -172,7 +172,7 @@ def _identification(fit: Identification) -> Result:
     }
 
 
-def _comparison(comparison: Comparison) -> Result:
+def _comparison(comparison: Comparison) -> _Result:
     model = comparison.model
     return {
         "model": _model_object(model.chain, model.estimates, comparison.covariance),
@@ -182,7 +182,7 @@ def _comparison(comparison: Comparison) -> Result:
     }
 
 
-def _recording(comparison: RecordingComparison) -> Result:
+def _recording(comparison: RecordingComparison) -> _Result:
     return {
         "file": comparison.recording.file,
         "role": comparison.recording.role,
@@ -200,11 +200,11 @@ def _rms(simulated: SimulatedRecording | None) -> float | None:
     return simulated.marker_rms if simulated else None
 
 
-def _estimates(estimates: Sequence[Estimate], *names: str) -> list[Result]:
+def _estimates(estimates: Sequence[Estimate], *names: str) -> list[_Result]:
     return [{"parameter": estimate.name, **{name: getattr(estimate, name) for name in names}} for estimate in estimates]
 
 
-def _check(check: Check) -> Result:
+def _check(check: Check) -> _Result:
     rig = check.experiment.rig
     joints = check.virtual_joints or (None,) * len(rig.links)  # none where nothing can be identified
     return {
@@ -224,7 +224,7 @@ def _check(check: Check) -> Result:
     }
 
 
-def _diagnosis(diagnosis: Diagnosis) -> Result:
+def _diagnosis(diagnosis: Diagnosis) -> _Result:
     model, symptoms, gain = diagnosis.model, diagnosis.symptoms, diagnosis.gain
     return {
         "notes": diagnosis.notes,
@@ -262,11 +262,11 @@ def _diagnosis(diagnosis: Diagnosis) -> Result:
     }
 
 
-def _place(effect: Effect, model: Model) -> Result:
+def _place(effect: Effect, model: Model) -> _Result:
     return {"effect": effect.id, "link": place(effect, model) or None}
 
 
-def _cause(cause: Cause, model: Model) -> Result:
+def _cause(cause: Cause, model: Model) -> _Result:
     return {
         **_place(cause.effect, model),
         "parameters": {
@@ -289,7 +289,7 @@ def _cause(cause: Cause, model: Model) -> Result:
     }
 
 
-def _candidate(candidate: Candidate, diagnosis: Diagnosis) -> Result:
+def _candidate(candidate: Candidate, diagnosis: Diagnosis) -> _Result:
     return {
         **_place(candidate.effect, diagnosis.model),
         "z": candidate.z,

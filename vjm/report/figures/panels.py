@@ -167,7 +167,7 @@ def log_axis(axis: Axis, low: float, high: float) -> None:
 
 def heatmap(
     axes: Axes, table: Array, shades: tuple[Colormap, Normalize], names: tuple[Sequence[str], Sequence[str]],
-    text: Callable[[float], str] | None, fontsize: float = 8.5, levels: Array | None = None,
+    text: Callable[[float], str] | None, fontsize: float, levels: Array | None = None,
 ) -> None:  # fmt: skip
     """Draw a table (R, C) as coloured cells, the first row at the top; cells that are NaN are grey and empty.
 
