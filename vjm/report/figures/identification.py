@@ -134,12 +134,11 @@ def _residual_pictures(fit: Identification) -> Iterator[Picture]:
         f"{_first_of(replayed, _MOST_MAP_ROWS)}"
     )
     yield Picture("residual_map", caption, partial(_residual_map, fit.model.rig, replayed[:_MOST_MAP_ROWS]))
-    shown = [
-        (comparison, Spectrum.of(comparison.simulated))
+    spectra = [
+        (comparison, spectrum)
         for comparison, _ in _shown_tips(fit.model.rig, replayed)
-        if comparison.simulated
+        if comparison.simulated and (spectrum := Spectrum.of(comparison.simulated)) is not None
     ]
-    spectra = [(comparison, spectrum) for comparison, spectrum in shown if spectrum is not None]
     if spectra:
         caption = (
             "Amplitude of the residual, RMS over all marker coordinates. A peak above the dashed line at a natural "

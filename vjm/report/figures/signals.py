@@ -151,17 +151,14 @@ def moving_recordings(
     rig: Rig, comparisons: Sequence[RecordingComparison], role: str
 ) -> list[tuple[RecordingComparison, Signal]]:
     """Return recordings in motion that one of the models can simulate, with their signals, by falling RMS residual."""
-    pairs = [
-        (comparison, Signal.of(rig, comparison.recording))
+    moving = [
+        (comparison, signal)
         for comparison in comparisons
         if comparison.recording.kind != "quiet"
+        and getattr(comparison, role) is not None
+        and (signal := Signal.of(rig, comparison.recording)) is not None
     ]
-    usable = [
-        (comparison, signal)
-        for comparison, signal in pairs
-        if signal is not None and getattr(comparison, role) is not None
-    ]
-    return sorted(usable, key=lambda pair: -getattr(pair[0], role).marker_rms / pair[0].noise[0])
+    return sorted(moving, key=lambda pair: -getattr(pair[0], role).marker_rms / pair[0].noise[0])
 
 
 def ranked_recordings(comparisons: Sequence[RecordingComparison], roles: Collection[str]) -> list[RecordingComparison]:
@@ -270,10 +267,11 @@ def plot_recordings(
     if name is not None and name not in files:
         raise ChoiceError("recording", name, files)
     asked = [comparison for comparison in comparisons if name in (None, comparison.recording.file)]
-    pairs = [
-        (comparison, Signal.of(rig, comparison.recording)) for comparison in asked if comparison.simulated is not None
+    chosen = [
+        (comparison, signal)
+        for comparison in asked
+        if comparison.simulated is not None and (signal := Signal.of(rig, comparison.recording)) is not None
     ]
-    chosen = [(comparison, signal) for comparison, signal in pairs if signal is not None]
     if not chosen:
         reason = (asked[0].problem if asked else "") or "nothing was measured"
         raise InsufficientDataError("plot", f"no recording could be simulated: {reason}", "choose another recording")
