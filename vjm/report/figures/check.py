@@ -24,6 +24,7 @@ _RED, _GREEN, _WRONG = "#c0392b", "#2e8b57", "#b00020"
 _MOST_POINTS = 1500  # of a marker's path
 _MOST_LENGTHS = 5.0  # of the link, up to which markers may be away for its own labels to be read
 _HALO = [withStroke(linewidth=3, foreground="white")]
+_LABEL: dict[str, Any] = {"ha": "center", "fontsize": 9, "path_effects": _HALO, "zorder": 8}
 
 
 def check_picture(check: Check) -> Picture:
@@ -94,8 +95,7 @@ def _draw_link(
         text = f"{link.name}.theta = {number(angle, 3)} rad ({number(np.rad2deg(angle), 3)}°)"
         label_style: dict[str, Any] = {"xytext": (0, 7), "va": "bottom"} if y > 0 else {"xytext": (0, -7), "va": "top"}
         if labelled:
-            label_style |= {"ha": "center", "fontsize": 9, "path_effects": _HALO, "zorder": 8}
-            axes.annotate(text, (x, y), textcoords="offset points", **label_style)
+            axes.annotate(text, (x, y), textcoords="offset points", **_LABEL, **label_style)
             axes.update_datalim([(1.2 * x, 1.15 * y)])  # room for it
     direction = np.array([np.cos(rest_angle), np.sin(rest_angle)])
     axes.plot(*np.outer(direction, [0, link.length]), color=_LINK, linewidth=9, solid_capstyle="butt", zorder=1)
@@ -103,14 +103,7 @@ def _draw_link(
     ring: dict[str, Any] = {"markersize": 19, "markerfacecolor": "none", "markeredgecolor": Color.AXIS, "zorder": 4}
     axes.plot(*places.T, "o", **ring, linestyle="none", label="described: markers at rest")
     for k, place in enumerate(places if labelled else (), start=1):
-        number_style: dict[str, Any] = {
-            "ha": "center",
-            "color": Color.AXIS,
-            "fontsize": 9,
-            "path_effects": _HALO,
-            "zorder": 8,
-        }
-        axes.annotate(str(k), place, (0, -19), textcoords="offset points", **number_style)
+        axes.annotate(str(k), place, (0, -19), textcoords="offset points", color=Color.AXIS, **_LABEL)
     return rest_angle, low, high
 
 
