@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from vjm.chain.virtual_links import Chain
 from vjm.effects import BUILTIN
@@ -50,6 +50,20 @@ class _ModelEntry(BaseModel):
     estimates: tuple[Estimate, ...]
     covariance: list[list[float]]
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        """Check what concerns several keys: links that differ in name, and are the rig's; a covariance that fits."""
+        links = [(link.name, link.joint) for link in self.chain.links]
+        if len({name for name, _ in links}) < len(links):
+            raise ShapeError("chain.links", f"names {[name for name, _ in links]}", "names that differ")
+        if links != [(link.name, link.joint) for link in self.rig.links]:
+            raise ShapeError("rig.links", [(link.name, link.joint) for link in self.rig.links], f"the chain's {links}")
+        count = sum(estimate.std is not None for estimate in self.estimates)
+        sizes = [len(row) for row in self.covariance]
+        if sizes and sizes != [count] * count:
+            raise ShapeError("covariance", f"rows of {sizes}", f"{count} rows of {count}, or none")
+        return self
+
 
 def model_text(model: Model, covariance: Array | None = None) -> str:
     """Return the content of model.json; every number comes back exactly.
@@ -83,7 +97,6 @@ def model_text(model: Model, covariance: Array | None = None) -> str:
     }
     try:
         entry = _ModelEntry.model_validate_json(json_text(plain(content)))
-        _check(entry)
     except ValidationError as error:
         key, problem, expected = _fault(error)
         raise ShapeError(key, problem.removeprefix("got "), expected) from None
@@ -115,7 +128,6 @@ def read_model(
     """
     with _faults_of(path):
         entry = _ModelEntry.model_validate_json(read_file(Path(path)))
-        _check(entry)
     rig = experiment.rig if experiment else entry.rig
     recordings = experiment.cleaned_recordings if experiment else ()
     noise = sensor_noise(rig, recordings) if experiment else (entry.marker_noise, entry.encoder_noise)
@@ -145,19 +157,6 @@ def _faults_of(path: Path | str) -> Iterator[None]:
         raise ModelFileError(path, f"key '{error.name}': {error.given}", error.expected) from error
     except ExperimentError as error:
         raise ModelFileError(path, f"rig, {error.table}, key '{error.key}': {error.problem}", error.expected) from error
-
-
-def _check(entry: _ModelEntry) -> None:
-    """Check what concerns several keys: links that differ in name, and are the rig's; a covariance that fits."""
-    links = [(link.name, link.joint) for link in entry.chain.links]
-    if len({name for name, _ in links}) < len(links):
-        raise ShapeError("chain.links", f"names {[name for name, _ in links]}", "names that differ")
-    if links != [(link.name, link.joint) for link in entry.rig.links]:
-        raise ShapeError("rig.links", [(link.name, link.joint) for link in entry.rig.links], f"the chain's {links}")
-    count = sum(estimate.std is not None for estimate in entry.estimates)
-    sizes = [len(row) for row in entry.covariance]
-    if sizes and sizes != [count] * count:
-        raise ShapeError("covariance", f"rows of {sizes}", f"{count} rows of {count}, or none")
 
 
 def _fault(error: ValidationError) -> tuple[str, str, str]:
