@@ -67,8 +67,7 @@ def _quantity(value: _Uncertain) -> _Result:
 
 
 def _link(link: LinkChain, known: Mapping[str, _Uncertain]) -> _Result:
-    names = [f"{link.name}.stiffness_{j + 1}" for j in range(link.virtual_joints)]
-    joints = [known.get(name, float(K)) for name, K in zip(names, link.stiffness, strict=True)]
+    joints = [known.get(f"{link.name}.stiffness_{j}", float(K)) for j, K in enumerate(link.stiffness, start=1)]
     # EI is an estimate, or the mean over the virtual joints of stiffness times cell, the cells being taken as known.
     mean = sum(K * float(cell) for K, cell in zip(joints, link.cells, strict=True)) / link.virtual_joints
     bending = known.get(f"{link.name}.bending_stiffness", mean)
