@@ -7,6 +7,7 @@ import os
 import shlex
 import shutil
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -164,3 +165,15 @@ def test_the_command_that_it_names_can_be_run(folder: Path, capsys: pytest.Captu
     _, out, _ = run(capsys, "init", spaced, *RIG)
     command = next(line for line in out.splitlines() if line.startswith("$ vjm check"))
     assert shlex.split(command)[3:] == [str(spaced / "experiment.toml")]
+
+
+def test_an_encoder_belongs_to_the_link_that_it_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And not to another whose name its own ends with."""
+    time = 0.01 * np.arange(200)
+    angle = 0.4 * np.sin(3.0 * time)
+    columns = {"t": time, "arm.m1.x": 0.5 + 0 * time, "arm.m1.y": 0.01 * angle, "forearm.theta": angle}
+    columns |= {"forearm.m1.x": 0.5 + 0.5 * np.cos(angle), "forearm.m1.y": 0.5 * np.sin(angle)}
+    pd.DataFrame(columns).to_csv(tmp_path / "swing.csv", index=False)
+    run(capsys, "init", tmp_path)
+    rig = tomllib.loads((tmp_path / "experiment.toml").read_text())
+    assert {link["name"]: link["joint"] for link in rig["link"]} == {"arm": "clamped", "forearm": "revolute"}

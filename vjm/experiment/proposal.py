@@ -116,7 +116,8 @@ class ExperimentProposal:
 
     def is_revolute(self, link: str) -> bool:
         """Return True if the angle of the link's proximal joint was measured."""
-        return _largest_value(self._all_files, f"{link}.theta") is not None
+        columns = [file.column(f"{link}.theta") for file in self._all_files]
+        return any(values is not None and np.isfinite(values).any() for values in columns)
 
     @cached_property
     def units(self) -> dict[str, tuple[str, str]]:
