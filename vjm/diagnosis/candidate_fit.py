@@ -239,15 +239,16 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
 
     The likelihood of a segment's initial state may have several local maxima. Segments that fit poorly where most fit
     well are started again from other initial states, as long as that lowers chi^2. With stick-slip or play there are
-    many maxima: the multistart follows every few steps, not only the converged fit.
+    many maxima: the multistart follows every few steps, not only the converged fit. There is none where the number of
+    steps is limited.
     """
     nonsmooth = is_nonsmooth(problem.effects)
-    if stop.max_steps < _STEPS_BETWEEN_MULTISTARTS:
+    if np.isfinite(stop.max_steps):
         return fit_trajectory(problem, x, None, states, stop=stop)
     before = np.inf
     # With stick-slip or play the first steps are not stopped by `max_chi2`: before the first multistart, the predicted
     # decrease does not tell what chi^2 can be reached.
-    max_chi2, steps = (np.inf, _STEPS_BETWEEN_MULTISTARTS) if nonsmooth else (stop.max_chi2, stop.max_steps)
+    max_chi2, steps = (np.inf, _STEPS_BETWEEN_MULTISTARTS) if nonsmooth else (stop.max_chi2, np.inf)
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
         max_chi2 = stop.max_chi2
