@@ -181,7 +181,7 @@ def test_errors_of_the_motion_move_the_markers_as_a_simulation_says(joints: int)
     many = len(moved)
     others = simulate_runs([run.arm] * many, moved, [run.prior] * many, [run.state] * many, 1.0)
     changes = np.stack([run.residual - other.residual for other in others], axis=1)
-    rows = slice(0, observed.markers.size, 37)
+    rows = slice(0, observed.marker_indices.size, 37)
     covariance = changes[rows] @ changes[rows].T
     assert np.linalg.norm(errors[rows] @ errors[rows].T - covariance) < 0.02 * np.linalg.norm(covariance)
     # What the errors do is taken out of the residual's size, where they are as large as they may be.

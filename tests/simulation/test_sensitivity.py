@@ -410,7 +410,7 @@ def test_encoders_of_a_given_motion_tell_no_mass_beside_friction_or_play(effect:
     derivative = np.zeros(observed.count)
     for rows, part in middle.jacobian(linearization):
         derivative[rows] = part[:, -1]
-    theta = slice(observed.markers.size, None)
+    theta = slice(observed.marker_indices.size, None)
     differences = (less.residual - more.residual) / 2e-4
     assert np.linalg.norm(derivative[theta]) < 1e-4 * np.linalg.norm(differences)
     assert np.linalg.norm(differences[theta]) < 1e-4 * np.linalg.norm(differences)

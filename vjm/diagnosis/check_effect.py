@@ -377,14 +377,14 @@ def _energy(effect: Effect, seed: int) -> _Checks:
             continue
         arm = Arm.of(trial.chain, (trial.typical(effect),))
         power, size = _power(trial, arm, seed)
-        worst, unit = int(np.argmax(power - _ROUNDING * size)), "J by then" if any(arm.states) else "W"
+        worst, unit = int(np.argmax(power - _ROUNDING * size)), "J by then" if any(arm.state_counts) else "W"
         finding = f"at a random state its forces give the arm {power[worst]:.3g} {unit}"
         yield power[worst] <= _ROUNDING * size[worst], finding, "none of them positive, since `dissipative` is True"
 
 
 def _power(trial: _TrialRig, arm: Arm, seed: int) -> tuple[Array, Array]:
     """Return the power [W] of effects in a random motion from rest, or work [J] if they have states; and its size."""
-    random, n, stateful = np.random.default_rng(seed), arm.chain.size, any(arm.states)
+    random, n, stateful = np.random.default_rng(seed), arm.chain.size, any(arm.state_counts)
     recording = trial.recordings[0]
     time = np.linspace(0.0, 2.0, 20001 if stateful else 401)  # so many that internal states are followed closely
     pulsation, phase = random.uniform(1.0, 8.0, (4, n)), random.uniform(0.0, 2 * np.pi, (4, n))

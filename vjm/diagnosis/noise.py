@@ -59,14 +59,14 @@ class Noise:
         Each coordinate is predicted by the autoregression from the last frames in which it was measured, across gaps
         too. The prediction errors over their standard deviations are white.
         """
-        if not self.autoregression.size or not observed.markers.size:
+        if not self.autoregression.size or not observed.marker_indices.size:
             return observed
         from statsmodels.tsa.arima_process import ArmaProcess  # takes a second to import
 
         correlation = ArmaProcess.from_coeffs(self.autoregression).acf(_MAX_LAG + 1)  # from lag 0 on
-        frames, coordinates = np.divmod(observed.markers, 2 * observed.recording.markers.shape[1])
+        frames, coordinates = np.divmod(observed.marker_indices, 2 * observed.recording.markers.shape[1])
         numbers = _frame_numbers(observed.recording.time[observed.frames])
-        encoders = np.arange(observed.markers.size, observed.count)
+        encoders = np.arange(observed.marker_indices.size, observed.count)
         entries = [(encoders, encoders, np.ones(encoders.size))]
         for channel in np.unique(coordinates):
             values = np.flatnonzero(coordinates == channel)

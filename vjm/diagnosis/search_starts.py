@@ -130,8 +130,8 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
 
     frames = observed.recording.time[observed.frames]
     slopes = observed.arcs.jacobian(run.arm, path.angles(frames), path.elapsed(frames), shapes)
-    markers = (slopes @ at(frames)).reshape(-1, c + 2 * m)[observed.markers]
-    instants, joints = np.divmod(observed.angles, max(chain.active.size, 1))
+    markers = (slopes @ at(frames)).reshape(-1, c + 2 * m)[observed.marker_indices]
+    instants, joints = np.divmod(observed.angle_indices, max(chain.active.size, 1))
     by_mode = shapes[chain.active[joints]] if joints.size else np.zeros((0, m))
     angles = np.einsum("nm,nmc->nc", by_mode, at(observed.recording.time[instants]))
     columns = observed.whitened(observed.weights[:, None] * np.concatenate([markers, angles]))

@@ -68,7 +68,7 @@ class Arm:
         return replace(recording, tau=self.chain.armature * recording.acceleration, input="torque")
 
     @cached_property
-    def states(self) -> tuple[int, ...]:
+    def state_counts(self) -> tuple[int, ...]:
         """Number of each effect's internal states."""
         q = np.zeros(self.chain.size)
         return tuple(effect.initial_states(self.chain, q).size for effect in self.effects)
@@ -125,7 +125,7 @@ class Arm:
                 angles, as from one segment of a recording to the next, the angles count.
             z: (..., nz) at the first instant; None: those of a recording's start.
         """
-        states = np.empty((*time.shape, sum(self.states)))
+        states = np.empty((*time.shape, sum(self.state_counts)))
         states[0] = self.initial_states(q[0]) if z is None else z
         steps = np.diff(time, axis=0)[..., None]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -212,10 +212,10 @@ class Arm:
     def smooth(self) -> tuple[Arm, NDArray[np.intp]]:
         """The arm of which derivatives are taken, and which of this arm's internal states it has."""
         if not is_nonsmooth(self.effects):
-            return self, np.arange(sum(self.states))
+            return self, np.arange(sum(self.state_counts))
         effects = tuple(replace(effect, smooth=True) for effect in self.effects)
         smooth = Arm(self.chain, effects)
-        slices = zip(self._state_slices, smooth.states, strict=True)
+        slices = zip(self._state_slices, smooth.state_counts, strict=True)
         return smooth, np.concatenate([np.arange(part.start, part.start + count) for part, count in slices])
 
     @cached_property
@@ -228,8 +228,8 @@ class Arm:
 
     @cached_property
     def _state_slices(self) -> list[slice]:
-        stops = np.cumsum(self.states, dtype=int).tolist()
-        return [slice(stop - count, stop) for stop, count in zip(stops, self.states, strict=True)]
+        stops = np.cumsum(self.state_counts, dtype=int).tolist()
+        return [slice(stop - count, stop) for stop, count in zip(stops, self.state_counts, strict=True)]
 
     def _hooks(self, hook: Callable[[Effect], T | None]) -> list[tuple[T, slice]]:
         """Return the results of a hook, with the internal states of their effects; None is left out."""

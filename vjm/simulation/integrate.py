@@ -92,7 +92,8 @@ def simulate_trajectories(
 def _similar(arms: Sequence[Arm], recordings: Sequence[Recording]) -> list[list[int]]:
     """Return the indices of runs that can be advanced together: as many unknowns, same gravity, similar durations."""
     kinds = [
-        (recording.gravity, arm.chain.size, sum(arm.states)) for arm, recording in zip(arms, recordings, strict=True)
+        (recording.gravity, arm.chain.size, sum(arm.state_counts))
+        for arm, recording in zip(arms, recordings, strict=True)
     ]
     durations = [_duration(recording) for recording in recordings]
     groups: list[list[int]] = []

@@ -143,7 +143,7 @@ class PrecedingMotion:
 
     def _along(self, arm: Arm) -> tuple[Array, Array]:
         """Return angles (I, nv) of an arm and internal states (I, nz) of its effects, which depend on no stiffness."""
-        counts = zip(arm.effects, arm.states, strict=True)
+        counts = zip(arm.effects, arm.state_counts, strict=True)
         key = arm.chain.size, tuple(effect for effect, count in counts if count)
         if key not in self._known:
             q, v = self.q, self.v
@@ -170,8 +170,8 @@ class Observations:
         recording: its source.
         arcs: positions of the markers along the links.
         frames: (F,) rows of the recording at which the camera measured anything.
-        markers: (N_m,) measured coordinates, as indices into (F, 2 k) flattened.
-        angles: (N_t,) measured angles, as indices into (T, n_a) flattened.
+        marker_indices: (N_m,) measured coordinates, as indices into (F, 2 k) flattened.
+        angle_indices: (N_t,) measured angles, as indices into (T, n_a) flattened.
         values: (N_m + N_t,) measured values [m, rad].
         noise: 1-sigma of a marker coordinate [m] and of an angle [rad].
         loss: of the weighted residuals.
@@ -186,8 +186,8 @@ class Observations:
     recording: Recording
     arcs: MarkerArcs
     frames: Indices
-    markers: Indices
-    angles: Indices
+    marker_indices: Indices
+    angle_indices: Indices
     values: Array
     noise: tuple[float, float]
     loss: Loss = LINEAR
@@ -219,7 +219,7 @@ class Observations:
     @cached_property
     def weights(self) -> Array:
         """(N_m + N_t,) one over the noise of each value [1/m, 1/rad]."""
-        return np.repeat(1 / np.array(self.noise), (self.markers.size, self.angles.size))
+        return np.repeat(1 / np.array(self.noise), (self.marker_indices.size, self.angle_indices.size))
 
     @property
     def count(self) -> int:
@@ -227,7 +227,7 @@ class Observations:
         return int(self.values.size)
 
     @cached_property
-    def motion(self) -> float:
+    def signal_power(self) -> float:
         """Sum of the squared weighted values about each sensor's mean."""
         grids = [grid[:, np.isfinite(grid).any(axis=0)] for grid in self.on_grid(self.weights * self.values)]
         return float(sum(np.nansum((grid - np.nanmean(grid, axis=0)) ** 2) for grid in grids))
@@ -235,12 +235,12 @@ class Observations:
     def predicted(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return the (N_m + N_t,) values predicted by a trajectory of one copy [m, rad]."""
         markers = self.arcs.frames(arm, trajectory, self.recording.time[self.frames])
-        return np.concatenate([markers.ravel()[self.markers], self.predicted_angles(arm, trajectory)])
+        return np.concatenate([markers.ravel()[self.marker_indices], self.predicted_angles(arm, trajectory)])
 
     def predicted_angles(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return the (N_t,) encoder angles predicted by a trajectory of one copy [rad]."""
         theta = trajectory.angles(self.recording.time)[:, arm.chain.active]
-        return arm.encoder_angles(theta).ravel()[self.angles]
+        return arm.encoder_angles(theta).ravel()[self.angle_indices]
 
     def residual(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return (N_m + N_t,) measured less predicted values, weighted and whitened."""
@@ -277,14 +277,14 @@ class Observations:
     def instants(self) -> Indices:
         """(N_m + N_t,) row of the recording at which each value was measured."""
         joints = max(self.recording.theta.shape[1], 1)
-        return np.concatenate([self.frames[self.markers // self._width], self.angles // joints])
+        return np.concatenate([self.frames[self.marker_indices // self._width], self.angle_indices // joints])
 
     def on_grid(self, values: Array) -> tuple[Array, Array]:
         """Return values (N_m + N_t,) as (F, 2 k) and (T, n_a); NaN where nothing was measured."""
         markers = np.full((self.frames.size, self._width), np.nan)
         angles = np.full(self.recording.theta.shape, np.nan)
-        markers.ravel()[self.markers] = values[: self.markers.size]
-        angles.ravel()[self.angles] = values[self.markers.size :]
+        markers.ravel()[self.marker_indices] = values[: self.marker_indices.size]
+        angles.ravel()[self.angle_indices] = values[self.marker_indices.size :]
         return markers, angles
 
     @property
@@ -294,7 +294,7 @@ class Observations:
 
     def internal_states(self, arm: Arm, q: Array) -> Array:
         """Return the internal states (nz,) of an arm's effects at the first instant, at angles q (nv,) [rad]."""
-        if self.preceding is None or not sum(arm.states):
+        if self.preceding is None or not sum(arm.state_counts):
             return arm.initial_states(q)
         return self.preceding.internal_states(arm, float(self.recording.time[0]) - self.began, q)
 
@@ -338,18 +338,18 @@ class Observations:
             part,
             recording=replace(self.recording, **columns),
             frames=self.frames[frames[0] : frames[1]] - begin,
-            markers=part.markers - frames[0] * self._width,
-            angles=part.angles - begin * joints,
+            marker_indices=part.marker_indices - frames[0] * self._width,
+            angle_indices=part.angle_indices - begin * joints,
             start=self.began,
         )
 
     def _only(self, mask: NDArray[np.bool_]) -> Self:
         """Return part of the values, by a mask (N_m + N_t,)."""
-        offset, (markers, angles) = self.discretization_offset, np.split(mask, [self.markers.size])
+        offset, (markers, angles) = self.discretization_offset, np.split(mask, [self.marker_indices.size])
         return replace(
             self,
-            markers=self.markers[markers],
-            angles=self.angles[angles],
+            marker_indices=self.marker_indices[markers],
+            angle_indices=self.angle_indices[angles],
             values=self.values[mask],
             whitening=None if self.whitening is None else self.whitening[mask][:, mask],
             motion_errors=None if self.motion_errors is None else self.motion_errors[mask],
@@ -359,9 +359,9 @@ class Observations:
     def rows_between(self, first: int, last: int) -> tuple[slice, slice, slice]:
         """Return the slices of frames, and of values by markers and by encoders, of rows from `first` up to `last`."""
         camera = slice(*np.searchsorted(self.frames, (first, last)).tolist())
-        markers, angles = np.split(self.instants, [self.markers.size])
+        markers, angles = np.split(self.instants, [self.marker_indices.size])
         begin, end = np.searchsorted(angles, (first, last)).tolist()
-        offset = self.markers.size
+        offset = self.marker_indices.size
         return camera, slice(*np.searchsorted(markers, (first, last)).tolist()), slice(offset + begin, offset + end)
 
     @property

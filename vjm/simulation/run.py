@@ -295,7 +295,7 @@ class Run:
         by_errors = np.zeros((observed.count, len(errors)))
         for measured, slopes in run.linearization(errors).jacobian():
             by_errors[measured] = slopes[:, slopes.shape[1] - len(errors) :]
-        by_errors[observed.markers.size :] = 0.0
+        by_errors[observed.marker_indices.size :] = 0.0
         return replace(observed, motion_errors=principal_errors(by_errors))
 
     def _parameter_jacobian(
@@ -329,7 +329,7 @@ def is_followed(runs: Sequence[Run]) -> bool:
     motion (phi = 17 deg) that is linear in phi within 0.5 %, so that derivatives lead to the minimum.
     """
     excess = sum(run.chi2 - run.expected_chi2 for run in runs)
-    motion = sum(run.observed.motion for run in runs)
+    motion = sum(run.observed.signal_power for run in runs)
     return all(run.observed.recording.kind == "quiet" for run in runs) or excess <= 0.3**2 * motion
 
 

@@ -90,7 +90,9 @@ class Linearization:
             by_angles = self._encoder_jacobian(part, angles)
             by_markers = self._marker_jacobian(part, exposures[..., camera], time[observed.frames[camera]])
             flat = by_markers.reshape(-1, by_markers.shape[2])
-            slopes = np.concatenate([flat[observed.markers[markers] - camera.start * by_markers.shape[1]], by_angles])
+            slopes = np.concatenate(
+                [flat[observed.marker_indices[markers] - camera.start * by_markers.shape[1]], by_angles]
+            )
             measured = np.r_[markers, angles]
             yield measured, observed.weights[measured, None] * slopes
             first = last
@@ -106,7 +108,7 @@ class Linearization:
         if nz:
             state[2 * size :] = self._initial_internal_states()
         rows, chunk_size = self.rows, self.max_chunk
-        if self.coefficients or any(sum(arm.states) > nz for arm, _ in self.perturbed):
+        if self.coefficients or any(sum(arm.state_counts) > nz for arm, _ in self.perturbed):
             chunk_size = rows.size  # internal states that only perturbed arms have are followed from the start
         for first in range(0, rows.size - 1, chunk_size):
             part = rows[first : first + chunk_size + 1]
@@ -181,8 +183,8 @@ class Linearization:
     def _encoder_jacobian(self, part: Trajectory, angles: slice) -> Array:
         """Return derivatives (r, 2 slow + p) of the encoder values with indices `angles`."""
         observed, active = self.observed, self.arm.chain.active
-        rows = slice(angles.start - observed.markers.size, angles.stop - observed.markers.size)
-        instants, joints = np.divmod(observed.angles[rows], max(active.size, 1))
+        rows = slice(angles.start - observed.marker_indices.size, angles.stop - observed.marker_indices.size)
+        instants, joints = np.divmod(observed.angle_indices[rows], max(active.size, 1))
         if not joints.size:
             return np.zeros((0, part.q.shape[1]))
         by_active = self.basis.shapes[active].T
@@ -193,7 +195,7 @@ class Linearization:
         for k, (arm, step) in enumerate(self.perturbed, start=slopes.shape[1] - len(self.perturbed)):
             if arm.sensors != self.arm.sensors:
                 change = arm.encoder_angles(simulated) - self.arm.encoder_angles(simulated)
-                slopes[:, k] += change.ravel()[observed.angles[rows]] / step
+                slopes[:, k] += change.ravel()[observed.angle_indices[rows]] / step
         return slopes
 
 

@@ -223,7 +223,7 @@ def _acting_effects(arms: Sequence[Arm], payloads: Sequence[float]) -> tuple[_Ac
     for (*_, payload), copies in groups.items():
         arm = arms[copies[0]]
         force = arm.forces(payload)
-        if force is not None or any(arm.states):
+        if force is not None or any(arm.state_counts):
             acting.append(_Acting(_rows(copies), arm, force))
     return tuple(acting)
 

@@ -41,13 +41,13 @@ class TimingNoise:
     def of(cls, observed: Observations, arm: Arm, trajectory: Trajectory) -> Self:
         """Return the errors of an arm's camera along a trajectory."""
         velocities = observed.arcs.velocities(arm, trajectory, observed.recording.time[observed.frames])
-        weights = observed.weights[: observed.markers.size]
+        weights = observed.weights[: observed.marker_indices.size]
         if observed.whitening is not None:
             # Whitened, an error shows in the frames after its own as well; it is counted in its own alone.
             squares = np.asarray(observed.whitening.multiply(observed.whitening).sum(axis=0)).ravel()
             weights = weights * np.sqrt(squares[: weights.size])
-        frames = observed.markers // (2 * velocities.shape[1])
-        entries = weights * velocities.ravel()[observed.markers], (frames, np.arange(frames.size))
+        frames = observed.marker_indices // (2 * velocities.shape[1])
+        entries = weights * velocities.ravel()[observed.marker_indices], (frames, np.arange(frames.size))
         shape = (observed.frames.size, observed.count)
         return cls(arm.timing_variance, sparse.csr_array(entries, shape=shape))
 

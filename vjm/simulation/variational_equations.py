@@ -322,7 +322,7 @@ def _parameter_derivatives(
     unchanged = chain.size == other_chain.size and have_equal_links(chain, other_chain, _OF_BODIES)
     if changed.gravity != equations.gravity or not unchanged:
         forces = forces + changed.inertial_torque(motion)[:, shared] - inertial
-    if sum(other_arm.states) > nz:  # internal states that only the perturbed arm has follow the motion as it is
+    if sum(other_arm.state_counts) > nz:  # internal states that only the perturbed arm has follow the motion as it is
         motion = motion.followed(other_arm)
     if equations.force is not None or changed.force is not None:
         forces = forces + changed.further_torque(motion)[:, shared] - further_torque
@@ -356,7 +356,7 @@ def with_added_joints(trajectory: Trajectory, chain: Chain, arm: Arm, observed: 
     q, v, a = (np.zeros((len(trajectory.time), extended.size)) for _ in range(3))
     q[:, shared], v[:, shared], a[:, shared] = trajectory.q, trajectory.v, trajectory.a
     motion = Motions.of([replace(trajectory, q=q, v=v, a=a)], [observed])
-    if sum(arm.states) > trajectory.z.shape[1]:
+    if sum(arm.state_counts) > trajectory.z.shape[1]:
         motion = motion.followed(arm)
     equations = _EquationsOfMotion(arm, motion)
     reactions = equations.inertial_torque(motion) + equations.further_torque(motion)
