@@ -29,8 +29,8 @@ from vjm.effects import (
     JointSpring,
     LinearDrag,
     MarkerOffset,
-    Motion,
     RollingShutter,
+    StateFunction,
     StiffnessAsymmetry,
     StiffnessDrift,
     Taper,
@@ -177,7 +177,7 @@ class Wild(CubicStiffness):
 
     id = "wild"
 
-    def force(self, chain: Chain, payload: float) -> Motion | None:
+    def force(self, chain: Chain, payload: float) -> StateFunction | None:
         typical_magnitude = super().force(chain, payload)
         if typical_magnitude is None:
             return None

@@ -134,8 +134,8 @@ def test_initial_states_of_segments_are_linearised_together_as_each_alone() -> N
 def test_every_value_is_in_exactly_one_segment(duration: float, margin: float) -> None:
     observed = Observations.of(RIG, recorded(Arm(chain_of()), 1)[0], NOISE)
     parts = observed.segments(duration, margin)
-    markers = np.concatenate([part.values[: part.markers.size] for part in parts])
-    angles = np.concatenate([part.values[part.markers.size :] for part in parts])
+    markers = np.concatenate([part.values[: part.marker_indices.size] for part in parts])
+    angles = np.concatenate([part.values[part.marker_indices.size :] for part in parts])
     assert np.array_equal(np.concatenate([markers, angles]), observed.values)
     for part in parts:
         time = part.recording.time[np.unique(part.instants)]

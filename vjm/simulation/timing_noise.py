@@ -83,11 +83,11 @@ class TimingNoise:
         """Return a row as of `score`, whose best variance and decrease of chi^2 are those of the likelihood itself.
 
         Rao's statistic, the square of the squares' excess, promises much more than large errors of time explain. The
-        unit is what the residuals are across the velocities, if more than one: noise larger than it was given is no
-        error of time.
+        unit is what the residuals are across the velocities: noise larger than it was given is no error of time. And
+        chi^2 falls by no more than the residuals along them, which of exact recordings are next to nothing.
         """
-        squares, projections = self._errors(residual)
-        projections = projections / self._mean_square_across(residual)
+        squares, given = self._errors(residual)
+        projections = given / self._mean_square_across(residual)
         best, change = 0.0, np.inf
         for _ in range(_MOST_STEPS):
             spread = 1 + best * squares
@@ -100,16 +100,17 @@ class TimingNoise:
         if not best > 0:
             return _score(squares, projections)
         shares = best * squares / (1 + best * squares)
-        decrease = float(np.sqrt(max(projections @ shares - np.sum(np.log1p(best * squares)), 0.0)))
+        fall = min(float(projections @ shares - np.sum(np.log1p(best * squares))), float(given.sum()))
+        decrease = float(np.sqrt(max(fall, 0.0)))
         return decrease / best, decrease
 
     def _mean_square_across(self, residual: Array) -> float:
-        """Return the mean square of white residuals (N,) of moving frames across their velocities; one at least."""
+        """Return the mean square of white residuals (N,) of moving frames across their velocities; one without any."""
         moving, v = self._squares > 0, self.velocities
         ones = sparse.csr_array((np.ones(v.nnz), v.indices, v.indptr), shape=v.shape)
         freedom = float((np.diff(v.indptr) - 1)[moving].sum())
         squares = float(np.sum(np.asarray(ones @ residual**2)[moving]) - np.sum(self._errors(residual)[1]))
-        return max(squares / freedom, 1.0) if freedom > 0 else 1.0
+        return squares / freedom if freedom > 0 and squares > 0 else 1.0
 
     def _errors(self, residual: Array) -> tuple[Array, Array]:
         """Return squared lengths of moving frames' directions in white residuals (N,), and squares of these along."""
