@@ -108,12 +108,12 @@ def diagnose(
         # Both are tests beside the model without effects: in segments where it lacks something, since it loses whole
         # recordings, and otherwise in these, which show more.
         tested = result.first_tests if result.best.effects else result.last_tests
-        absent = CandidateSet.of(chosen, experiment.rig, search.recordings, search.start.point.runs)
+        untestable = CandidateSet.of(chosen, experiment.rig, search.recordings, search.start.point.runs).untestable
         table = tested.table(options.alpha, options.negligible(min(search.start.chi2, search.start.point.count)))
         findings = replace(
             _findings(experiment, baseline, reference_misfit, search, result),
             # Last, since the search for alternatives fits single candidates too.
-            candidates=(*_with_residuals(table, search.start, result), *absent.untestable),
+            candidates=(*_with_residuals(table, search.start, result), *untestable),
             insufficient=insufficient,
             warnings=(*likely, *experiment.warnings, *baseline.problems, warning),
         )

@@ -99,6 +99,7 @@ def _marker_residuals(run: Run) -> tuple[Array, Array]:
     return time[run.observed.frames] - time[0], run.observed.on_grid(run.residual)[0]
 
 
+_REST = 0.01  # rad per unit of time, 0.3 % of the rate of a swing by one radian in the first mode; less is rest
 # In words, and as functions of time, angle [rad] and rate, in the link's unit of time.
 _SHAPES: tuple[tuple[str, Callable[[Array, Array, Array], Array]], ...] = (
     ("constant", lambda t, q, v: np.ones_like(q)),
@@ -108,10 +109,7 @@ _SHAPES: tuple[tuple[str, Callable[[Array, Array, Array], Array]], ...] = (
     ("odd in velocity (damper)", lambda t, q, v: v),
     ("even in velocity", lambda t, q, v: v**2),
     ("odd in velocity (quadratic)", lambda t, q, v: v * np.abs(v)),
-    (
-        "odd in velocity (dry friction)",
-        lambda t, q, v: np.tanh(v / 0.01),
-    ),  # less is rest: 0.003 of a swing by one radian in the first mode
+    ("odd in velocity (dry friction)", lambda t, q, v: np.tanh(v / _REST)),
     ("growing with time", lambda t, q, v: t[..., None] * q),
 )
 
