@@ -24,7 +24,7 @@ def point(jitter: float, correlation: float = 0.0) -> Point:
     for run in right.runs:
         observed, time = run.observed, run.observed.recording.time[run.observed.frames]
         late = np.clip(time + jitter * random.normal(size=time.size), time[0], time[-1])
-        shown, expected = (observed.arcs.frames(run.arm, run.trajectory, each) for each in (late, time))
+        shown, expected = (observed.arcs.positions_in_frames(run.arm, run.trajectory, each) for each in (late, time))
         markers = observed.recording.markers.copy()
         markers[observed.frames] += shown - expected
         taken.append(replace(observed.recording, markers=markers))

@@ -26,7 +26,7 @@ def seen_at(arm: Arm, q: Array, seed: int, kind: Kind = "quiet") -> Observations
     """What camera and encoder show of an arm that does not move."""
     time = np.arange(401) / 200
     random = np.random.default_rng(seed)
-    markers = MarkerArcs.of(RIG).frames(arm, Trajectory.at_rest(time, q), time)
+    markers = MarkerArcs.of(RIG).positions_in_frames(arm, Trajectory.at_rest(time, q), time)
     markers = markers + NOISE[0] * random.standard_normal(markers.shape)
     theta = q[arm.chain.active] + NOISE[1] * random.standard_normal((time.size, 1))
     return Observations.of(
@@ -85,7 +85,7 @@ def test_what_was_known_before_is_kept_where_it_is_better() -> None:
     moving[STUCK.chain.size] = 0.5
     blank = seen_at(STUCK, stands(STUCK), 5)
     free = runs_of(STUCK, replace(blank, recording=replace(blank.recording, kind="driven")), moving, moving)
-    markers = MarkerArcs.of(RIG).frames(STUCK, free.trajectory, time)
+    markers = MarkerArcs.of(RIG).positions_in_frames(STUCK, free.trajectory, time)
     theta = free.trajectory.angles(free.observed.recording.time)[:, STUCK.chain.active]
     observed = Observations.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
     rest = np.concatenate([stands(STUCK), np.zeros(STUCK.chain.size)])
@@ -119,7 +119,7 @@ def test_a_recording_begins_with_as_much_of_a_change_as_follows_it_best(share: f
     blank = seen_at(STUCK, stands(STUCK), 6, "driven")
     start = InitialStatePrior.of(STUCK, blank.recording)
     true = simulate_runs([STUCK], [blank], [start], [state + share * change], 1.0)[0]
-    markers = MarkerArcs.of(RIG).frames(STUCK, true.trajectory, blank.recording.time)
+    markers = MarkerArcs.of(RIG).positions_in_frames(STUCK, true.trajectory, blank.recording.time)
     theta = true.trajectory.angles(true.observed.recording.time)[:, STUCK.chain.active]
     observed = Observations.of(RIG, replace(blank.recording, markers=markers, theta=theta), NOISE)
     whole = simulate_runs([STUCK], [observed], [start], [state + change], 1.0)[0]

@@ -97,7 +97,7 @@ class _TrialRig:
             readings = sensor_readings(arm, arcs, recording, run)
             if arm.timing_variance:
                 instants = recording.time + np.sqrt(arm.timing_variance) * random.normal(size=recording.time.size)
-                readings = replace(readings, markers=arcs.frames(arm, run, instants))
+                readings = replace(readings, markers=arcs.positions_in_frames(arm, run, instants))
             shown.append(readings)
         return shown
 

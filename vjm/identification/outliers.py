@@ -24,7 +24,7 @@ def trimmed(run: Run) -> Observations:
     wrong changes smoothly with time and is no outlier, however large.
     """
     observed, recording = run.observed, run.observed.recording
-    markers = observed.arcs.frames(run.arm, run.trajectory, recording.time)
+    markers = observed.arcs.positions_in_frames(run.arm, run.trajectory, recording.time)
     outlying = _outliers((recording.markers - markers) / observed.noise[0], recording.time)
     if not outlying.any():
         return observed

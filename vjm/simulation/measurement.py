@@ -93,7 +93,7 @@ class MarkerArcs:
                 exposures = exposures + (effect.camera_instants(stamps, positions).T - stamps)
         return exposures
 
-    def frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
+    def positions_in_frames(self, arm: Arm, trajectory: Trajectory, time: Array) -> Array:
         """Return the (F, k, 2) marker positions [m] in frames stamped (F,) [s] of a trajectory."""
         exposures = self.exposure_times(arm, trajectory, time)
         return self.measured_positions(arm, trajectory.angles(exposures), trajectory.elapsed(exposures))
@@ -112,7 +112,7 @@ class MarkerArcs:
 def sensor_readings(arm: Arm, arcs: MarkerArcs, recording: Recording, trajectory: Trajectory) -> Simulation:
     """Return a trajectory at a recording's instants, with the readings of its sensors."""
     angles, rates = trajectory.sample(recording.time)
-    markers = arcs.frames(arm, trajectory, recording.time)
+    markers = arcs.positions_in_frames(arm, trajectory, recording.time)
     return Simulation(recording.time, angles, rates, arm.encoder_angles(angles[:, arm.chain.active]), markers)
 
 
@@ -234,7 +234,7 @@ class Observations:
 
     def predicted(self, arm: Arm, trajectory: Trajectory) -> Array:
         """Return the (N_m + N_t,) values predicted by a trajectory of one copy [m, rad]."""
-        markers = self.arcs.frames(arm, trajectory, self.recording.time[self.frames])
+        markers = self.arcs.positions_in_frames(arm, trajectory, self.recording.time[self.frames])
         return np.concatenate([markers.ravel()[self.marker_indices], self.predicted_angles(arm, trajectory)])
 
     def predicted_angles(self, arm: Arm, trajectory: Trajectory) -> Array:

@@ -176,7 +176,7 @@ class Linearization:
             unchanged = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
             if self.arm.sensors != arm.sensors or not unchanged:
                 base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
-                changed = arcs.frames(arm, path, stamps)
+                changed = arcs.positions_in_frames(arm, path, stamps)
                 slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
