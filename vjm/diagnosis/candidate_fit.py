@@ -31,6 +31,7 @@ from vjm.simulation.run import Run, by_recording, earlier_runs, is_followed, sta
 from vjm.simulation.system import Trajectory
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
+LEAST_SHARE = 0.0025  # of chi^2: what an effect explains from which it matters (`SearchOptions.least_share`)
 # Bounds of the starting values of effects' sizes, in typical magnitudes.
 _LARGEST_START = 5.0  # a linear estimate beyond that is far outside the range where the effect is linear
 LEAST_START = 0.5  # for friction, play and joint compliance, whose derivatives vanish or are misleading near zero
@@ -65,10 +66,10 @@ class StoppingRule:
 def _stall_decrease(point: Point) -> float:
     """Return the decrease of chi^2 that four accepted steps must bring for a fit to go on.
 
-    The first bound is just below the decrease from which an effect matters (`SearchOptions.least_share`). The second is
-    a tenth of the excess over noise: at that rate the fit would need ten times as many steps to come down to noise.
+    The first bound is just below the decrease from which an effect matters. The second is a tenth of the excess over
+    noise: at that rate the fit would need ten times as many steps to come down to noise.
     """
-    return max(0.002 * point.chi2, 0.1 * (point.chi2 - point.expected_chi2))
+    return max(0.8 * LEAST_SHARE * point.chi2, 0.1 * (point.chi2 - point.expected_chi2))
 
 
 @lru_cache(maxsize=4)

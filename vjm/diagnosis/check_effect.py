@@ -487,11 +487,11 @@ def _fitted(start: TrajectoryFit, trial: _TrialRig, true: Effect) -> Effect | No
     for size in (0.5, 2.0):
         coordinates = np.r_[np.full(true.magnitude_count, size), variant.coordinates[true.magnitude_count :]]
         sized = variant.at(np.clip(coordinates, *variant.bounds))
-        fit = refit(start, (sized,), StoppingRule())
-        if fit is not None and fit.misfit > 1.02:
+        fit = refit(start, (sized,))
+        if fit is not None and fit.chi2 > fit.point.noise_limit:
             fit = refit_other_frequencies(fit)
         best = min(filter(None, (best, fit)), key=lambda fit: fit.chi2, default=None)
-        if best is not None and best.misfit < 1.02:
+        if best is not None and best.chi2 < best.point.noise_limit:
             break
     return None if best is None else best.effects[0]
 

@@ -20,6 +20,7 @@ from scipy.stats import norm
 from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
+    LEAST_SHARE,
     StoppingRule,
     fit_segments,
     predicted_increase,
@@ -60,7 +61,7 @@ class SearchOptions:
     """
 
     alpha: float = 0.01
-    least_share: float = 0.0025
+    least_share: float = LEAST_SHARE
     parameter_share: float = 0.0
     max_effects: int = 3
     seed: int = 0
