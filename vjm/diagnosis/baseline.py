@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from time import monotonic
 
 import numpy as np
 
 from vjm.diagnosis.candidate_fit import INCOMPLETE_MISFIT
 from vjm.diagnosis.noise import Noise
 from vjm.effects import BUILTIN
-from vjm.errors import SimulationDivergedError
+from vjm.effects.effect import is_nonsmooth
+from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import DiscretizationBias
 from vjm.identification.outliers import trimmed
 from vjm.identification.training_data import TrainingData
-from vjm.identification.trajectory_fit import Point, TrajectoryFit
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
 from vjm.identification.trajectory_method import TrajectoryMethod, first_fit, simulatable
 from vjm.records import REFERENCE, Experiment, Progress, Rig
 from vjm.simulation.initial_state import fit_initial_states
@@ -80,6 +82,25 @@ def corrected_for_discretization(fit: TrajectoryFit, rig: Rig, deadline: float =
         return fit
     bias = DiscretizationBias.of(fit.point, rig, CLOSE_MISFIT, deadline)
     return None if bias is None else bias.corrected(fit, CLOSE_MISFIT, deadline)
+
+
+def corrected_again(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit | None:
+    """Measure the discretization error beside the effects of a model, and refit; None where that cannot be done.
+
+    Without these effects, initial states of a wrong model took their part, which finer chains do not take over: what
+    they lose looks like a discretization error, and biases damping.
+    """
+    if is_nonsmooth(fit.effects) or monotonic() > deadline:
+        return None
+    point = fit.point
+    observed = tuple(replace(each, discretization_offset=None) for each in point.problem.observed)
+    problem = replace(point.problem, observed=observed)
+    try:
+        plain = fit_trajectory(problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+    except (SimulationDivergedError, InsufficientDataError):
+        return None
+    corrected = corrected_for_discretization(plain, rig, deadline)
+    return None if corrected is None or corrected.shift is None else corrected
 
 
 def _further_recordings(

@@ -17,7 +17,7 @@ from time import monotonic
 import numpy as np
 from scipy.stats import norm
 
-from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_for_discretization
+from vjm.diagnosis.baseline import CLOSE_MISFIT, corrected_again, corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     LEAST_SHARE,
@@ -176,8 +176,8 @@ class Search:
         if family is None:
             best, fits, family = self._select_small(stages)
         best = fits[best.effect_keys] = self._converged(best)
-        if whole and best.new_effects and (again := self._corrected_again(best)) is not None:
-            # Fits beside another discretization error are not to be compared with it.
+        again = corrected_again(best, self.rig, self.options.deadline) if whole and best.new_effects else None
+        if again is not None:  # fits beside another discretization error are not to be compared with it
             best, fits = again, {again.effect_keys: again}
             family = self.screen(best)
         justified = self._justified(best, fits)
@@ -565,30 +565,6 @@ class Search:
             return fit
         self.report("measuring the discretization error")
         return corrected_for_discretization(fit, self.rig, self.options.deadline)
-
-    def _corrected_again(self, fit: TrajectoryFit) -> TrajectoryFit | None:
-        """Measure the discretization error beside the effects found, and refit; None where that cannot be done.
-
-        Without them, initial states of a wrong model took their part, which finer chains do not take over: what they
-        lose looks like a discretization error, and biases damping.
-        """
-        if is_nonsmooth(fit.effects) or self.options.exhausted:
-            return None
-        self.report("measuring the discretization error")
-        point = fit.point
-        observed = tuple(replace(each, discretization_offset=None) for each in point.problem.observed)
-        try:
-            plain = fit_trajectory(
-                replace(point.problem, observed=observed),
-                point.x,
-                None,
-                point.states,
-                stop=lambda point, predicted: self.options.exhausted,
-            )
-        except (SimulationDivergedError, InsufficientDataError):
-            return None
-        corrected = corrected_for_discretization(plain, self.rig, self.options.deadline)
-        return None if corrected is None or corrected.shift is None else corrected
 
     def still_needed(self, result: SearchResult) -> tuple[Effect, ...]:
         """Return candidates that are significant and matter beside the best model, the most needed first."""
