@@ -67,7 +67,9 @@ def mujoco_markers(case: Case, segments: int, max_step: float) -> Array:
     return simulate_with_mujoco(arm, TIME, torque, start(case, segments), max_step).positions(0, MARKERS)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@pytest.mark.parametrize(
+    "case", [CASES[0], *(pytest.param(case, marks=pytest.mark.slow) for case in CASES[1:])], ids=lambda case: case.name
+)
 def test_beam_is_the_limit_of_mujoco_chains(case: Case) -> None:
     # About the longest stable steps: the fastest damping rate grows with the fourth power of the number of segments.
     coarse, middle, fine = (mujoco_markers(case, *chain) for chain in ((8, 2e-4), (16, 1e-4), (32, 2.5e-5)))

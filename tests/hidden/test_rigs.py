@@ -52,6 +52,7 @@ def test_clean_experiment_loads_without_a_word(plant: Plant, rig: Rig) -> None:
     assert truth.effects == ()
 
 
+@pytest.mark.slow
 def test_the_files_do_not_tell_the_truth(plant: Plant) -> None:
     file, truth = plant("hub", "tip_payload", "coulomb_friction")
     tables = tomllib.loads(file.read_text())

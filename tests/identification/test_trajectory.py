@@ -120,13 +120,14 @@ def bound_of(point: Point) -> Array:
     return np.sqrt(np.diag(point.problem.parametrisation.physical_covariance(point.x, np.linalg.inv(R.T @ R))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "n", "kind"),
     [
-        pytest.param("clamped", 3, "uniform", marks=pytest.mark.slow),
+        ("clamped", 3, "uniform"),
         ("clamped", 2, "uniform"),
-        pytest.param("revolute", 3, "uniform", marks=pytest.mark.slow),
-        pytest.param("revolute", 3, "joints", marks=pytest.mark.slow),
+        ("revolute", 3, "uniform"),
+        ("revolute", 3, "joints"),
     ],
 )
 def test_a_hundred_fits_scatter_as_little_as_any_can(joint: str, n: int, kind: str) -> None:
