@@ -11,7 +11,7 @@ from tests.hidden.test_finding import with_few
 from vjm.diagnosis.baseline import fit_baseline
 from vjm.diagnosis.screen import Screen
 from vjm.effects import CubicStiffness
-from vjm.identification.discretization import _with_offset
+from vjm.identification.discretization import with_offset
 from vjm.identification.trajectory_fit import Point
 
 
@@ -25,7 +25,7 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     file, truth = plant("hub", seed=3)
     base = fit_baseline(with_few(file))
     assert base.fit.shift is not None
-    plain = _with_offset(base.fit.point, None)
+    plain = with_offset(base.fit.point, None)
     assert plain.misfit > 1.05
     assert cubic(plain) > 50
     assert base.fit.point.misfit < 1.005

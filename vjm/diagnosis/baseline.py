@@ -17,7 +17,7 @@ from vjm.diagnosis.noise import Noise
 from vjm.effects import BUILTIN
 from vjm.effects.effect import is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import DiscretizationBias
+from vjm.identification.discretization import DiscretizationBias, with_offset
 from vjm.identification.outliers import trimmed
 from vjm.identification.training_data import TrainingData
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
@@ -92,11 +92,9 @@ def corrected_again(fit: TrajectoryFit, rig: Rig, deadline: float) -> Trajectory
     """
     if is_nonsmooth(fit.effects) or monotonic() > deadline:
         return None
-    point = fit.point
-    observed = tuple(replace(each, discretization_offset=None) for each in point.problem.observed)
-    problem = replace(point.problem, observed=observed)
+    point = with_offset(fit.point, None)
     try:
-        plain = fit_trajectory(problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+        plain = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
     except (SimulationDivergedError, InsufficientDataError):
         return None
     corrected = corrected_for_discretization(plain, rig, deadline)

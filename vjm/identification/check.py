@@ -393,8 +393,8 @@ def fit_warnings(
         )
     if excessive:
         warnings.append(
-            f"the residual is white noise, but larger than the sensors' in {listed(excessive)}: marker_noise or "
-            "encoder_noise of [sensors] is too small"
+            f"the residual is white noise, but larger than the sensors' in {listed(excessive)}: theirs is taken to be "
+            "too small; marker_noise and encoder_noise of [sensors] set it"
         )
     for k, mode in enumerate(modes, start=1):
         error = 0.0 if mode.frequency_measured is None else mode.frequency_model / mode.frequency_measured - 1

@@ -33,11 +33,11 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
         point: where the chain fits best.
         rig: the arm.
     """
-    coarse = _with_offset(point, None)
+    coarse = with_offset(point, None)
     try:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
         offset = [fine - _predicted(run) for fine, run in zip(predicted, coarse.runs, strict=True)]
-        corrected = _with_offset(coarse, offset)
+        corrected = with_offset(coarse, offset)
         change: Array = corrected.reduced()[0].best() - coarse.reduced()[0].best()
     except (SimulationDivergedError, InsufficientDataError):
         return None
@@ -67,7 +67,7 @@ class DiscretizationBias:
             The bias; None where the finer chain cannot be simulated, or corrections will not settle, or not in time, or
             the bias is so large that what the extrapolation leaves of it may show in the residuals.
         """
-        start = _with_offset(point, None)
+        start = with_offset(point, None)
         finer = _finer(start, rig, _refinement(point))
         best, chi2, fall, current = None, np.inf, np.inf, start
         try:
@@ -86,7 +86,7 @@ class DiscretizationBias:
                     break
                 if remaining:
                     offset = [fine - _predicted(run) for fine, run in zip(predicted, current.runs, strict=True)]
-                    shifted = _with_offset(current, offset)
+                    shifted = with_offset(current, offset)
                     states = [run.state for run in shifted.runs]
                     # To the minimum: a loose tolerance leaves up to ten standard errors, which do not settle.
                     fit = fit_trajectory(
@@ -94,7 +94,7 @@ class DiscretizationBias:
                     )
                     if monotonic() > deadline:
                         return None
-                    current = _with_offset(fit.point, None)
+                    current = with_offset(fit.point, None)
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if best is None:
@@ -116,7 +116,7 @@ class DiscretizationBias:
 
         After the deadline, a reading of `time.monotonic` [s], the fit ends where it stands.
         """
-        point = _with_offset(candidate.point, self.offset)
+        point = with_offset(candidate.point, self.offset)
         states = [run.state for run in point.runs]
         max_chi2 = max_misfit**2 * point.expected_chi2
         fit = fit_trajectory(
@@ -129,7 +129,7 @@ class DiscretizationBias:
         return None if fit.misfit > max_misfit else replace(fit, shift=self.shift)
 
 
-def _with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
+def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
     """Return the same simulations with offsets (N,) of their predictions, one for each recording; None: without."""
     runs = tuple(
         replace(run, observed=replace(run.observed, discretization_offset=run_offset))
