@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.diagnosis.trajectories import CLAMPED, FREQUENCIES, MOTION, RIG, found, simulated
-from vjm.diagnosis.symptoms import Symptoms
+from vjm.diagnosis.symptoms import Symptom, Symptoms
 from vjm.diagnosis.symptoms.channels import Channels
 from vjm.diagnosis.symptoms.modes import _Fit, _free_interval
 from vjm.records import Link, Recording, Rig, SimulatedRecording, Simulation
@@ -176,3 +176,20 @@ def test_conditions_are_told_in_words() -> None:
     assert {free.condition for free in found(decay).recordings[0].modes.free} == {""}
     result = Symptoms.of(CLAMPED, [loaded], {0.05: FREQUENCIES})
     assert {free.condition for free in result.recordings[0].modes.free} == {"payload 50 g, reference"}
+
+
+@pytest.mark.parametrize(
+    ("seen_in", "suffix"),
+    [
+        (("a.csv", None, "b.csv"), "; also in 1 other."),
+        ((None, "a.csv", "b.csv"), "."),  # of several together: it names none
+        (("a.csv", None), "."),
+        (("a.csv", "b.csv", "c.csv", "b.csv"), "; also in 2 others."),
+    ],
+)
+def test_a_symptom_of_several_recordings_together_is_no_other_recording(
+    seen_in: tuple[str | None, ...], suffix: str
+) -> None:
+    seen = (Symptom("tone", file, None, None, 1.0, 0.1, "m", 1e-9, 0.5, 0.5, "It hums.") for file in seen_in)
+    (headline,) = replace(found(simulated(0)), found=tuple(seen)).headlines()
+    assert headline.sentence == f"It hums{suffix}"
