@@ -105,12 +105,19 @@ class Arm:
         return rates
 
     @property
+    def has_state_rates(self) -> bool:
+        """True if any internal state has a rate of change."""
+        return bool(self._state_rates)
+
+    @property
     def has_rate_independent_states(self) -> bool:
         """True if `update_states` changes any internal state."""
         return bool(self._state_updates)
 
     def update_states(self, q: Array, z: Array, to: Array) -> Array:
         """Return internal states (..., nz) after a change of angles (..., nv); only rate-independent ones change."""
+        if len(self.effects) == 1 and self._state_updates:  # without the array for all effects': see `follow`
+            return self._state_updates[0][0](q, z, to)
         updated = z.copy()
         for function, part in self._state_updates:
             updated[..., part] = function(q, z[..., part], to)

@@ -177,7 +177,7 @@ class System:
             motion = q[copies], v[copies], z[copies]
             if exerted is not None:
                 force[copies] = exerted(time[copies], *motion)
-            if z.size:
+            if arm.has_state_rates:
                 rates[copies] = arm.state_rates(time[copies], *motion)
         return force, rates
 
