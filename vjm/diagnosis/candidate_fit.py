@@ -335,6 +335,18 @@ def fit_segments(
     return replace(fitted, point=point, shift=_transferred_shift(fit, fitted))
 
 
+def is_lost_in_longer(shorter: TrajectoryFit, longer: TrajectoryFit) -> bool:
+    """Return True if a model leaves more than noise of longer segments, in comparison with shorter ones.
+
+    The initial states that fewer segments do without took up noise: a chi^2 of as many degrees of freedom at most. What
+    more there is comes of stick-slip or play in the longer segments, of which the search has missed the best minimum.
+    """
+    if shorter.effect_keys != longer.effect_keys:
+        return False
+    freedom = sum(run.state.size for run in shorter.point.runs) - sum(run.state.size for run in longer.point.runs)
+    return bool(longer.chi2 - shorter.chi2 > freedom + 5 * np.sqrt(2 * freedom))
+
+
 def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:
     """Estimate initial states (2 nv,) of segments, starting from the simulation of the whole recordings.
 

@@ -23,6 +23,7 @@ from vjm.diagnosis.candidate_fit import (
     LEAST_SHARE,
     StoppingRule,
     fit_segments,
+    is_lost_in_longer,
     predicted_increase,
     refit,
     refit_other_frequencies,
@@ -154,6 +155,8 @@ class Search:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
             if is_nonsmooth(best.effects) and not self._explains_all(best, best):
+                break
+            if is_nonsmooth(best.effects) and len(stages) > 1 and is_lost_in_longer(stages[-2][0], best):
                 break
             if family is None and is_nonsmooth(best.effects):
                 # What is small in these segments may be what keeps the model from following longer ones.
@@ -507,7 +510,8 @@ class Search:
             return None
         self.report("lengthening segments")
         try:
-            longer = fit_segments(fit, self.whole, duration, self.options.stop())
+            largest = fit.point.noise_limit if is_nonsmooth(fit.effects) else np.inf
+            longer = fit_segments(fit, self.whole, duration, self.options.stop(largest))
         except (SimulationDivergedError, InsufficientDataError):
             return None
         if is_nonsmooth(fit.effects) and not self._explains_all(longer, longer):
