@@ -27,7 +27,7 @@ from vjm.text import counted, listed, millimetres, number, ratio
 
 # Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
 # fifth. What is certain but smaller needs no warning.
-_LARGE_RESIDUAL = 1.5  # RMS over noise, and mean square of weighted residuals
+_LARGE_RESIDUAL = 1.5  # RMS over noise: more than a misjudged noise
 _MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
 
 
@@ -378,12 +378,12 @@ def fit_warnings(
         for test in whiteness
         # A fifth of the noise power: what is left of exact data is correlated, and far below any noise.
         if test.correlated
-        and (test.correlation * min(test.mean_square, 1.0) > 0.2 or test.mean_square > _LARGE_RESIDUAL)
+        and (test.correlation * min(test.mean_square, 1.0) > 0.2 or test.mean_square > _LARGE_RESIDUAL**2)
     ]
     excessive = [
         f"{test.file} ({ratio(test.mean_square**0.5)} × noise)"
         for test in whiteness
-        if test.excessive and not test.correlated and test.mean_square > _LARGE_RESIDUAL
+        if test.excessive and not test.correlated and test.mean_square > _LARGE_RESIDUAL**2
     ]
     warnings = []
     if correlated:
