@@ -158,11 +158,8 @@ class Search:
                 break
             if is_nonsmooth(best.effects) and len(stages) > 1 and is_lost_in_longer(stages[-2][0], best):
                 break
-            if family is None and is_nonsmooth(best.effects):
-                # What is small in these segments may be what keeps the model from following longer ones.
-                best, fits, family = self._select_small(stages)
             longer = self._lengthened(best, duration)
-            if longer is None and family is None:
+            if longer is None and family is None:  # what is small in these segments may be what longer ones lack
                 fit = best
                 best, fits, family = self._select_small(stages)
                 longer = None if best is fit else self._lengthened(best, duration)
