@@ -3,7 +3,7 @@
 Recordings are cut into segments so short that even an incomplete model stays in phase. Each step tests the candidates
 beside the best model, fits those that may explain most, adds the best if it is significant and large enough to matter,
 and drops effects that are no longer needed. The segments are then lengthened up to whole recordings. Small effects show
-best there and are searched for there, and on the way beside stick-slip or play and where longer segments no longer fit.
+best there and are searched for there, and on the way where longer segments no longer fit.
 Where the discretization error cannot be measured, the search ends with the longest segments in which it does not show.
 """
 
