@@ -19,6 +19,7 @@ from vjm.diagnosis.candidate_fit import (
     _multistart,
     fit_segments,
     information_of,
+    is_lost_in_longer,
     predicted_increase,
     refit,
 )
@@ -275,6 +276,18 @@ def test_a_table_that_was_recentred_is_lengthened_about_its_new_direction() -> N
     (found,) = fit.effects
     assert found.values["direction"] == pytest.approx(truth.direction, abs=0.1)
     assert fit.point.problem.point(fit.point.x, fit.point.states).chi2 == pytest.approx(fit.chi2, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.parametrize("friction", [0.0, 5e-3])
+def test_longer_segments_lose_a_model_that_lacks_something_and_no_other(friction: float, seed: int) -> None:
+    """The initial states that there are fewer of take noise with them, which is not to be taken for a loss."""
+    hidden = (ViscousFriction(link=0, coefficient=friction),) if friction else ()
+    shorter = in_segments(recorded(Arm.of(chain_of(), hidden), seed))
+    observed = point_of(chain_of(), (), recorded(Arm.of(chain_of(), hidden), seed)).problem.observed
+    longer = fit_segments(shorter, observed, np.inf, StoppingRule())
+    assert longer.chi2 > shorter.chi2 + len(shorter.point.runs) - len(longer.point.runs)
+    assert is_lost_in_longer(shorter, longer) == bool(friction)
 
 
 @pytest.mark.slow
