@@ -71,6 +71,7 @@ def test_a_period_far_longer_than_the_recording(tmp_path: Path) -> None:
     assert outcome.seconds < 0.5 * SECONDS  # it took more than all of them, nearly all beyond the recording
 
 
+@pytest.mark.slow
 def test_torques_of_a_billionth(tmp_path: Path) -> None:
     case = copy.deepcopy(sound("hub"))
     case.tables["a.csv"].column("arm.tau", "arm.tau")[:] *= 1e-9

@@ -79,7 +79,7 @@ CANDIDATES = "diagnose", "--jobs", "2", "--effects", "tip_payload,linear_drag,cl
     ("stage", "delay", "command"),
     [
         ("reading", 0.0, ("identify",)),
-        ("fitting trajectories", 0.0, ("identify",)),
+        pytest.param("fitting trajectories", 0.0, ("identify",), marks=pytest.mark.slow),
         ("drawing", 0.0, ("identify",)),
         pytest.param("drawing shapes", 0.0, ("identify",), marks=pytest.mark.slow),
         ("testing candidates", 0.0, CANDIDATES),  # while processes start

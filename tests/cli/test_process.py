@@ -29,6 +29,7 @@ def short_experiment(folder: Path) -> Path:
     return folder / "experiment.toml"
 
 
+@pytest.mark.slow
 def test_identify_then_simulate(tmp_path: Path) -> None:
     experiment, out = short_experiment(tmp_path), tmp_path / "out"
     identified = vjm("identify", experiment, "-o", out, "--json", "--virtual-joints", "3")

@@ -135,6 +135,7 @@ def test_motion_with_dry_friction_depends_smoothly_on_parameters() -> None:
     assert np.abs(bent).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_two_integrators_carry_friction_beside_other_internal_states() -> None:
     time = np.linspace(0.0, 2.0, 1001)
     recording = driven(0.1 * np.sin(2 * np.pi * 1.1 * time) + 0.05 * np.sin(2 * np.pi * 3.7 * time), time)

@@ -162,6 +162,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(benchmark, "cases_of", few)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_benchmark_can_be_stopped_and_taken_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "results" / "r.jsonl"

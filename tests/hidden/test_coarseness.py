@@ -36,6 +36,7 @@ def test_coarseness_is_no_effect_and_no_error_of_the_parameters(plant: Plant) ->
     assert physical[2] == pytest.approx(truth.setting.beam.hub_inertia, rel=3e-4)
 
 
+@pytest.mark.slow
 def test_corrections_settle_where_many_samples_tell_much(plant: Plant) -> None:
     """At 144 frames/s a standard error is small beside what the first correction leaves."""
     file, truth = plant("clamped_arm", seed=5)

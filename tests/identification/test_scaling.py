@@ -25,6 +25,7 @@ def identified(length: float, mass: float, time: float) -> Identification:
     return vjm.identify(scaled(demo(), length, mass, time), baselines=False)
 
 
+@pytest.mark.slow
 def test_an_arm_of_another_size_is_identified_alike() -> None:
     """A boom, and a cantilever as of an atomic force microscope."""
     here, there = identified(*BOOM), identified(*ODD)

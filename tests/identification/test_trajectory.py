@@ -311,6 +311,7 @@ def test_the_torque_method_s_model_is_simulated_to_compare_with(hub: Callable[[i
         assert chi2 < by_torques
 
 
+@pytest.mark.slow
 def test_demo_comes_out_as_it_was_put_in() -> None:
     fit = identify(demo(), baselines=False)
     stiffness, time = fit.parameters
@@ -340,6 +341,7 @@ def test_measured_shapes_tell_modes_apart() -> None:
     assert _modal_assurance(first, (2 - 1j) * first) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (SHARED / "hub_rig").exists(), reason="the shared recordings are absent")
 def test_hub_rig_of_another_simulator() -> None:
     fit = identify(vjm.load_experiment(SHARED / "hub_rig" / "experiment.toml"), baselines=False)

@@ -6,7 +6,8 @@ from tests.report.fits import FITS, SHARED
 from vjm.identification.records import Identification
 
 
-@pytest.fixture(params=list(FITS))
+# Of the two with a driven joint, the elbow's is always drawn.
+@pytest.fixture(params=[pytest.param(name, marks=[pytest.mark.slow] * (name == "hub")) for name in FITS])
 def fit(request: pytest.FixtureRequest) -> Identification:
     name: str = request.param
     if name in ("hub", "silicone") and not SHARED.is_dir():
