@@ -174,9 +174,15 @@ def test_the_usual_budget_grows_with_time_and_frames(duration: float, rate: int,
     """From 35 s and 3,500 frames on, whichever is more beyond it, up to twice the usual one."""
     time = np.linspace(0.0, duration, int(duration * rate))
     recording = Recording(time, np.zeros((time.size, 1, 2)), kind="decay", role="train")
-    experiment = SimpleNamespace(with_role=lambda role: [recording] * 5)
-    count = {jobs: _default_budget(experiment, jobs) for jobs in (1, 2, 8)}  # type: ignore[arg-type]
-    assert count == pytest.approx({1: one, 2: two, 8: two})
+    link = Link("beam", "revolute", 1.0, 0.44, 1.9, (0.5, 1.0), hub_inertia=0.02)
+
+    def budgets(*links: Link) -> dict[int, float]:
+        experiment = SimpleNamespace(with_role=lambda role: [recording] * 5, rig=Rig("arm", links))
+        return {jobs: _default_budget(experiment, jobs) for jobs in (1, 2, 8)}  # type: ignore[arg-type]
+
+    assert budgets(link) == pytest.approx({1: one, 2: two, 8: two})
+    assert budgets(link, replace(link, name="tip", joint="clamped", hub_inertia=0.0)) == budgets(link)
+    assert budgets(link, replace(link, name="elbow")) == pytest.approx({1: 480.0, 2: 240.0, 8: 240.0})
 
 
 def test_a_search_that_was_ended_says_what_it_has_not_tried() -> None:

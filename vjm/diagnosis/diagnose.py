@@ -63,7 +63,8 @@ def diagnose(
         seed: of all random numbers.
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
             infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings or
-            3,500 frames, in proportion more for more of either, but at most 240 s; twice as much for one process.
+            3,500 frames, in proportion more for more of either, but at most 240 s, which an arm with an elbow has in
+            any case; twice as much for one process.
         progress: called with (text, done, total) while it runs.
 
     Returns:
@@ -151,9 +152,11 @@ def _default_budget(experiment: Experiment, jobs: int) -> float:
     recorded = sum(float(np.ptp(recording.time)) for recording in train)
     frames = sum(recording.frames.size for recording in train)
     # A policy: 240 s of processor time, shared by two processes at most, for up to 35 s of recordings at 100 frames/s.
-    # What is simulated grows with both: a fast camera sees fast modes, which take short steps. With two
-    # processes an answer takes five minutes at most, with what starts and ends it.
-    return 240.0 / min(jobs, 2) * min(max(1.0, recorded / 35.0, frames / 3500.0), 2.0)
+    # What is simulated grows with both: a fast camera sees fast modes, which take short steps. With an elbow steps are
+    # several times shorter (`default_step`). With two processes an answer takes five minutes at most, with what starts
+    # and ends it, and six with an elbow.
+    steps = 2.0 if any(link.joint == "revolute" for link in experiment.rig.links[1:]) else 1.0
+    return 240.0 / min(jobs, 2) * min(max(steps, recorded / 35.0, frames / 3500.0), 2.0)
 
 
 def _findings(
