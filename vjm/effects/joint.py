@@ -71,7 +71,7 @@ class _DryFriction(JointEffect):
         if self.smooth:
             return None
         joint, limit = self.active_joint(chain), self.presliding(chain)
-        # Of the two ufuncs, that are faster than `np.clip` in the many small steps of a simulation.
+        # Two ufuncs take less time than `np.clip`, in the many small steps of a simulation.
         return lambda q, z, to: np.maximum(np.minimum(z + (to - q)[..., joint, None], limit), -limit)
 
     def presliding(self, chain: Chain) -> float:
