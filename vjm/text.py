@@ -63,7 +63,7 @@ def _joined(numbers: Sequence[float], between: str, value: float, std: float) ->
     """Join numbers with as many digits as the standard error of a value leaves certain, under one power of ten."""
     last = _exponent(std, 2) - 1  # the error's second digit
     exponent = max(_exponent(value, 6), _exponent(std, 2)) if value else _exponent(std, 2)
-    if exponent in _PLAIN_EXPONENTS and last >= -6:
+    if exponent == 0 or (exponent in _PLAIN_EXPONENTS and last >= -6):
         return _signed(between.join(f"{round(item, -last):.{max(-last, 0)}f}" for item in numbers))
     places, scale = max(exponent - last, 0), 10.0**exponent
     return _signed(f"({between.join(f'{item / scale:.{places}f}' for item in numbers)}) × {_power(exponent)}")
