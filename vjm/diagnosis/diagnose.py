@@ -62,9 +62,8 @@ def diagnose(
         jobs: processes. More than one needs a script whose top level is guarded by `if __name__ == "__main__"`.
         seed: of all random numbers.
         budget: time that it may take [s], after which it returns the best it has and says what it has not tried;
-            infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings or
-            3,500 frames, in proportion more for more of either, but at most 240 s, which an arm with an elbow has in
-            any case; twice as much for one process.
+            infinite: as long as it needs. None: 120 s for two processes and up to 35 s of training recordings or 3,500
+            frames, in proportion more for more, up to 240 s, as for any arm with an elbow; twice that for one process.
         progress: called with (text, done, total) while it runs.
 
     Returns:
