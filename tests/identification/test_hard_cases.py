@@ -221,6 +221,7 @@ def test_of_exact_recordings_nothing_is_said_to_be_missing() -> None:
 
 def test_residuals_that_are_too_large_and_white_are_no_missing_dynamics() -> None:
     noisy, moving = Whiteness("a.csv", 4.0, 0.03, False, True), Whiteness("b.csv", 4.0, 0.5, True, True)
+    assert fit_warnings((), whiteness=[replace(noisy, mean_square=2.0)]) == []  # 1.4 times the noise
     (warning,) = fit_warnings((), whiteness=[noisy])
     assert "white noise, but larger" in warning
     assert "a.csv (2.00 × noise)" in warning

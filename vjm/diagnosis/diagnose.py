@@ -154,8 +154,8 @@ def _default_budget(experiment: Experiment, jobs: int) -> float:
     # What is simulated grows with both: a fast camera sees fast modes, which take short steps. With an elbow steps are
     # several times shorter (`default_step`). With two processes an answer takes five minutes at most, with what starts
     # and ends it, and six with an elbow.
-    steps = 2.0 if any(link.joint == "revolute" for link in experiment.rig.links[1:]) else 1.0
-    return 240.0 / min(jobs, 2) * min(max(steps, recorded / 35.0, frames / 3500.0), 2.0)
+    longer = 2.0 if experiment.rig.has_elbow else 1.0
+    return 240.0 / min(jobs, 2) * min(max(longer, recorded / 35.0, frames / 3500.0), 2.0)
 
 
 def _findings(

@@ -154,9 +154,8 @@ class Search:
             if self.options.exhausted:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
-            if is_nonsmooth(best.effects) and not self._explains_all(best, best):
-                break
-            if is_nonsmooth(best.effects) and len(stages) > 1 and is_lost_in_longer(stages[-2][0], best):
+            lost = not self._explains_all(best, best) or (len(stages) > 1 and is_lost_in_longer(stages[-2][0], best))
+            if is_nonsmooth(best.effects) and lost:
                 break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:  # what is small in these segments may be what longer ones lack
@@ -507,11 +506,12 @@ class Search:
             return None
         self.report("lengthening segments")
         try:
-            largest = fit.point.noise_limit if is_nonsmooth(fit.effects) else np.inf
-            longer = fit_segments(fit, self.whole, duration, self.options.stop(largest))
+            # The same values in other segments: what is noise of the shorter ones is noise of the longer.
+            max_chi2 = fit.point.noise_limit if is_nonsmooth(fit.effects) else np.inf
+            longer = fit_segments(fit, self.whole, duration, self.options.stop(max_chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return None
-        if is_nonsmooth(fit.effects) and not self._explains_all(longer, longer):
+        if longer.chi2 > max_chi2:
             return None
         return None if longer.misfit > INCOMPLETE_MISFIT * max(1.0, fit.misfit) else longer
 

@@ -201,6 +201,11 @@ class Rig:
         return f"Rig({self.name!r}, links: {', '.join(links)}; gravity {self.gravity} m/s^2)"
 
     @property
+    def has_elbow(self) -> bool:
+        """True if a joint beyond the first link is driven."""
+        return any(link > 0 for link in self.active_links)
+
+    @property
     def active_links(self) -> tuple[int, ...]:
         """Indices of the links with an active joint, in order; columns of `theta` and `tau` follow them."""
         return tuple(i for i, link in enumerate(self.links) if link.joint == "revolute")

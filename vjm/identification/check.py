@@ -27,7 +27,7 @@ from vjm.text import counted, listed, millimetres, number, ratio
 
 # Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
 # fifth. What is certain but smaller needs no warning.
-_LARGE_RESIDUAL = 1.5  # RMS over noise: more than a misjudged noise
+_LARGE_RESIDUAL = 1.5  # RMS over noise
 _MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
 
 

@@ -71,7 +71,7 @@ class TrajectoryMethod:
     @property
     def _starts_with_long_steps(self) -> bool:
         """True if only the last fits take accurate integrator steps: an elbow's are many times shorter."""
-        return any(link.joint == "revolute" for link in self.data.rig.links[1:])
+        return self.data.rig.has_elbow
 
     def _with_accurate_steps(self, fit: TrajectoryFit) -> TrajectoryFit:
         """Refit with integrator steps so short that their error is below a tenth of every standard error.
