@@ -291,6 +291,21 @@ def test_longer_segments_lose_a_model_that_lacks_something_and_no_other(friction
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("lost", [False, True])
+def test_friction_is_followed_over_whole_recordings_unless_segments_lose_it(
+    lost: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = CoulombFriction(link=0, torque=0.008)
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0)))
+    if lost:
+        monkeypatch.setattr(selection, "is_lost_in_longer", lambda shorter, longer: True)
+    search = selection.Search(RIG, start, [CoulombFriction()], selection.SearchOptions(), lambda text: None)
+    best = search.run().best
+    assert [effect.id for effect in best.effects] == ["coulomb_friction"]
+    assert len(best.point.runs) == (6 if lost else 2)  # a third of each recording, or all of it
+
+
+@pytest.mark.slow
 def test_friction_whose_fit_comes_out_worse_than_none_is_fitted_from_better_states() -> None:
     """Its first step corrects initial states that suit a motion without it, and leads astray."""
     truth = Stribeck(link=0, torque=0.012, speed=0.03)
