@@ -19,7 +19,7 @@ from vjm.diagnosis.candidate_fit import (
     _multistart,
     fit_segments,
     information_of,
-    is_lost_in_longer,
+    largest_chi2_in_longer,
     predicted_increase,
     refit,
 )
@@ -28,6 +28,7 @@ from vjm.diagnosis.diagnose import _with_residual
 from vjm.diagnosis.records import Candidate
 from vjm.effects import (
     ActuatorLag,
+    Backlash,
     BaseCompliance,
     CoulombFriction,
     CubicStiffness,
@@ -95,6 +96,20 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
         assert abs(size.value - true) < 3 * size.std
         assert size.std < most
     assert is_determined(found, gear, 1e-6)
+
+
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(seed: int) -> None:
+    """They are in contact for too short a time to be seen by variational equations, and are an error of the gap."""
+    truth = Backlash(link=0, gap=0.01, motor_share=0.4, flank_stiffness=600.0, flank_damping=0.6)
+    placed = replace(truth.placed(RIG, 0))
+    recordings = recorded(Arm.of(chain_of(), (placed,)), seed, duration=4.0)
+    found = refit(in_segments(recordings), [replace(placed, gap=0.012, flank_stiffness=2000.0, flank_damping=3.0)])
+    assert found is not None
+    print(found.point.misfit, found.effects)
+    covariance = information_of(found).covariance[found.point.problem.parts[0], found.point.problem.parts[0]]
+    print({n: (s.value, s.std) for n, s in _with_errors(found.effects[0], covariance).items()})
+    assert 0
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
@@ -287,7 +302,7 @@ def test_longer_segments_lose_a_model_that_lacks_something_and_no_other(friction
     observed = point_of(chain_of(), (), recorded(Arm.of(chain_of(), hidden), seed)).problem.observed
     longer = fit_segments(shorter, observed, np.inf, StoppingRule())
     assert longer.chi2 > shorter.chi2 + len(shorter.point.runs) - len(longer.point.runs)
-    assert is_lost_in_longer(shorter, longer) == bool(friction)
+    assert (longer.chi2 > largest_chi2_in_longer(shorter, observed, np.inf)) == bool(friction)
 
 
 @pytest.mark.slow
@@ -298,11 +313,11 @@ def test_friction_is_followed_over_whole_recordings_unless_segments_lose_it(
     truth = CoulombFriction(link=0, torque=0.008)
     start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0)))
     if lost:
-        monkeypatch.setattr(selection, "is_lost_in_longer", lambda shorter, longer: True)
+        monkeypatch.setattr(selection, "largest_chi2_in_longer", lambda shorter, whole, duration: shorter.chi2)
     search = selection.Search(RIG, start, [CoulombFriction()], selection.SearchOptions(), lambda text: None)
     best = search.run().best
     assert [effect.id for effect in best.effects] == ["coulomb_friction"]
-    assert len(best.point.runs) == (6 if lost else 2)  # a third of each recording, or all of it
+    assert (len(best.point.runs) > 2) == lost
 
 
 @pytest.mark.slow

@@ -14,10 +14,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# A backlash closes on flanks this stiff, with damping that fades in over the first bit of the contact.
-FLANK_STIFFNESS = 2000.0  # N m/rad
-FLANK_DAMPING_RATIO = 0.5  # of the motor on the flank's stiffness
-FLANK_DEPTH = 2e-5  # rad
+FLANK_DEPTH = 2e-5  # rad; over the first bit of a contact the damping of a backlash's flanks fades in
 
 
 @dataclass(frozen=True)
@@ -36,6 +33,7 @@ class Physics:
             the motor's part of the hub's inertia; of a damper beside the spring, N m s/rad.
         backlash_gap, backlash_motor_share: whole dead zone between motor and hub, rad; as of the gear, which counts
             where there are both.
+        backlash_contact_stiffness, backlash_contact_damping_ratio: of the flanks, N m/rad, and of the motor on them.
         clamp_compliance_compliance, clamp_compliance_damping: turn of the link's root over its bending moment at rest,
             rad/(N m); of a damper beside the spring, N m s/rad.
         base_compliance_stiffness, base_compliance_mass, base_compliance_direction, base_compliance_damping_ratio: of a
@@ -71,6 +69,8 @@ class Physics:
     gear_elasticity_damping: float = 0.0
     backlash_gap: float = 0.0
     backlash_motor_share: float = 0.5
+    backlash_contact_stiffness: float = 2000.0
+    backlash_contact_damping_ratio: float = 0.5
     clamp_compliance_compliance: float = 0.0
     clamp_compliance_damping: float = 0.0
     base_compliance_stiffness: float = inf
@@ -157,8 +157,8 @@ def transmission_torque(physics: Physics, hub_inertia: float, twist: Array, twis
     beside their own.
     """
     elastic = isfinite(physics.gear_elasticity_stiffness)
-    stiffness = physics.gear_elasticity_stiffness if elastic else FLANK_STIFFNESS
-    ratio = 0.1 * FLANK_DAMPING_RATIO if elastic else FLANK_DAMPING_RATIO
+    stiffness = physics.gear_elasticity_stiffness if elastic else physics.backlash_contact_stiffness
+    ratio = (0.1 if elastic else 1.0) * physics.backlash_contact_damping_ratio
     damping = 2.0 * ratio * np.sqrt(stiffness * physics.motor_share * hub_inertia) + physics.gear_elasticity_damping
     side = np.sign(twist)
     depth = np.maximum(np.abs(twist) - 0.5 * physics.backlash_gap, 0.0)

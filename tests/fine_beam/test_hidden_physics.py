@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from tests.fine_beam import linear_modes, simulate, static_state
 from tests.fine_beam.arms import HUB, INERTIA, MARKERS, RIGID, TIME, alone, drive, energy, rms
 from tests.fine_beam.extended import Extended
-from tests.fine_beam.hidden import FLANK_STIFFNESS, Physics
+from tests.fine_beam.hidden import Physics
 from tests.fine_beam.motion import Run, simulate_runs
 
 Array = NDArray[np.float64]
@@ -164,8 +164,9 @@ def test_play_passes_nothing_until_it_closes() -> None:
     inside = free < 0.004
     np.testing.assert_allclose(motion.theta[inside], free[inside], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(motion.coordinates[inside, 1:], 0.0, atol=1e-12)
-    resting = alone(HUB, Physics(backlash_gap=0.01, in_plane_gravity_gy=-0.3), Run(held=True))
-    assert resting.coordinates[0, 1] == pytest.approx(-0.005 - 0.066 / FLANK_STIFFNESS, abs=1e-6)
+    soft = Physics(backlash_gap=0.01, backlash_contact_stiffness=500.0, in_plane_gravity_gy=-0.3)
+    resting = alone(HUB, soft, Run(held=True))
+    assert resting.coordinates[0, 1] == pytest.approx(-0.005 - 0.066 / 500.0, abs=1e-6)
 
 
 # The table

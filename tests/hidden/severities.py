@@ -100,6 +100,7 @@ POWERS: Mapping[tuple[str, str], tuple[int, int, int]] = {
     ("stribeck", "speed"): (0, 0, -1),
     ("viscous_friction", "coefficient"): (2, 1, -1),
     ("joint_spring", "stiffness"): (2, 1, -2),
+    ("backlash", "contact_stiffness"): (2, 1, -2),
     ("torque_offset", "offset"): (2, 1, -2),
     ("torque_saturation", "limit"): (2, 1, -2),
     ("cogging", "amplitude"): (2, 1, -2),
@@ -237,7 +238,10 @@ def _inner(effect: str, random: np.random.Generator, markers: int) -> dict[str, 
     spread = float(2.0 ** random.uniform(-0.7, 0.7))
     match effect:
         case "backlash":
-            return {"motor_share": random.uniform(0.2, 0.8)}
+            share = random.uniform(0.2, 0.8)
+            # What flanks do is not the model's law: their stiffness and damping have names of their own.
+            stiffness, ratio = 1400.0 * 2.0 ** random.uniform(-1.0, 1.0), 0.5 * 2.0 ** random.uniform(-1.0, 1.0)
+            return {"motor_share": share, "contact_stiffness": stiffness, "contact_damping_ratio": ratio}
         case "gear_elasticity":
             # Motor and hub swing against each other by about 110 rad/s, with 0.1 % to 10 % of critical damping.
             return {"motor_share": random.uniform(0.2, 0.8), "damping": 0.001 * 100.0 ** random.uniform()}

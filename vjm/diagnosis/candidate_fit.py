@@ -248,17 +248,18 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         return fit_trajectory(problem, x, None, states, stop=stop)
     before = np.inf
     # With stick-slip or play the first steps are not stopped by `max_chi2`: before the first multistart, the predicted
-    # decrease does not tell what chi^2 can be reached.
+    # decrease does not tell what chi^2 can be reached. Nor do the flanks of a play tell anything yet.
+    problem = replace(problem, simulated_held=nonsmooth)
     max_chi2, steps = (np.inf, _STEPS_BETWEEN_MULTISTARTS) if nonsmooth else (stop.max_chi2, np.inf)
     while True:
         fit = fit_trajectory(problem, x, None, states, stop=StoppingRule(max_chi2, steps, stop.deadline))
-        max_chi2 = stop.max_chi2
+        max_chi2, problem = stop.max_chi2, replace(problem, simulated_held=False)
         if not nonsmooth and fit.chi2 > stop.max_chi2:
             return fit
         point = replace(fit.point, runs=_multistart(fit.point))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         if gained < _stall_decrease(point) or monotonic() > stop.deadline:
-            return replace(fit, point=point)
+            return replace(fit, point=replace(point, problem=problem))
         before, x, states = point.chi2, point.x, point.states
 
 
@@ -335,16 +336,15 @@ def fit_segments(
     return replace(fitted, point=point, shift=_transferred_shift(fit, fitted))
 
 
-def is_lost_in_longer(shorter: TrajectoryFit, longer: TrajectoryFit) -> bool:
-    """Return True if a model leaves more than noise of longer segments, in comparison with shorter ones.
+def largest_chi2_in_longer(shorter: TrajectoryFit, whole: Sequence[Observations], duration: float) -> float:
+    """Return the chi^2 up to which a model leaves no more than noise of longer segments, as of `fit_segments`.
 
     The initial states that fewer segments do without took up noise: a chi^2 of as many degrees of freedom at most. What
     more there is comes of stick-slip or play in the longer segments, of which the search has missed the best minimum.
     """
-    if shorter.effect_keys != longer.effect_keys:
-        return False
-    freedom = sum(run.state.size for run in shorter.point.runs) - sum(run.state.size for run in longer.point.runs)
-    return bool(longer.chi2 - shorter.chi2 > freedom + 5 * np.sqrt(2 * freedom))
+    states = shorter.point.runs[0].state.size
+    freedom = states * max(0, len(shorter.point.runs) - sum(len(segments(each, duration)) for each in whole))
+    return float(shorter.chi2 + freedom + 5 * np.sqrt(2 * freedom))
 
 
 def _initial_states(problem: TrajectoryProblem, x: Array, states: Sequence[Array]) -> list[Array]:

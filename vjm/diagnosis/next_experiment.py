@@ -19,7 +19,7 @@ from vjm.diagnosis.records import Proposal
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import REFERENCE, Array, Indices, Recording
-from vjm.simulation.run import InitialStatePrior, Run, simulate_runs
+from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
 
 # Maps a recording, its initial state (2 nv,) and the indices of active coordinates to the changed recording and state.
 _Change = Callable[[Recording, Array, Indices], tuple[Recording, Array]]
@@ -83,7 +83,8 @@ def _difference(true: TrajectoryFit, candidate: TrajectoryFit, run: Run, change:
         moved = replace(candidate.point.problem, observed=(predicted.observed,)).perturbed_arms(candidate.point.x)[0]
         states = 2 * predicted.basis.slow_count  # columns of the initial state, before those of the parameters
         slopes = np.zeros((predicted.residual.size, states + len(moved)))
-        for measured, part in predicted.jacobian(predicted.linearization(moved)):
+        (linearization,) = linearize([predicted], [moved])
+        for measured, part in predicted.jacobian(linearization):
             slopes[measured] = part
     except (SimulationDivergedError, InsufficientDataError):
         return 0.0

@@ -23,7 +23,7 @@ from vjm.diagnosis.candidate_fit import (
     LEAST_SHARE,
     StoppingRule,
     fit_segments,
-    is_lost_in_longer,
+    largest_chi2_in_longer,
     predicted_increase,
     refit,
     refit_other_frequencies,
@@ -154,8 +154,7 @@ class Search:
             if self.options.exhausted:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has.
-            lost = not self._explains_all(best, best) or (len(stages) > 1 and is_lost_in_longer(stages[-2][0], best))
-            if is_nonsmooth(best.effects) and lost:
+            if is_nonsmooth(best.effects) and not self._explains_all(best, best):
                 break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:  # what is small in these segments may be what longer ones lack
@@ -500,14 +499,14 @@ class Search:
     def _lengthened(self, fit: TrajectoryFit, duration: float) -> TrajectoryFit | None:
         """Fit a model to longer segments; None where it fits them much worse than the shorter ones.
 
-        With stick-slip or play also None where more than noise is left, and after the deadline always.
+        With stick-slip or play also None where it leaves more than noise of them, and after the deadline always.
         """
         if self.options.exhausted:
             return None
         self.report("lengthening segments")
         try:
-            # The same values in other segments: what is noise of the shorter ones is noise of the longer.
-            max_chi2 = fit.point.noise_limit if is_nonsmooth(fit.effects) else np.inf
+            nonsmooth = is_nonsmooth(fit.effects)
+            max_chi2 = largest_chi2_in_longer(fit, self.whole, duration) if nonsmooth else np.inf
             longer = fit_segments(fit, self.whole, duration, self.options.stop(max_chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return None

@@ -47,6 +47,9 @@ class Parameter:
     # Of a shape parameter that may be zero: its coordinate is the value over a typical one, since the logarithm's slope
     # vanishes there.
     linear: bool = False
+    # Of a shape parameter: derivatives by it are from simulations, as it acts for less time than the variational
+    # equations resolve.
+    simulated: bool = False
     # Searches start from peaks of the residuals' spectrum, over time or over the joint's angle, instead of the grid.
     from_spectrum: Literal["", "time", "joint_angle"] = ""
     # Typical magnitude, bounds and grid are multiples of the rig's own unit, made of the link's length l, its mass m
@@ -134,7 +137,7 @@ def shape_parameter(unit: str, typical_magnitude: float, lower: float = 0.0, **a
     """Declare a field that says how an effect is, and is irrelevant where its magnitudes are null.
 
     The typical value is the default, zero if it is linear; the default is the grid if none is given. Further attributes
-    of `Parameter` that it may have: `upper`, `grid`, `integer`, `linear`, `from_spectrum`, `in_rig_units`.
+    of `Parameter` that it may have: `upper`, `grid`, `integer`, `linear`, `simulated`, `from_spectrum`, `in_rig_units`.
     """
     usual = 0.0 if attributes.get("linear") else typical_magnitude
     default = int(usual) if attributes.get("integer") else usual
@@ -249,6 +252,11 @@ class Effect:
     def size_coordinates(self) -> tuple[int, ...]:
         """Indices of the coordinates that are zero where it is absent: its magnitudes, unless a search varies more."""
         return tuple(range(self.magnitude_count))
+
+    @property
+    def simulated_coordinates(self) -> tuple[int, ...]:
+        """Indices of the coordinates whose derivatives are taken from simulations."""
+        return tuple(k for k, parameter in enumerate(self._varied) if parameter.simulated)
 
     def scaled(self, factor: float) -> Self:
         """Return the effect with its magnitudes times a factor."""

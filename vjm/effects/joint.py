@@ -218,12 +218,11 @@ class TorqueOffset(ColumnEffect):
         return replace(recording, tau=self.with_column(recording.tau, offset=self.offset))
 
 
-# Flanks of teeth in contact, in the link's own units l, m, T: a stiffness in EI / l, which turns by a thousandth of
-# what the link bends; a damping in EI T / l, with which a hub of 0.05 m l^2 rebounds with a third of its speed; a step,
-# a ninth of the period of a light hub of 0.012 m l^2 on its flank, which is no part of the chain's linear springs while
-# the gap is open; and the part of the gap, to either side of a flank, over which contact begins where derivatives are
-# taken: about the hub's way from one of their instants to the next.
-_FLANK_STIFFNESS, _FLANK_DAMPING, _CONTACT_STEP, _GRADUAL_CONTACT = 1000.0, 2.2, 1 / 800, 0.15
+# In the link's own units: the time step in T, a ninth of the period of a light hub of 0.012 m l^2 on flanks of a
+# thousand EI / l, which are no part of the chain's linear springs while the gap is open; and the part of the gap, to
+# either side of a flank, over which contact begins where derivatives are taken: about the hub's way from one of their
+# instants to the next.
+_CONTACT_STEP, _STIFF_FLANK, _GRADUAL_CONTACT = 1 / 800, 1000.0, 0.15
 
 
 @dataclass(frozen=True)
@@ -408,13 +407,17 @@ class Backlash(JointEffect):
 
     gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
+    # Typical flanks turn by a thousandth of what the link bends, and let a hub of 0.05 m l^2 rebound with a third of its
+    # speed. Little as it is, taken for granted it would be an error of the gap of a per cent or two.
+    flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 100.0, upper=1e4, in_rig_units=True, simulated=True)
+    flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.02, upper=20.0, in_rig_units=True, simulated=True)
 
     on_drive = False
     nonsmooth = True
     description = "backlash between the motor and the hub"
     clause = "backlash of {gap} between motor and hub of '{link}'"
     assumptions = (
-        "flanks much stiffer than the link, with a loss of their own; no friction in the gap; an encoder on the motor"
+        "equal flanks, each a linear spring and damper in contact; no friction in the gap; an encoder on the motor"
     )
     reference = "M. Nordin and P.-O. Gutman, Controlling mechanical systems with backlash, Automatica 38(10), 2002"
     distinguishing_experiment = "a marker on the hub, and slow motion with reversals"
@@ -423,9 +426,8 @@ class Backlash(JointEffect):
         """Return the chain with the stiff flanks in contact for good; `force` makes the gap."""
         if self.is_null:
             return chain
-        link, (length, mass, time) = self.link_of(chain), self.units(chain)
-        unit = mass * length**2 / time**2
-        flank = _in_series(link, _FLANK_STIFFNESS * unit, _FLANK_DAMPING * unit * time)
+        link = self.link_of(chain)
+        flank = _in_series(link, self.flank_stiffness, self.flank_damping)
         return self.with_link(chain, **flank, **_behind_gear(link, self.motor_share))
 
     def force(self, chain: Chain, payload: float) -> StateFunction | None:
@@ -471,7 +473,9 @@ class Backlash(JointEffect):
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that resolves an impact."""
-        return self.units(chain)[2] * _CONTACT_STEP
+        length, mass, time = self.units(chain)
+        stiffness = max(self.flank_stiffness / (mass * length**2 / time**2) / _STIFF_FLANK, 1.0)
+        return float(time * _CONTACT_STEP / np.sqrt(stiffness))
 
 
 def _in_series(link: LinkChain, stiffness: float, damping: float) -> dict[str, float]:

@@ -32,6 +32,9 @@ from vjm.simulation.variational_equations import PerturbedArm
 from vjm.text import ratio
 
 DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly not found the minimum it looks for
+# By which a coordinate is changed whose derivative is from simulations, to less where it may be, which is not stiffer: a
+# quarter of a typical value, or of a factor e.
+_SECANT = -0.25
 _GROWTH = 3.0  # of the horizon: a frequency fitted to it is right to far less than the sixth of a cycle that is safe
 
 
@@ -49,6 +52,7 @@ class TrajectoryProblem(Record):
         effects: effects in the model, of any size. Their coordinates follow those of the chain: magnitudes in units of
             typical ones, then shape parameters: logarithms, or linear where they may be zero.
         reference_effects: number of effects, the first ones, that act in the reference recordings too.
+        simulated_held: True to hold the coordinates whose derivatives are from simulations.
     """
 
     parametrisation: Parametrisation
@@ -58,6 +62,7 @@ class TrajectoryProblem(Record):
     fixed: tuple[int, float, float] | None = None
     effects: tuple[Effect, ...] = ()
     reference_effects: int = 0
+    simulated_held: bool = False
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,), without effects."""
@@ -91,7 +96,15 @@ class TrajectoryProblem(Record):
         for effect, part in zip(self.effects, self.parts, strict=True):
             # A factor e of a shape parameter whose coordinate is a logarithm, a typical value of a linear one.
             steps[part.start + effect.magnitude_count : part.stop] = 1.0
+        if self.simulated_held:
+            steps[[*self.simulated_coordinates]] = 0.0
         return steps
+
+    @cached_property
+    def simulated_coordinates(self) -> tuple[int, ...]:
+        """Indices of the coordinates whose derivatives are from simulations."""
+        pairs = zip(self.effects, self.parts, strict=True)
+        return tuple(part.start + k for effect, part in pairs for k in effect.simulated_coordinates)
 
     @property
     def longest(self) -> float:
@@ -153,13 +166,14 @@ class TrajectoryProblem(Record):
     def perturbed_arms(self, x: Array) -> tuple[tuple[PerturbedArm, ...], ...]:
         """Return, for each recording, its arm with each coordinate perturbed in turn, for finite differences."""
         by_coordinate = []
-        upper = self.bounds[1]
+        lower, upper = self.bounds
         for k, value in enumerate(x):
-            step = 1e-6 * max(abs(value), 1e-2)
-            step = step if value + step <= upper[k] else -step
+            simulated = k in self.simulated_coordinates
+            step = _SECANT if simulated else 1e-6 * max(abs(value), 1e-2)
+            step = step if lower[k] <= value + step <= upper[k] else -step
             moved = x.copy()
-            moved[k] += step
-            by_coordinate.append([PerturbedArm(arm, step) for arm in self.arms(moved)])
+            moved[k] += 0.0 if simulated and self.simulated_held else step
+            by_coordinate.append([PerturbedArm(arm, step, simulated) for arm in self.arms(moved)])
         return tuple(zip(*by_coordinate, strict=True))
 
     def prior(self, x: Array) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -196,14 +196,16 @@ class Run:
         driven = arm.inputs(self.observed.recording)
         return locked_modes(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
 
-    def linearization(self, perturbed: Sequence[PerturbedArm] = ()) -> Linearization:
+    def linearization(
+        self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Trajectory] | None = None
+    ) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
         arm, smooth_states = self.arm.smooth
         trajectory = self.trajectory
         if smooth_states.size < trajectory.z.shape[1]:
             trajectory = replace(trajectory, z=trajectory.z[:, smooth_states])
-        smooth = [PerturbedArm(perturbed_arm.smooth[0], step) for perturbed_arm, step in perturbed]
-        return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride)
+        smooth = [perturbation._replace(arm=perturbation.arm.smooth[0]) for perturbation in perturbed]
+        return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
 
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
@@ -260,7 +262,7 @@ class Run:
         """
         variance = self.arm.timing_variance
         by_parameters = [
-            (perturbed_arm.timing_variance - variance) / step for perturbed_arm, step in linearization.perturbed
+            (perturbed_arm.timing_variance - variance) / step for perturbed_arm, step, _ in linearization.perturbed
         ]
         columns = 2 * self.basis.slow_count + len(by_parameters)
         if not any(by_parameters):
@@ -363,7 +365,28 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
 
 def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
     """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
-    return with_coefficients([run.linearization(arms) for run, arms in zip(runs, perturbed, strict=True)])
+    simulated = _simulate_perturbed(runs, perturbed)
+    triples = zip(runs, perturbed, simulated, strict=True)
+    return with_coefficients([run.linearization(arms, paths) for run, arms, paths in triples])
+
+
+def _simulate_perturbed(
+    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
+) -> list[dict[int, Trajectory]]:
+    """Simulate those perturbed arms that are to be, from each run's initial state and with its step; by index."""
+    by_step: dict[float, list[tuple[int, int]]] = {}
+    for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True)):
+        for k, (arm, _, simulated) in enumerate(arms):
+            if simulated and arm.effects != run.arm.effects:  # else the recording is one without the effect
+                by_step.setdefault(round(float(np.log(run.trajectory.step)), 9), []).append((j, k))
+    paths: list[dict[int, Trajectory]] = [{} for _ in runs]
+    for pairs in by_step.values():
+        chosen, arms = [runs[j] for j, _ in pairs], [perturbed[j][k].arm for j, k in pairs]
+        observed, states, step = [run.observed for run in chosen], [run.state for run in chosen], chosen[0].trajectory.step
+        found = _trajectories(arms, observed, states, step, 2.0)
+        for (j, k), path in zip(pairs, found, strict=True):
+            paths[j][k] = path
+    return paths
 
 
 def linearize_by_states(runs: Sequence[Run]) -> None:
@@ -401,11 +424,23 @@ def simulate_runs(
         SimulationDivergedError: one of them diverged.
     """
     recordings = [values.recording for values in observed]
-    q, v = zip(*(np.split(state, 2) for state in states), strict=True)
-    began = [values.began for values in observed]
-    z = [values.internal_states(arm, angles) for values, arm, angles in zip(observed, arms, q, strict=True)]
     longest = _derivative_step(arms[0].chain, recordings)
-    trajectories = simulate_trajectories(arms, recordings, q, v, None, step_multiple, longest, began, z)
+    trajectories = _trajectories(arms, observed, states, None, step_multiple, longest)
     if priors is None:
         priors = [InitialStatePrior.of(arm, recording) for arm, recording in zip(arms, recordings, strict=True)]
     return [Run(*parts) for parts in zip(observed, priors, arms, states, trajectories, strict=True)]
+
+
+def _trajectories(
+    arms: Sequence[Arm],
+    observed: Sequence[Observations],
+    states: Sequence[Array],
+    step: float | None,
+    step_multiple: float,
+    longest: float = np.inf,
+) -> list[Trajectory]:
+    """Simulate several recordings in one batch; see `simulate_trajectories`."""
+    q, v = zip(*(np.split(state, 2) for state in states), strict=True)
+    z = [values.internal_states(arm, angles) for values, arm, angles in zip(observed, arms, q, strict=True)]
+    recordings, began = [values.recording for values in observed], [values.began for values in observed]
+    return simulate_trajectories(arms, recordings, q, v, step, step_multiple, longest, began, z)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -40,6 +40,7 @@ class Linearization:
         trajectory: the motion linearised about; its number of steps is a multiple of two strides.
         stride: integrator steps in half an interval.
         trajectories: the motion for each of the perturbed arms, with joints that only it has.
+        simulated: the motion of those of the perturbed arms that are simulated, by index.
         coefficients: those of the variational equations along the whole trajectory; None: not computed yet.
     """
 
@@ -50,6 +51,7 @@ class Linearization:
     trajectory: Trajectory
     stride: int
     trajectories: tuple[Trajectory, ...]
+    simulated: Mapping[int, Trajectory]
     coefficients: Coefficients | None = None
 
     @classmethod
@@ -61,10 +63,11 @@ class Linearization:
         perturbed: Sequence[PerturbedArm],
         trajectory: Trajectory,
         stride: int,
+        simulated: Mapping[int, Trajectory],
     ) -> Self:
         """Linearize a motion; arguments as the attributes."""
-        moved = tuple(with_added_joints(trajectory, arm.chain, other_arm, observed) for other_arm, _ in perturbed)
-        return cls(observed, arm, basis, perturbed, trajectory, stride, moved)
+        moved = tuple(with_added_joints(trajectory, arm.chain, other_arm, observed) for other_arm, *_ in perturbed)
+        return cls(observed, arm, basis, perturbed, trajectory, stride, moved, simulated)
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
         """Yield weighted derivatives of the measured values, one chunk of the recording after another.
@@ -108,7 +111,7 @@ class Linearization:
         if nz:
             state[2 * size :] = self._initial_internal_states()
         rows, chunk_size = self.rows, self.max_chunk
-        if self.coefficients or any(sum(arm.state_counts) > nz for arm, _ in self.perturbed):
+        if self.coefficients or any(sum(arm.state_counts) > nz for arm, *_ in self.perturbed):
             chunk_size = rows.size  # internal states that only perturbed arms have are followed from the start
         for first in range(0, rows.size - 1, chunk_size):
             part = rows[first : first + chunk_size + 1]
@@ -154,7 +157,7 @@ class Linearization:
         by_rates = [np.zeros(z.size)] * slow_count
         by_parameters = [
             (observed.internal_states(arm, path.q[0])[: z.size] - z) / step
-            for (arm, step), path in zip(self.perturbed, self.trajectories, strict=True)
+            for (arm, step, _), path in zip(self.perturbed, self.trajectories, strict=True)
         ]
         return np.stack([*by_angles, *by_rates, *by_parameters], axis=1)
 
@@ -170,14 +173,16 @@ class Linearization:
             slopes = (by_marker @ np.swapaxes(modes, 0, 1)).reshape(*by_modes.shape[:2], modes.shape[-1])
         base: Array | None = None
         first = slopes.shape[2] - len(self.perturbed)
-        for k, (arm, step) in enumerate(self.perturbed, start=first):
+        for k, (arm, step, _) in enumerate(self.perturbed, start=first):
             # Markers are measured at the same places unless sensors, joints or curves differ.
             chain, path = self.arm.chain, self.trajectories[k - first]
             unchanged = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
-            if self.arm.sensors != arm.sensors or not unchanged:
+            simulated = self.simulated.get(k - first)
+            if self.arm.sensors != arm.sensors or not unchanged or simulated:
                 base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
-                changed = arcs.positions_in_frames(arm, path, stamps)
-                slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
+                changed = arcs.positions_in_frames(arm, simulated or path, stamps)
+                change = ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
+                slopes[:, :, k] = change if simulated else slopes[:, :, k] + change
         return slopes
 
     def _encoder_jacobian(self, part: Trajectory, angles: slice) -> Array:
@@ -192,10 +197,14 @@ class Linearization:
         all_slopes = theta.angles(observed.recording.time[instants])
         slopes: Array = np.take_along_axis(all_slopes, joints[:, None, None], axis=2)[:, :, 0]
         simulated = self.trajectory.angles(observed.recording.time)[:, active]
-        for k, (arm, step) in enumerate(self.perturbed, start=slopes.shape[1] - len(self.perturbed)):
-            if arm.sensors != self.arm.sensors:
-                change = arm.encoder_angles(simulated) - self.arm.encoder_angles(simulated)
-                slopes[:, k] += change.ravel()[observed.angle_indices[rows]] / step
+        first = slopes.shape[1] - len(self.perturbed)
+        for k, (arm, step, _) in enumerate(self.perturbed, start=first):
+            path = self.simulated.get(k - first)
+            if path or arm.sensors != self.arm.sensors:
+                moved = path.angles(observed.recording.time)[:, active] if path else simulated
+                change = arm.encoder_angles(moved) - self.arm.encoder_angles(simulated)
+                change = change.ravel()[observed.angle_indices[rows]] / step
+                slopes[:, k] = change if path else slopes[:, k] + change
         return slopes
 
 

@@ -81,10 +81,14 @@ class ModalBasis:
 
 
 class PerturbedArm(NamedTuple):
-    """The arm with one parameter changed by a small step, in the parameter's unit."""
+    """The arm with one parameter changed by a step, in the parameter's unit: a small one, unless it is `simulated`.
+
+    Its motion is then simulated, not taken from the variational equations, which do not resolve what changes it.
+    """
 
     arm: Arm
     step: float
+    simulated: bool = False
 
 
 class Motions(NamedTuple):
@@ -308,7 +312,7 @@ def _parameter_derivatives(
     The motions are the perturbed arm's, with joints that only it has.
     """
     inertial, further_torque, state_rates = nominal
-    chain, (other_arm, step) = equations.arm.chain, perturbed
+    chain, (other_arm, step, _) = equations.arm.chain, perturbed
     other_chain, nz = other_arm.chain, state_rates.shape[1]
     shared = np.delete(np.arange(other_chain.size), _added_joints(chain, other_chain))
     forces = motion.q[:, shared] * (other_chain.stiffness[shared] - chain.stiffness)
