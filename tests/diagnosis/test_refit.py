@@ -98,18 +98,24 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
     assert is_determined(found, gear, 1e-6)
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
-def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(seed: int) -> None:
-    """They are in contact for too short a time to be seen by variational equations, and are an error of the gap."""
-    truth = Backlash(link=0, gap=0.01, motor_share=0.4, flank_stiffness=600.0, flank_damping=0.6)
-    placed = replace(truth.placed(RIG, 0))
-    recordings = recorded(Arm.of(chain_of(), (placed,)), seed, duration=4.0)
-    found = refit(in_segments(recordings), [replace(placed, gap=0.012, flank_stiffness=2000.0, flank_damping=3.0)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(("stiffness", "damping"), [(500.0, 2.0), (2000.0, 4.0)])
+def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, damping: float, seed: int) -> None:
+    """They are in contact for too short a time for variational equations, and taken for granted an error of the gap."""
+    truth = Backlash(link=0, gap=0.01, motor_share=0.4, flank_stiffness=stiffness, flank_damping=damping).placed(RIG, 0)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
+    start = replace(truth, gap=0.012, flank_stiffness=1000.0, flank_damping=2.5)
+    found = refit(in_segments(recordings), [start])
     assert found is not None
-    print(found.point.misfit, found.effects)
-    covariance = information_of(found).covariance[found.point.problem.parts[0], found.point.problem.parts[0]]
-    print({n: (s.value, s.std) for n, s in _with_errors(found.effects[0], covariance).items()})
-    assert 0
+    assert found.point.misfit == pytest.approx(1.0, abs=0.03)
+    (backlash,), (part,) = found.effects, found.point.problem.parts
+    sizes = _with_errors(backlash, information_of(found).covariance[part, part])
+    for name, size in sizes.items():
+        assert size.std is not None
+        assert abs(size.value - truth.values[name]) < 4 * size.std
+    assert sizes["gap"].std is not None
+    assert sizes["gap"].std < 1e-4
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])

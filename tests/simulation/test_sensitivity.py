@@ -227,6 +227,34 @@ def test_derivatives_across_impacts_and_stiction_lead_to_the_truth(effect: Effec
     assert np.median(lengths) == pytest.approx(1.0, abs=0.3)
 
 
+@pytest.mark.parametrize("step", [-0.2, 0.2])
+def test_by_the_flanks_of_a_backlash_derivatives_are_differences_of_simulations(step: float) -> None:
+    """The motion comes from a batch with other arms, the differences from one simulation after the other."""
+    chain, play = arm_of(steel_link(3, "revolute")), Backlash(link=0, gap=0.004, motor_share=0.4)
+    observed = [seen_by(chain, recording_of(chain, np.arange(101) / 100.0, jerky_torque(1, seed))) for seed in (0, 1)]
+    softer, lossier, without = (
+        Arm.of(chain, effects)
+        for effects in (
+            (replace(play, flank_stiffness=1000.0 * np.exp(step)),),
+            (replace(play, flank_damping=2.2 * np.exp(step)),),
+            (),
+        )
+    )
+    runs = runs_from_rest(Arm.of(chain, (play,)), observed)
+    moved = [PerturbedArm(arm, step, True) for arm in (softer, lossier)]
+    for run, linearization in zip(runs, linearize(runs, [moved] * 2), strict=True):
+        slopes = np.empty((run.residual.size, 2))
+        for measured, part in run.jacobian(linearization):
+            slopes[measured] = part[:, -2:]
+        for arm, column in zip((softer, lossier), slopes.T, strict=True):
+            (other,) = simulate_runs([arm], [run.observed], [run.prior], [run.state], 1.0)
+            assert column == pytest.approx((run.residual - other.residual) / step, rel=1e-6, abs=1e-3)
+            assert np.linalg.norm(column) > 1.0
+    (run,) = runs_from_rest(without, observed[:1])
+    (linearization,) = linearize([run], [[PerturbedArm(without, step, True)]])
+    assert all((part[:, -1] == 0.0).all() for _, part in run.jacobian(linearization))
+
+
 def test_a_motor_that_moves_nothing_has_no_derivative() -> None:
     chain, recording, state = hub()
     light = replace(chain, links=(replace(chain.links[0], hub_inertia=0.0),))

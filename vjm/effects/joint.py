@@ -218,10 +218,10 @@ class TorqueOffset(ColumnEffect):
         return replace(recording, tau=self.with_column(recording.tau, offset=self.offset))
 
 
-# In the link's own units: the time step in T, a ninth of the period of a light hub of 0.012 m l^2 on flanks of a
-# thousand EI / l, which are no part of the chain's linear springs while the gap is open; and the part of the gap, to
-# either side of a flank, over which contact begins where derivatives are taken: about the hub's way from one of their
-# instants to the next.
+# Of a backlash, in the link's own units: the time step in T, a ninth of the period of a light hub of 0.012 m l^2 on
+# flanks of a thousand EI / l, which are no part of the chain's linear springs while the gap is open, and shorter on
+# stiffer ones; and the part of the gap, to either side of a flank, over which contact begins where derivatives are
+# taken: about the hub's way from one of their instants to the next.
 _CONTACT_STEP, _STIFF_FLANK, _GRADUAL_CONTACT = 1 / 800, 1000.0, 0.15
 
 
@@ -407,8 +407,8 @@ class Backlash(JointEffect):
 
     gap: float = magnitude("rad", 0.004, lower=0.0, upper=0.2)
     motor_share: float = shape_parameter("", 0.5, lower=0.02, upper=0.98)
-    # Typical flanks turn by a thousandth of what the link bends, and let a hub of 0.05 m l^2 rebound with a third of its
-    # speed. Little as it is, taken for granted it would be an error of the gap of a per cent or two.
+    # Typical flanks turn by a thousandth of what the link bends, and let a hub of 0.05 m l^2 rebound with a third of
+    # its speed. Little as that is, taken for granted it would be an error of the gap of a per cent or two.
     flank_stiffness: float = shape_parameter("N m/rad", 1000.0, 100.0, upper=1e4, in_rig_units=True, simulated=True)
     flank_damping: float = shape_parameter("N m s/rad", 2.2, 0.02, upper=20.0, in_rig_units=True, simulated=True)
 

@@ -32,8 +32,8 @@ from vjm.simulation.variational_equations import PerturbedArm
 from vjm.text import ratio
 
 DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly not found the minimum it looks for
-# By which a coordinate is changed whose derivative is from simulations, to less where it may be, which is not stiffer: a
-# quarter of a typical value, or of a factor e.
+# By which a coordinate is changed whose derivative is from simulations, a quarter of a factor e: far more than what the
+# accidents of impacts make of a change. To less where it may be, as stiffer flanks would need shorter steps.
 _SECANT = -0.25
 _GROWTH = 3.0  # of the horizon: a frequency fitted to it is right to far less than the sixth of a cycle that is safe
 

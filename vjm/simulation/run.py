@@ -377,13 +377,13 @@ def _simulate_perturbed(
     by_step: dict[float, list[tuple[int, int]]] = {}
     for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True)):
         for k, (arm, _, simulated) in enumerate(arms):
-            if simulated and arm.effects != run.arm.effects:  # else the recording is one without the effect
+            if simulated and arm.effects != run.arm.effects:  # else it is a recording without the effect
                 by_step.setdefault(round(float(np.log(run.trajectory.step)), 9), []).append((j, k))
     paths: list[dict[int, Trajectory]] = [{} for _ in runs]
     for pairs in by_step.values():
-        chosen, arms = [runs[j] for j, _ in pairs], [perturbed[j][k].arm for j, k in pairs]
-        observed, states, step = [run.observed for run in chosen], [run.state for run in chosen], chosen[0].trajectory.step
-        found = _trajectories(arms, observed, states, step, 2.0)
+        chosen, moved = [runs[j] for j, _ in pairs], [perturbed[j][k].arm for j, k in pairs]
+        observed, states = [run.observed for run in chosen], [run.state for run in chosen]
+        found = _trajectories(moved, observed, states, chosen[0].trajectory.step, 2.0)
         for (j, k), path in zip(pairs, found, strict=True):
             paths[j][k] = path
     return paths
