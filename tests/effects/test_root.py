@@ -94,7 +94,7 @@ def test_springs_at_one_root_are_in_series_in_any_order() -> None:
     effects = [
         GearElasticity(stiffness=60.0, damping=0.3),
         ClampCompliance(compliance=0.02, damping=0.7),
-        Backlash(gap=GAP),
+        Backlash(gap=GAP, flank_stiffness=STIFFNESS, flank_damping=DAMPING),
     ]
     chains = []
     for order in ([0, 1, 2], [2, 1, 0], [1, 2, 0]):
@@ -112,7 +112,7 @@ def test_springs_at_one_root_are_in_series_in_any_order() -> None:
 
 def flank_torque(twist: Array, rate: float = 0.0, gap: float = GAP) -> Array:
     """Torque of motor on hub: the chain's spring and damper with the effect's force."""
-    effect = Backlash(gap=gap)
+    effect = Backlash(gap=gap, flank_stiffness=STIFFNESS, flank_damping=DAMPING)
     chain = effect.chain(HUB)
     motion, root = effect.force(chain, 0.0), chain.roots[0]
     assert motion is not None

@@ -43,7 +43,8 @@ class StoppingRule:
 
     Args:
         max_chi2: chi^2 above which a fit is of no use, such as that of the best one so far: the fit ends where three
-            times the decrease predicted for its next step would leave it above.
+            times the decrease predicted for its next step would leave it above. With stick-slip or play, which make
+            promises that no step keeps, it is what the last step has brought, if that is less.
         max_steps: number of steps at most.
         deadline: reading of `time.monotonic` [s] after which every fit ends.
     """
@@ -60,6 +61,8 @@ class StoppingRule:
             self.accepted.append(point.chi2)
         stuck = len(self.accepted) > 5 and self.accepted[-5] - point.chi2 < _stall_decrease(point)
         ended = self.steps > self.max_steps or monotonic() > self.deadline
+        if is_nonsmooth(point.problem.effects) and len(self.accepted) > 1:
+            predicted = min(predicted, self.accepted[-2] - point.chi2)
         return ended or stuck or stays_above(point, predicted, self.max_chi2)
 
 
@@ -342,8 +345,8 @@ def largest_chi2_in_longer(shorter: TrajectoryFit, whole: Sequence[Observations]
     The initial states that fewer segments do without took up noise: a chi^2 of as many degrees of freedom at most. What
     more there is comes of stick-slip or play in the longer segments, of which the search has missed the best minimum.
     """
-    states = shorter.point.runs[0].state.size
-    freedom = states * max(0, len(shorter.point.runs) - sum(len(segments(each, duration)) for each in whole))
+    unknowns = np.mean([run.basis.states.shape[1] for run in shorter.point.runs])  # of a segment's initial state
+    freedom = unknowns * max(0, len(shorter.point.runs) - sum(len(segments(each, duration)) for each in whole))
     return float(shorter.chi2 + freedom + 5 * np.sqrt(2 * freedom))
 
 
