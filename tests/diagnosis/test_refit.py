@@ -35,6 +35,7 @@ from vjm.effects import (
     Effect,
     GearElasticity,
     Stribeck,
+    TipPayload,
     ViscoelasticCreep,
     ViscousFriction,
 )
@@ -309,6 +310,20 @@ def test_longer_segments_lose_a_model_that_lacks_something_and_no_other(friction
     longer = fit_segments(shorter, observed, np.inf, StoppingRule())
     assert longer.chi2 > shorter.chi2 + len(shorter.point.runs) - len(longer.point.runs)
     assert (longer.chi2 > largest_chi2_in_longer(shorter, observed, np.inf)) == bool(friction)
+
+
+@pytest.mark.parametrize("effect", [TipPayload(mass=0.01), Backlash(gap=0.01)])
+def test_with_play_a_fit_ends_by_what_its_last_step_has_brought(effect: Effect) -> None:
+    """A smooth one by what the next step promises."""
+    ended = []
+    for promise in (40.0, 1.0):
+        stop = StoppingRule(max_chi2=900.0)
+        chi2 = iter([1100.0, 1000.0, 990.0])
+        points = (
+            SimpleNamespace(chi2=each, expected_chi2=100.0, problem=SimpleNamespace(effects=(effect,))) for each in chi2
+        )
+        ended.append([stop(point, predicted) for point, predicted in zip(points, (80.0, 50.0, promise), strict=True)])
+    assert ended == [[False, False, effect.nonsmooth], [False, False, True]]
 
 
 @pytest.mark.slow
