@@ -11,9 +11,12 @@ from vjm.diagnosis.check_effect import check_effect
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import EffectError
 
-# What rattles, in steps that resolve the contact of its flanks, takes as long as all others together; of the two kinds
-# of dry friction one is enough each time.
-_SLOW = ("backlash", "stribeck")
+# What rattles, in steps that resolve the contact of its flanks, takes as long as all others together; of effects with
+# the same hooks one is enough each time: dry friction, other torques of a joint, a camera's image, its clock.
+_SLOW = (
+    *("backlash", "stribeck", "viscous_friction", "torque_offset"),
+    *("camera_scale", "camera_translation", "lens_distortion", "clock_scale"),
+)
 EVERY = [pytest.param(each, id=each.id, marks=[pytest.mark.slow] if each.id in _SLOW else []) for each in BUILTIN]
 
 # Each with the clause it breaks and a part of what is said of it.
