@@ -139,7 +139,11 @@ def ranked(causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 
 def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
-    """Return an effect's parameters with errors by the delta method, from its coordinates' covariance (p, p)."""
+    """Return an effect's parameters with errors by the delta method, from its coordinates' covariance (p, p).
+
+    A whole number has none, nor has what acts in impacts only: chi^2 is rough in it, with minima up to a factor of two
+    apart, which its curvature does not show.
+    """
     x, values = effect.coordinates, effect.values
     steps = 1e-5 * np.maximum(np.abs(x), 1.0)
     moved = [effect.at(x + step).values for step in np.diag(steps)]
@@ -149,6 +153,7 @@ def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
         slope = np.array([(point[name] - values[name]) / step for point, step in zip(moved, steps, strict=True)])
         with np.errstate(invalid="ignore"):  # the recordings may not determine a cause among several
             variance = float(slope @ covariance @ slope)
-        std = float(np.sqrt(max(variance, 0.0))) if np.isfinite(variance) and not parameter.integer else None
+        known = np.isfinite(variance) and not (parameter.integer or parameter.simulated)
+        std = float(np.sqrt(max(variance, 0.0))) if known else None
         parameters[name] = Estimate(name, float(values[name]), std, parameter.unit)
     return parameters

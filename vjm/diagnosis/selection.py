@@ -154,8 +154,9 @@ class Search:
             if self.options.exhausted:
                 break
             # The longer a segment with stick-slip or play, the more minima the likelihood of its state has: a fit that
-            # has found none in these will not find one in longer ones.
-            if is_nonsmooth(best.effects) and not (best.converged and self._explains_all(best, best)):
+            # is in none in these, within a standard error, will not find one in longer ones.
+            settled = best.converged or best.predicted_decrease < 1.0
+            if is_nonsmooth(best.effects) and not (settled and self._explains_all(best, best)):
                 break
             longer = self._lengthened(best, duration)
             if longer is None and family is None:  # what is small in these segments may be what longer ones lack
