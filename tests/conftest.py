@@ -11,8 +11,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
-# Figures and whole searches are many objects that live long: looking through them after every 700 new ones takes 5 % of
-# the time of all tests.
+# Figures and whole searches are many objects that live long: looking through them after every 700 new ones takes up to
+# 5 % of a test's time.
 gc.set_threshold(50_000)
 
 # A busy machine is no failure, and a failure should come back when the test is run again.

@@ -377,7 +377,7 @@ def _simulate_perturbed(
     by_step: dict[float, list[tuple[int, int]]] = {}
     for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True)):
         for k, (arm, _, simulated) in enumerate(arms):
-            if simulated and arm.effects != run.arm.effects:  # else it is a recording without the effect
+            if simulated and arm.effects != run.arm.effects:  # else it is held, or absent from the recording
                 by_step.setdefault(round(float(np.log(run.trajectory.step)), 9), []).append((j, k))
     paths: list[dict[int, Trajectory]] = [{} for _ in runs]
     for pairs in by_step.values():
