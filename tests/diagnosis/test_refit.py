@@ -99,6 +99,22 @@ def test_a_gear_s_damping_is_found_though_there_may_be_none(damping: float) -> N
     assert is_determined(found, gear, 1e-6)
 
 
+def test_flanks_are_held_at_first_and_have_no_interval() -> None:
+    play = Backlash(link=0, gap=0.01).placed(RIG, 0)
+    problem = replace(point_of(chain_of(), (), recorded(Arm(chain_of()), 1)).problem, effects=(play,))
+    (part,) = problem.parts
+    x = np.r_[problem.parametrisation.start, play.coordinates]
+    held = replace(problem, simulated_held=True)
+    assert held.max_step[part].tolist() == [np.inf, 1.0, 0.0, 0.0]
+    assert problem.max_step[part].tolist() == [np.inf, 1.0, 1.0, 1.0]
+    for each, changes in ((held, [True, True, False, False]), (problem, [True] * 4)):
+        (here, *_), (moved, *_) = each.arms(x), each.perturbed_arms(x)
+        assert [perturbed.arm.effects != here.effects for perturbed in moved[part]] == changes
+        assert [perturbed.simulated for perturbed in moved[part]] == [False, False, True, True]
+    sizes = _with_errors(play, np.eye(4))
+    assert [sizes[name].std is None for name in play.values] == [False, False, True, True]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 @pytest.mark.parametrize(("stiffness", "damping"), [(500.0, 2.0), (2000.0, 4.0)])
