@@ -11,10 +11,11 @@ from scipy.signal import lfilter
 from tests.simulation.integrators import simulate
 from vjm.chain.layout import layout, uniform_chain
 from vjm.chain.virtual_links import Chain
+from vjm.diagnosis.candidate_fit import StoppingRule, fit_segments
 from vjm.diagnosis.noise import Noise
 from vjm.effects import Effect
 from vjm.identification.parameters import Parametrisation
-from vjm.identification.trajectory_fit import Point, TrajectoryProblem
+from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem
 from vjm.records import Link, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.measurement import Observations
@@ -93,3 +94,10 @@ def point_of(
     rest = np.zeros(2 * arm.chain.size)
     runs = simulate_runs([arm] * len(starts), observed, starts, [rest] * len(starts), 1.0)
     return Point(problem, parametrisation.start, tuple(runs))
+
+
+def in_segments(recordings: list[Recording]) -> TrajectoryFit:
+    """The chain without effects, fitted to segments of one and a half periods."""
+    point = point_of(chain_of(), (), recordings)
+    start = TrajectoryFit(point)
+    return fit_segments(start, point.problem.observed, point.problem.first_horizon(point.x) / 2, StoppingRule())

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import ncx2
 
-from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
+from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
 from vjm.diagnosis import selection
 from vjm.diagnosis.alternatives import _with_errors
 from vjm.diagnosis.baseline import corrected_for_discretization
@@ -48,7 +48,6 @@ from vjm.identification.trajectory_fit import (
     _trial_point,
     fit_trajectory,
 )
-from vjm.records import Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.run import Run
 
@@ -214,13 +213,6 @@ def test_a_start_that_cannot_be_simulated_is_taken_nearer_to_the_null() -> None:
     found = refit(start, [far])
     assert found is not None
     assert found.effects[0].values["coefficient"] == pytest.approx(-0.3, rel=0.05)
-
-
-def in_segments(recordings: list[Recording]) -> TrajectoryFit:
-    """The chain without effects, fitted to segments of one and a half periods."""
-    point = point_of(chain_of(), (), recordings)
-    start = TrajectoryFit(point)
-    return fit_segments(start, point.problem.observed, point.problem.first_horizon(point.x) / 2, StoppingRule())
 
 
 def missing_step(effect: Effect) -> tuple[Point, _TrajectoryStep, Array]:

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.diagnosis.rigs import RIG, chain_of, point_of, recorded
+from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
 from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
-from vjm.diagnosis.search_starts import _fourier_transform
+from vjm.diagnosis.search_starts import _explained, _fourier_transform, temporal_peaks
 from vjm.effects import (
     CameraRotation,
     CameraScale,
@@ -42,7 +42,7 @@ from vjm.effects import (
 )
 from vjm.identification.trajectory_fit import Point
 from vjm.simulation.arm import Arm
-from vjm.simulation.run import InitialStatePrior, simulate_runs
+from vjm.simulation.run import InitialStatePrior, by_recording, linearize, simulate_runs
 
 EFFECTS: tuple[Effect, ...] = (
     TipPayload(),
@@ -235,6 +235,50 @@ def test_a_tone_is_looked_for_where_either_sensor_shows_one(noise: tuple[float, 
     for effect in candidate_set.variants:
         typical = effect.parameters[1].typical_magnitude
         assert effect.bounds[0][2] == pytest.approx(np.log(0.5 / typical), rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("frequency", [1.7, 2.6, 3.4, 7.7])
+def test_a_tone_explains_more_than_its_images_by_the_initial_states_of_segments(frequency: float, seed: int) -> None:
+    """In segments of half a second the residuals of all but the first have a higher peak 2 or 4 Hz away."""
+    tone = replace(sized(bound(ExternalTone()), 1.0), frequency=frequency)
+    recordings = recorded(Arm.of(chain_of(), (tone,)), seed, duration=4.0)
+    runs = in_segments(recordings).point.runs
+    assert len(runs) == 16
+    peaks, _ = temporal_peaks(recordings, runs)
+    assert abs(peaks[0] - frequency) <= 1 / 16  # a quarter of the resolution of four seconds
+    assert all(abs(peak - other) > 0.5 for k, peak in enumerate(peaks) for other in peaks[:k])
+
+
+def test_what_sines_explain_is_what_least_squares_say_of_them() -> None:
+    """With each segment's initial state free, and Hann's window over the recording; some markers are hidden."""
+    tone = replace(sized(bound(ExternalTone()), 1.0), frequency=3.4)
+    recordings = recorded(Arm.of(chain_of(), (tone,)), 3)
+    hidden = np.random.default_rng(1).random((recordings[0].time.size, 5, 1)) < 0.2
+    recordings = [replace(each, markers=np.where(hidden, np.nan, each.markers)) for each in recordings]
+    (parts, *_) = by_recording(in_segments(recordings).point.runs).values()
+    frequencies = np.array([0.7, 3.4, 11.0])
+    end = max(run.observed.recording.time[-1] for run in parts)
+    total = sum(run.residual.size for run in parts)
+    channels = parts[0].observed.channel_count
+    for found, frequency in zip(_explained(parts, frequencies), frequencies, strict=True):
+        columns, residuals, first = np.zeros((total, 2 * channels)), np.zeros(total), 0
+        for run, linearization in zip(parts, linearize(parts, [()] * len(parts)), strict=True):
+            observed = run.observed
+            time = observed.recording.time[observed.instants]
+            phase, window = 2 * np.pi * frequency * time, np.sin(np.pi * time / end)
+            slopes = np.zeros((time.size, 2 * run.basis.slow_count))
+            for measured, chunk in run.jacobian(linearization):
+                slopes[measured] = chunk
+            waves = np.zeros((time.size, 2 * channels))
+            waves[np.arange(time.size), observed.channels] = np.cos(phase)
+            waves[np.arange(time.size), channels + observed.channels] = np.sin(phase)
+            moved = waves - slopes @ np.linalg.lstsq(slopes, waves, rcond=None)[0]
+            left = run.residual - slopes @ np.linalg.lstsq(slopes, run.residual, rcond=None)[0]
+            rows = slice(first, first + time.size)
+            columns[rows], residuals[rows], first = window[:, None] * moved, window * left, rows.stop
+        fitted = columns @ np.linalg.lstsq(columns, residuals, rcond=None)[0]
+        assert found == pytest.approx(fitted @ fitted, rel=1e-6)
 
 
 @pytest.mark.parametrize("noise", [(3e-6, 1e-2), (1e-1, 1e-6)], ids=["markers", "encoder"])

@@ -15,9 +15,11 @@ from vjm.errors import ShapeError
 from vjm.model.modes import linearise
 from vjm.records import REFERENCE, Array, Complex, Recording
 from vjm.simulation.integrate import phi_functions
-from vjm.simulation.run import Run, by_recording
+from vjm.simulation.run import Run, by_recording, linearize
 
 _MOST_PEAKS = 3  # more tones at once have not been met
+_MOST_EXAMINED = 30  # highest peaks of the residuals' spectrum, of which a slow tone has some ten beside its own
+_ABSORBED = 1e-7  # share of a sine's square below which initial states leave only rounding of it: (3e-4)^2, as slopes
 
 Peaks = tuple[list[float], float]  # the highest ones, and the number of independent values searched
 
@@ -141,46 +143,108 @@ def _wave_responses(run: Run, joint: int, counts: Array) -> tuple[Complex, Array
 
 
 def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peaks:
-    """Return frequencies of the residuals' highest spectral peaks [Hz], and how many independent ones were searched.
+    """Return frequencies of sines that explain most of the residuals [Hz], and how many independent ones were searched.
 
-    Peaks of quiet recordings, where nothing else moves, and of all together, where joints are free to move.
+    Those of quiet recordings, where nothing else moves, and of all together, where joints are free to move. Of the
+    residuals' highest spectral peaks some are images of a tone: what initial states take up of it, segment by segment,
+    leaves peaks at multiples of the segments' rate beside its own, which may be higher. None of these explains more of
+    the residuals than the tone does once initial states have been projected out of the sines too.
     """
     time = max((recording.time[recording.frames] for recording in recordings), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
     highest = 0.45 / step  # nearer to half the sampling rate, a tone cannot be distinguished from its image
     frequencies = np.arange(1 / duration, highest, 1 / (4 * duration))  # between two of them a peak loses 5 % at most
+    # Half the width of the main lobe of Hann's window (Harris, Proceedings of the IEEE 66, 1978).
+    distance = 2.0 / duration
+    grouped = [*by_recording(runs).values()]
+    quiet = [k for k, parts in enumerate(grouped) if parts[0].observed.recording.kind == "quiet"]
+    choices = [chosen for chosen in (quiet, [*range(len(grouped))]) if chosen]
+    power = np.stack([_power(parts, frequencies) for parts in grouped])
+    examined = sorted(
+        {f for k in choices for f in _first_apart(frequencies, power[k].sum(axis=0), distance, _MOST_EXAMINED)}
+    )
+    explained = np.stack([_explained(parts, np.array(examined)) for parts in grouped])
     peaks: list[float] = []
-    for chosen in ([run for run in runs if run.observed.recording.kind == "quiet"], runs):
-        power, first = _power(chosen, frequencies), len(peaks)
-        for k in np.argsort(power)[::-1].tolist() if chosen else ():
-            # Half the width of the main lobe of Hann's window (Harris, Proceedings of the IEEE 66, 1978).
-            if all(abs(frequencies[k] - peak) > 2.0 / duration for peak in peaks):
-                peaks.append(float(frequencies[k]))
-            if len(peaks) == first + _MOST_PEAKS:
-                break
+    for chosen in choices:
+        peaks += _first_apart(examined, explained[chosen].sum(axis=0), distance, _MOST_PEAKS, peaks)
     return peaks, duration * highest
 
 
-def _power(runs: Sequence[Run], frequencies: Array) -> Array:
-    """Return the power (F,) of the residuals of all recordings, marker coordinates and encoders together."""
-    power = np.zeros(frequencies.size)
-    for parts in by_recording(runs).values():
-        grids = [(run.observed.recording.time, *run.observed.on_grid(run.residual)) for run in parts]
-        frames = [time[run.observed.frames] for run, (time, _, _) in zip(parts, grids, strict=True)]
-        end = max(float(time[-1]) for time, _, _ in grids) - parts[0].observed.began
-        for times, residuals in (
-            (frames, [markers for _, markers, _ in grids]),
-            ([time for time, _, _ in grids], [angles for _, _, angles in grids]),
-        ):
-            instants, residual = np.concatenate(times) - parts[0].observed.began, np.concatenate(residuals)
-            known = np.isfinite(residual).any(axis=1)
-            if known.any():
-                # Hann's window: what drifts slowly must not leak into all other frequencies.
-                window = np.sin(np.pi * instants[known] / max(end, 1e-300)) ** 2
-                windowed = window[:, None] * np.nan_to_num(residual[known])
-                spectrum = _fourier_transform(instants[known], windowed, frequencies)
-                power += np.sum(np.abs(spectrum) ** 2, axis=1) / np.sum(window**2)
+def _first_apart(
+    frequencies: Array | Sequence[float], heights: Array, distance: float, count: int, known: Sequence[float] = ()
+) -> list[float]:
+    """Return those of frequencies (F,) with the highest values, apart by a distance, and from known ones."""
+    found: list[float] = []
+    for k in np.argsort(heights)[::-1].tolist():
+        if all(abs(frequencies[k] - other) > distance for other in (*known, *found)):
+            found.append(float(frequencies[k]))
+        if len(found) == count:
+            break
+    return found
+
+
+def _window(instants: Array, parts: Sequence[Run]) -> Array:
+    """Return Hann's window (N,) over a recording: what drifts slowly must not leak into all other frequencies."""
+    end = max(float(run.observed.recording.time[-1]) for run in parts) - parts[0].observed.began
+    return np.asarray(np.sin(np.pi * instants / max(end, 1e-300)) ** 2)
+
+
+def _power(parts: Sequence[Run], frequencies: Array) -> Array:
+    """Return the power (F,) of a recording's residuals, marker coordinates and encoders together."""
+    power, began = np.zeros(frequencies.size), parts[0].observed.began
+    grids = [(run.observed.recording.time, *run.observed.on_grid(run.residual)) for run in parts]
+    frames = [time[run.observed.frames] for run, (time, _, _) in zip(parts, grids, strict=True)]
+    for times, residuals in (
+        (frames, [markers for _, markers, _ in grids]),
+        ([time for time, _, _ in grids], [angles for _, _, angles in grids]),
+    ):
+        instants, residual = np.concatenate(times) - began, np.concatenate(residuals)
+        known = np.isfinite(residual).any(axis=1)
+        if known.any():
+            window = _window(instants[known], parts)
+            spectrum = _fourier_transform(
+                instants[known], window[:, None] * np.nan_to_num(residual[known]), frequencies
+            )
+            power += np.sum(np.abs(spectrum) ** 2, axis=1) / np.sum(window**2)
     return power
+
+
+def _explained(parts: Sequence[Run], frequencies: Array) -> Array:
+    """Return the decrease (F,) of a recording's windowed chi^2 by a sine of each frequency, initial states following.
+
+    The sine has an amplitude and a phase of its own in each channel, a marker's coordinate or an encoder.
+    """
+    began, count, channels = parts[0].observed.began, frequencies.size, parts[0].observed.channel_count
+    normal, score = np.zeros((count, 2, channels, 2, channels)), np.zeros((count, 2, channels))
+    for run, linearization in zip(parts, linearize(parts, [()] * len(parts)), strict=True):
+        slopes = np.empty((run.residual.size, 2 * run.basis.slow_count))
+        for measured, chunk in run.jacobian(linearization):
+            slopes[measured] = chunk
+        free = np.linalg.qr(slopes)[0]
+        instants = run.observed.recording.time[run.observed.instants] - began
+        phases, window = 2 * np.pi * np.outer(frequencies, instants), _window(instants, parts)
+        weighted_free, weighted_residual = (
+            window * values.T for values in (free, run.residual - free @ (free.T @ run.residual))
+        )
+        # Products Q^T E and Q^T W E of cosines and sines E in each channel with the free motions Q and the window W.
+        absorbed, weighted = np.zeros((2, count, free.shape[1], 2, channels))
+        for channel in range(channels):
+            rows = run.observed.channels == channel
+            waves = np.stack([np.cos(phases[:, rows]), np.sin(phases[:, rows])], axis=1)
+            absorbed[..., channel] = (waves @ free[rows]).swapaxes(1, 2)
+            weighted[..., channel] = (waves @ weighted_free[:, rows].T).swapaxes(1, 2)
+            normal[:, :, channel, :, channel] += (window[rows] * waves) @ waves.swapaxes(1, 2)
+            score[..., channel] += waves @ weighted_residual[rows]
+        absorbed, weighted = (part.reshape(count, -1, 2 * channels) for part in (absorbed, weighted))
+        transposed = absorbed.swapaxes(1, 2)
+        overlap = transposed @ weighted
+        change = transposed @ (weighted_free @ free) @ absorbed - overlap - overlap.swapaxes(1, 2)
+        normal += change.reshape(normal.shape)
+        score -= (transposed @ (free.T @ weighted_residual)).reshape(score.shape)
+    unknowns = 2 * channels
+    inverse = np.linalg.pinv(normal.reshape(count, unknowns, unknowns), rcond=_ABSORBED, hermitian=True)
+    gradient = score.reshape(count, unknowns)
+    return np.asarray(np.einsum("fi,fij,fj->f", gradient, inverse, gradient))
 
 
 def _fourier_transform(time: Array, values: Array, frequencies: Array) -> Complex:

@@ -279,6 +279,17 @@ class Observations:
         joints = max(self.recording.theta.shape[1], 1)
         return np.concatenate([self.frames[self.marker_indices // self._width], self.angle_indices // joints])
 
+    @property
+    def channel_count(self) -> int:
+        """Number of sensor channels: marker coordinates and encoders."""
+        return self._width + int(self.recording.theta.shape[1])
+
+    @cached_property
+    def channels(self) -> Indices:
+        """(N_m + N_t,) channel of each value, marker coordinates first."""
+        joints = max(self.recording.theta.shape[1], 1)
+        return np.concatenate([self.marker_indices % self._width, self._width + self.angle_indices % joints])
+
     def on_grid(self, values: Array) -> tuple[Array, Array]:
         """Return values (N_m + N_t,) as (F, 2 k) and (T, n_a); NaN where nothing was measured."""
         markers = np.full((self.frames.size, self._width), np.nan)
