@@ -259,7 +259,9 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         max_chi2, problem = stop.max_chi2, replace(problem, simulated_held=False)
         if not nonsmooth and fit.chi2 > stop.max_chi2:
             return fit
-        point = replace(fit.point, runs=_multistart(fit.point))
+        # The last multistart was at nearly the same coordinates where the steps since then have hardly gained.
+        repeated = before - fit.chi2 < _stall_decrease(fit.point)
+        point = fit.point if nonsmooth and repeated else replace(fit.point, runs=_multistart(fit.point))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         if gained < _stall_decrease(point) or monotonic() > stop.deadline:
             return replace(fit, point=replace(point, problem=problem))

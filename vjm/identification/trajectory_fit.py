@@ -35,6 +35,9 @@ DIVERGED_MISFIT = 10.0  # RMS residual over noise from which a fit has certainly
 # By which a coordinate is changed whose derivative is from simulations, a quarter of a factor e: far more than what the
 # accidents of impacts make of a change. To less where it may be, as stiffer flanks would need shorter steps.
 _SECANT = -0.25
+# Decrease by a step of the coordinates, in units of the reduced chi^2, below which they have settled where the cost is
+# nonsmooth: a step of 0.3 standard errors, which adds 4 % to the error.
+_SETTLED_DECREASE = 0.1
 _GROWTH = 3.0  # of the horizon: a frequency fitted to it is right to far less than the sixth of a cycle that is safe
 
 
@@ -449,7 +452,7 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
         negligible = 1e-3 * self._chi2_unit
         if not self.final:  # 1 % of chi^2, 0.5 % of the RMS residual
             negligible = max(negligible, 1e-2 * self.point.chi2)
-        if self.step.predicted < negligible:
+        if self.step.predicted < negligible or self._only_states_are_left():
             return "converged"
         return "stopped" if self.stop is not None and self.stop(self.point, self.step.predicted) else "running"
 
@@ -462,10 +465,20 @@ class _TrajectorySearch(LevenbergMarquardt[Point, _TrajectoryStep]):
         if trial is None:
             return False
         if is_nonsmooth(self.point.problem.effects) and self.decreases[-1] < self.step.predicted / 2:
-            # A step of 0.3 standard errors: what is left of it adds 4 % to the error.
-            return self.step_at(0.0).coordinate_decrease < 0.1 * self._chi2_unit
+            return self.step_at(0.0).coordinate_decrease < _SETTLED_DECREASE * self._chi2_unit
         rejected = not self.decreases[-1] > 0
         return rejected and self.step_at(0.0).predicted < 0.5 * self._chi2_unit  # a step of 0.7 standard errors
+
+    def _only_states_are_left(self) -> bool:
+        """Return True if no more than initial states are left to be improved, and these cannot make the model right.
+
+        With stick-slip or play they take most of a fit's time, and where the model lacks something else they are
+        estimated anew beside that.
+        """
+        if self.damping or not is_nonsmooth(self.point.problem.effects):
+            return False
+        settled = self.step.coordinate_decrease < _SETTLED_DECREASE * self._chi2_unit
+        return settled and stays_above(self.point, self.step.predicted, self.point.noise_limit)
 
     @property
     def _chi2_unit(self) -> float:
