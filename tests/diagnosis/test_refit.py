@@ -34,6 +34,7 @@ from vjm.effects import (
     CubicStiffness,
     Effect,
     GearElasticity,
+    JointSpring,
     Stribeck,
     TipPayload,
     ViscoelasticCreep,
@@ -318,6 +319,24 @@ def test_longer_segments_lose_a_model_that_lacks_something_and_no_other(friction
     longer = fit_segments(shorter, observed, np.inf, StoppingRule())
     assert longer.chi2 > shorter.chi2 + len(shorter.point.runs) - len(longer.point.runs)
     assert (longer.chi2 > largest_chi2_in_longer(shorter, observed, np.inf)) == bool(friction)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_after_the_deadline_a_cause_is_not_kept_that_a_known_fit_does_without(known: bool) -> None:
+    """Nothing more is fitted for that."""
+    hidden = ViscousFriction(link=0, coefficient=5e-3)
+    start = TrajectoryFit(point_of(chain_of(), (), recorded(Arm.of(chain_of(), (hidden,)), 1)))
+    right = refit(start, [hidden])
+    assert right is not None
+    both = refit(right, [*right.effects, JointSpring(link=0, stiffness=1e-6)])
+    assert both is not None
+    options = selection.SearchOptions(deadline=-np.inf)
+    search = selection.Search(RIG, start, [], options, lambda text: None)
+    fits = {fit.effect_keys: fit for fit in ((right, both) if known else (both,))}
+    kept = search._justified(both, fits)
+    assert kept is (right if known else both)
+    assert search.unjustified == (["joint_spring"] if known else [])
+    assert len(fits) == 1 + known
 
 
 @pytest.mark.parametrize("effect", [TipPayload(mass=0.01), Backlash(gap=0.01)])

@@ -228,8 +228,6 @@ class Search:
         another one, not among the candidates, passes them, but not these two.
         """
         for effect in sorted(fit.new_effects, key=lambda effect: self._decreases.get(effect.key, 0.0)):
-            if self.options.exhausted:
-                break
             reduced = self.refit_without(fit, effect, fits)
             if reduced is None:
                 continue
@@ -459,10 +457,11 @@ class Search:
     def refit_without(
         self, fit: TrajectoryFit, effect: Effect, fits: Fits, max_chi2: float = np.inf
     ) -> TrajectoryFit | None:
-        """Fit a model again without one of its effects; None where that cannot be simulated.
+        """Fit a model again without one of its effects; None where that cannot be simulated, or not in time.
 
         A fit that is known, or the model that the search started from, will do where its chi^2 is no larger than the
-        linear model makes it within a factor of three, as of `stays_above`: then it is in no minimum of its own.
+        linear model makes it within a factor of three, as of `stays_above`: then it is in no minimum of its own. After
+        the deadline it will do whatever its chi^2.
 
         Args:
             fit: the model.
@@ -473,7 +472,9 @@ class Search:
         remaining = tuple(present for present in fit.effects if present is not effect)
         names, is_whole = fit.effect_keys - {effect.key}, len(fit.point.runs) == len(self.whole)
         known = fits.get(names, self.start if is_whole and names == self.start.effect_keys else None)
-        if known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect):
+        if self.options.exhausted or (
+            known is not None and known.chi2 - fit.chi2 <= 3 * predicted_increase(fit, effect)
+        ):
             return known
         reduced = refit(fit, remaining, self.options.stop(max_chi2))
         best = min(filter(None, (reduced, known)), key=lambda fit: fit.chi2, default=None)

@@ -115,13 +115,14 @@ def _headline(diagnosis: Diagnosis) -> tuple[str, Grade]:
         choices = "; ".join(_choice(cause, diagnosis.model) for cause in main)
         text = f"{opening}: {choices}. These recordings cannot distinguish the alternatives. {_improvement(diagnosis)}"
         return text.rstrip(), "fair"
+    tried = "any candidate tried in time" if diagnosis.budget.not_tried else "any candidate"
     description = diagnosis.remaining.description.rstrip(".")
     ending = f": {description}" if description else ""
     # Causes lead where what they leave unexplained is about as large as the noise.
     if diagnosis.causes and gain is not None and gain.after < 1.5 * gain.noise:
-        return f"{opening}: {causes}. A further residual is not explained by any candidate{ending}.", "poor"
+        return f"{opening}: {causes}. A further residual is not explained by {tried}{ending}.", "poor"
     part = f" Explained in part by: {causes}." if diagnosis.causes else ""
-    return f"Residual not explained by any candidate{ending}.{part}", "poor"
+    return f"Residual not explained by {tried}{ending}.{part}", "poor"
 
 
 def _minor_points(diagnosis: Diagnosis) -> list[str]:
