@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import ncx2
 
 from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
-from vjm.diagnosis import selection
+from vjm.diagnosis import candidate_fit, selection
 from vjm.diagnosis.alternatives import _with_errors
 from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
@@ -244,6 +244,43 @@ def test_a_fit_beside_sticking_ends_once_its_parameters_promise_little(
     search.step, search.decreases = step, [decrease]
     monkeypatch.setattr(search, "step_at", lambda damping: replace(step, coordinate_decrease=promised))
     assert search.is_nonsmooth_minimum(point) is ended
+
+
+@pytest.mark.parametrize(
+    ("effect", "excess", "promised", "by_coordinates", "ended"),
+    [
+        (CoulombFriction(link=0, torque=0.008), 400.0, 100.0, 0.09, True),
+        (CoulombFriction(link=0, torque=0.008), 400.0, 100.0, 0.5, False),  # its parameters have not settled
+        (CoulombFriction(link=0, torque=0.008), 200.0, 100.0, 0.09, False),  # its states may bring it down to noise
+        (ViscousFriction(link=0, coefficient=0.01), 400.0, 100.0, 0.09, False),  # derivatives keep what they promise
+    ],
+)
+def test_a_wrong_model_beside_sticking_ends_once_only_initial_states_are_left(
+    effect: Effect, excess: float, promised: float, by_coordinates: float, ended: bool
+) -> None:
+    step = replace(missing_step(effect)[1], predicted=promised, coordinate_decrease=by_coordinates)
+    problem = SimpleNamespace(effects=(effect,))
+    point = SimpleNamespace(problem=problem, misfit=1.5, chi2=2000.0 + excess, noise_limit=2000.0)
+    search = trajectory_fit._TrajectorySearch(point, True, None, lambda *_: None)  # type: ignore[arg-type]
+    search.step = step
+    assert search.stopping_rule() == ("converged" if ended else "running")
+
+
+def test_no_multistart_is_repeated_where_the_steps_since_have_hardly_gained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside friction of a wrong model: a payload is missing."""
+    friction, payload = CoulombFriction(link=0, torque=0.008), TipPayload(mass=0.02)
+    start = in_segments(recorded(Arm.of(chain_of(), (friction, payload)), 1))
+    calls: list[float] = []
+
+    def counted(point: Point) -> tuple[Run, ...]:
+        calls.append(point.chi2)
+        return _multistart(point)
+
+    monkeypatch.setattr(candidate_fit, "_multistart", counted)
+    fit = refit(start, [friction])
+    assert fit is not None
+    assert fit.misfit > 1.5
+    assert len(calls) == 1
 
 
 @pytest.mark.slow

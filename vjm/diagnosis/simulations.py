@@ -11,13 +11,13 @@ import numpy as np
 
 from vjm.chain.curve import transfer_state
 from vjm.diagnosis.records import Cause, Diagnosis, held_out
-from vjm.effects.effect import Key
+from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.comparison import replay_each, replay_without_outliers
 from vjm.identification.trajectory_fit import Point, TrajectoryFit
 from vjm.records import Array, Experiment, RecordingComparison, Rig, SimulatedRecording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import fit_initial_states
+from vjm.simulation.initial_state import FEW_TRIALS, MOST_TRIALS, fit_initial_states
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import Run, all_followed, state_at
 
@@ -26,7 +26,8 @@ def open_loop(fit: TrajectoryFit, whole: Sequence[Observations]) -> TrajectoryFi
     """Return a model in whole recordings, from their most likely initial states.
 
     These are known where it was fitted to whole recordings and follows them: a fit that does not is given up for one in
-    segments, wherever its states are then. Recordings that it cannot be simulated over are left out.
+    segments, wherever its states are then. Recordings that it cannot be simulated over are left out. With stick-slip or
+    play, whose simulations take many steps, the search for a state from that of a segment is a short one.
     """
     fitted = len(fit.point.runs) == len(whole)
     if fitted and all_followed(fit.point.runs):
@@ -38,7 +39,9 @@ def open_loop(fit: TrajectoryFit, whole: Sequence[Observations]) -> TrajectoryFi
 
     def likely(chosen: Sequence[int]) -> list[Run]:
         states = None if fitted else [state_at(fit.point.runs, whole[k]) for k in chosen]
-        runs = [run for run, _ in _simulate(fit, [whole[k] for k in chosen], states)]
+        early = states is not None and is_nonsmooth(fit.effects)
+        observed = [whole[k] for k in chosen]
+        runs = [run for run, _ in _simulate(fit, observed, states, FEW_TRIALS if early else MOST_TRIALS)]
         if not fitted:
             return runs
         return [min(pair, key=lambda run: run.chi2) for pair in zip(runs, known(chosen), strict=True)]
@@ -137,10 +140,13 @@ def _arms(model: TrajectoryFit, observed: Sequence[Observations]) -> tuple[Arm, 
 
 
 def _simulate(
-    model: TrajectoryFit, observed: Sequence[Observations], states: Sequence[Array | None] | None = None
+    model: TrajectoryFit,
+    observed: Sequence[Observations],
+    states: Sequence[Array | None] | None = None,
+    max_trials: int = MOST_TRIALS,
 ) -> list[tuple[Run, bool]]:
     """Simulate recordings by a model, from their most likely initial states; also say which of these were found."""
-    return fit_initial_states(_arms(model, observed), observed, states, model.point.problem.step_multiple)
+    return fit_initial_states(_arms(model, observed), observed, states, model.point.problem.step_multiple, max_trials)
 
 
 def simulate_without_each_cause(findings: Diagnosis) -> Diagnosis:

@@ -20,6 +20,7 @@ from vjm.simulation.system import Trajectory
 # Multiple of the integrator's default step for a first search where an arm has elbows. Markers are then right to a
 # tenth of a millimetre: enough for steps towards the most likely initial state.
 _COARSE_STEP_MULTIPLE = 4.0
+MOST_TRIALS = 20  # simulations of a search for an initial state that starts anywhere
 FEW_TRIALS = 4  # simulations by which a state comes near the most likely one, if it starts from near there
 _FEW_STEPS = 3  # a search that starts near its minimum arrives in so many, or shows that it hardly gains
 _RELATIVE_TOLERANCE = 1e-4  # relative decrease of chi^2 below which the search ends
@@ -187,7 +188,7 @@ def fit_initial_states(
     observed: Sequence[Observations],
     states: Sequence[Array | None] | None = None,
     step_multiple: float = 1.0,
-    max_trials: int = 20,
+    max_trials: int = MOST_TRIALS,
 ) -> list[tuple[Run, bool]]:
     """Estimate each recording's initial state by maximum likelihood; return its run, and whether the search converged.
 
