@@ -258,7 +258,7 @@ def test_a_fit_beside_sticking_ends_once_its_parameters_promise_little(
 def test_a_wrong_model_beside_sticking_ends_once_only_initial_states_are_left(
     effect: Effect, excess: float, promised: float, by_coordinates: float, ended: bool
 ) -> None:
-    step = replace(missing_step(effect)[1], predicted=promised, coordinate_decrease=by_coordinates)
+    step = _TrajectoryStep(promised, 1.0, np.zeros(1), [], [], [], by_coordinates)
     problem = SimpleNamespace(effects=(effect,))
     point = SimpleNamespace(problem=problem, misfit=1.5, chi2=2000.0 + excess, noise_limit=2000.0)
     search = trajectory_fit._TrajectorySearch(point, True, None, lambda *_: None)  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from vjm.simulation.integrate import phi_functions
 from vjm.simulation.run import Run, by_recording, linearize
 
 _MOST_PEAKS = 3  # more tones at once have not been met
-_MOST_EXAMINED = 30  # highest peaks of the residuals' spectrum, of which a slow tone has some ten beside its own
+_MOST_EXAMINED = 30  # highest peaks of the residuals' spectrum: with nine images above it, a tone has been the tenth
 _ABSORBED = 1e-7  # share of a sine's square below which initial states leave only rounding of it: (3e-4)^2, as slopes
 
 Peaks = tuple[list[float], float]  # the highest ones, and the number of independent values searched
