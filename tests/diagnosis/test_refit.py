@@ -247,6 +247,19 @@ def test_a_fit_beside_sticking_ends_once_its_parameters_promise_little(
 
 
 @pytest.mark.parametrize(
+    ("effect", "multiple"),
+    [(GearElasticity(link=0, stiffness=200.0, damping=0.01), 1.0), (ViscousFriction(link=0, coefficient=5e-3), 4.0)],
+)
+def test_long_steps_are_not_taken_over_to_a_model_with_a_joint_more(effect: Effect, multiple: float) -> None:
+    """The joint may vibrate far faster than the arm without it, for which they were found short enough."""
+    start = in_segments(recorded(Arm.of(chain_of(), (effect,)), 1))
+    problem = replace(start.point.problem, step_multiple=4.0)
+    found = refit(replace(start, point=replace(start.point, problem=problem)), [effect])
+    assert found is not None
+    assert found.point.problem.step_multiple == multiple
+
+
+@pytest.mark.parametrize(
     ("effect", "excess", "promised", "by_coordinates", "ended"),
     [
         (CoulombFriction(link=0, torque=0.008), 400.0, 100.0, 0.09, True),

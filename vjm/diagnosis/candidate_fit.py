@@ -134,7 +134,11 @@ def refit(
         problem = replace(start.point.problem, effects=tuple(sized))
         chain = start.point.x[: len(problem.parametrisation.coordinates)]
         x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in sized)]), *problem.bounds)
-        for step_multiple in dict.fromkeys((problem.step_multiple, 1.0)):
+        # Longer steps than the default have been found short enough without an added joint, which may vibrate fast.
+        # With elbows they are shortened as the fit improves.
+        template = problem.parametrisation.template
+        added = not template.elbows.size and any(effect.adds_joint(template) for effect in sized)
+        for step_multiple in dict.fromkeys((1.0 if added else problem.step_multiple, 1.0)):
             problem = replace(problem, step_multiple=step_multiple)
             pairs = zip(start.point.runs, problem.arms(x), strict=True)
             states = [transfer_state(run.chain, arm.chain, run.state) for run, arm in pairs]
