@@ -12,9 +12,11 @@ from vjm.effects import BUILTIN, Effect
 from vjm.errors import EffectError
 
 # What rattles, in steps that resolve the contact of its flanks, takes as long as all others together; of effects with
-# the same hooks one is enough each time: dry friction, other torques of a joint, a camera's image, its clock.
+# the same hooks one is enough each time: dry friction, other torques of a joint, what becomes of a recorded torque, a
+# joint at the root, drag, a camera's image, its clock.
 _SLOW = (
-    *("backlash", "stribeck", "viscous_friction", "torque_offset"),
+    *("backlash", "stribeck", "viscous_friction", "torque_offset", "torque_saturation", "gear_elasticity"),
+    "quadratic_drag",
     *("camera_scale", "camera_translation", "lens_distortion", "clock_scale"),
 )
 EVERY = [pytest.param(each, id=each.id, marks=[pytest.mark.slow] if each.id in _SLOW else []) for each in BUILTIN]
