@@ -248,13 +248,17 @@ def test_a_fit_beside_sticking_ends_once_its_parameters_promise_little(
 
 @pytest.mark.parametrize(
     ("effect", "multiple"),
-    [(GearElasticity(link=0, stiffness=200.0, damping=0.01), 1.0), (ViscousFriction(link=0, coefficient=5e-3), 4.0)],
+    [
+        (GearElasticity(link=0, stiffness=200.0, damping=0.01), 1.0),
+        (ViscousFriction(link=0, coefficient=5e-3), 4.0),
+        (Backlash(link=0, gap=0.01), 4.0),  # has short steps of its own
+    ],
 )
 def test_long_steps_are_not_taken_over_to_a_model_with_a_joint_more(effect: Effect, multiple: float) -> None:
     """The joint may vibrate far faster than the arm without it, for which they were found short enough."""
     start = in_segments(recorded(Arm.of(chain_of(), (effect,)), 1))
     problem = replace(start.point.problem, step_multiple=4.0)
-    found = refit(replace(start, point=replace(start.point, problem=problem)), [effect])
+    found = refit(replace(start, point=replace(start.point, problem=problem)), [effect], StoppingRule(max_steps=0))
     assert found is not None
     assert found.point.problem.step_multiple == multiple
 

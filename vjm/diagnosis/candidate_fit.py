@@ -137,7 +137,8 @@ def refit(
         # Longer steps than the default have been found short enough without an added joint, which may vibrate fast.
         # With elbows they are shortened as the fit improves.
         template = problem.parametrisation.template
-        added = not template.elbows.size and any(effect.adds_joint(template) for effect in sized)
+        smooth = [effect for effect in sized if not effect.nonsmooth]  # play has short steps of its own
+        added = not template.elbows.size and any(effect.adds_joint(template) for effect in smooth)
         for step_multiple in dict.fromkeys((1.0 if added else problem.step_multiple, 1.0)):
             problem = replace(problem, step_multiple=step_multiple)
             pairs = zip(start.point.runs, problem.arms(x), strict=True)
