@@ -23,7 +23,7 @@ from scipy import stats
 from vjm.chain.curve import transfer_state
 from vjm.diagnosis.candidate_fit import LEAST_START
 from vjm.diagnosis.records import Candidate
-from vjm.diagnosis.search_starts import spectral_starts, temporal_peaks
+from vjm.diagnosis.search_starts import ABSORBED, spectral_starts, temporal_peaks
 from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects.effect import Effect, Key
 from vjm.errors import SimulationDivergedError
@@ -35,7 +35,6 @@ from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
 from vjm.simulation.sensitivity import Linearization
 from vjm.simulation.variational_equations import PerturbedArm
 
-_ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
 _JOINT_STEP = 1e-4  # the same for the compliance of a joint of its own, in which an arm is far from linear
 _DRAWS = 4000  # the 1 % quantile of the smallest p-value is then known within 16 % (1/sqrt(0.01 * 4000))
@@ -75,7 +74,7 @@ class Screen:
     @cached_property
     def absorbed(self) -> Mask:
         """(V,) true for effects that are collinear with the other parameters."""
-        vanishing = np.diag(self.products)[:-1] <= _ABSORBED * self.unprojected
+        vanishing = np.diag(self.products)[:-1] <= ABSORBED * self.unprojected
         return np.array([bool(vanishing[part].any()) for part in self.parts])
 
     @cached_property

@@ -19,7 +19,7 @@ from vjm.simulation.run import Run, by_recording, linearize
 
 _MOST_PEAKS = 3  # more tones at once have not been met
 _MOST_EXAMINED = 30  # highest peaks of the residuals' spectrum: with nine images above it, a tone has been the tenth
-_ABSORBED = 1e-7  # share of a sine's square below which initial states leave only rounding of it: (3e-4)^2, as slopes
+ABSORBED = 1e-7  # share of a direction's square below which the projection leaves only rounding: (3e-4)^2, as slopes
 
 Peaks = tuple[list[float], float]  # the highest ones, and the number of independent values searched
 
@@ -148,7 +148,7 @@ def temporal_peaks(recordings: Sequence[Recording], runs: Sequence[Run]) -> Peak
     Those of quiet recordings, where nothing else moves, and of all together, where joints are free to move. Of the
     residuals' highest spectral peaks some are images of a tone: what initial states take up of it, segment by segment,
     leaves peaks at multiples of the segments' rate beside its own, which may be higher. None of these explains more of
-    the residuals than the tone does once initial states have been projected out of the sines too.
+    the residuals than a sine of the tone's very frequency, once initial states have been projected out of the sines.
     """
     time = max((recording.time[recording.frames] for recording in recordings), key=lambda t: float(np.ptp(t)))
     duration, step = float(np.ptp(time)), float(np.median(np.diff(time)))
@@ -242,7 +242,7 @@ def _explained(parts: Sequence[Run], frequencies: Array) -> Array:
         normal += change.reshape(normal.shape)
         score -= (transposed @ (free.T @ weighted_residual)).reshape(score.shape)
     unknowns = 2 * channels
-    inverse = np.linalg.pinv(normal.reshape(count, unknowns, unknowns), rcond=_ABSORBED, hermitian=True)
+    inverse = np.linalg.pinv(normal.reshape(count, unknowns, unknowns), rcond=ABSORBED, hermitian=True)
     gradient = score.reshape(count, unknowns)
     return np.asarray(np.einsum("fi,fij,fj->f", gradient, inverse, gradient))
 
