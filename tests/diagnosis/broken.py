@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 
 from vjm.chain.virtual_links import Array, Chain
-from vjm.effects import Effect, RateIndependentUpdate, StateFunction, magnitude, shape_parameter
+from vjm.effects import Effect, StateFunction, magnitude, shape_parameter
 from vjm.effects.effect import JointEffect
 from vjm.records import Recording, Rig
 
@@ -165,22 +165,23 @@ class StateWithoutRates(CubicFriction):
 
 
 @dataclass(frozen=True)
-class WayWithoutSlope(StateWithoutRates):
-    """Does not say what stands for what slips where derivatives are taken."""
+class FrictionWithoutSlope(CubicFriction):
+    """Does not say what stands for dry friction where derivatives are taken."""
 
-    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        return lambda q, z, to: np.clip(z + to[..., :1] - q[..., :1], -0.1, 0.1)
+    def dry_friction(self, chain: Chain) -> tuple[int, Callable[[Array], Array]] | None:
+        return self.active_joint(chain), lambda rate: np.full(rate.shape, self.coefficient)
 
 
 @dataclass(frozen=True)
-class Restless(CubicFriction):
-    """Its internal state changes while nothing moves."""
+class FrictionThatPushes(CubicFriction):
+    def dry_friction(self, chain: Chain) -> tuple[int, Callable[[Array], Array]] | None:
+        return None if self.smooth else (self.active_joint(chain), lambda rate: -np.full(rate.shape, self.coefficient))
 
-    def initial_states(self, chain: Chain, q: Array) -> Array:
-        return np.zeros((*q.shape[:-1], 0 if self.smooth else 1))
 
-    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        return None if self.smooth else (lambda q, z, to: 0.5 * z + to[..., :1] - q[..., :1] + 1e-3)
+@dataclass(frozen=True)
+class FrictionOfALink(CubicFriction):
+    def dry_friction(self, chain: Chain) -> tuple[int, Callable[[Array], Array]] | None:
+        return None if self.smooth else (chain.size - 1, lambda rate: np.full(rate.shape, self.coefficient))
 
 
 @dataclass(frozen=True)

@@ -66,14 +66,14 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
         a1, z1 = slopes(time[k], q, v, z, drive.start[k])
         path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a1, z
         q2, v2 = q + half * v, v + half * a1
-        a2, z2 = slopes(time[k] + half, q2, v2, system.update_states(q, z + half * z1, q2), middle)
+        a2, z2 = slopes(time[k] + half, q2, v2, z + half * z1, middle)
         q3, v3 = q + half * v2, v + half * a2
-        a3, z3 = slopes(time[k] + half, q3, v3, system.update_states(q, z + half * z2, q3), middle)
+        a3, z3 = slopes(time[k] + half, q3, v3, z + half * z2, middle)
         q4, v4 = q + step * v3, v + step * a3
-        a4, z4 = slopes(time[k + 1], q4, v4, system.update_states(q, z + step * z3, q4), drive.end[k])
+        a4, z4 = slopes(time[k + 1], q4, v4, z + step * z3, drive.end[k])
         end = q + step / 6 * (v + 2 * v2 + 2 * v3 + v4)
         v = v + step / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
-        z = system.update_states(q, z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4), end)
+        z = z + step / 6 * (z1 + 2 * z2 + 2 * z3 + z4)
         q = end
     path.q[-1], path.v[-1], path.a[-1], path.z[-1] = q, v, slopes(time[-1], q, v, z, drive.ends[-1])[0], z
     return path

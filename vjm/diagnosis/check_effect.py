@@ -30,8 +30,8 @@ from vjm.simulation.measurement import MarkerArcs, Observations, sensor_readings
 
 _Checks = Iterator[tuple[object, str, str]]  # what must hold, what was found instead, what was expected
 _HOOKS = (
-    *("chain", "true_inputs", "force", *SENSING_HOOKS, "timing_noise"),
-    *("initial_states", "state_rates", "rate_independent_update"),
+    *("chain", "true_inputs", "force", "dry_friction", *SENSING_HOOKS, "timing_noise"),
+    *("initial_states", "state_rates"),
 )
 _ROUNDING = 1e-9
 _PAYLOAD = 0.05  # kg
@@ -281,30 +281,31 @@ def _hooks(effect: Effect, seed: int) -> _Checks:
 
 
 def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
-    """Require force, rates or rate-independent update, and rest, for states with several leading axes."""
+    """Require force, dry friction, rates of internal states, and rest, for states with several leading axes."""
     straight, smooth = np.zeros(chain.size), replace(present, smooth=True)
     count, reduced = present.initial_states(chain, straight).size, smooth.initial_states(chain, straight).size
-    rates, update = present.state_rates(chain), present.rate_independent_update(chain)
-    moved, expected = (rates is not None) + (update is not None), "one of these where there are states"
-    yield moved == (count > 0), f"{count} states, `state_rates` {rates}, `rate_independent_update` {update}", expected
-    expected = f"{count}, or none" if update is None else "none, where `rate_independent_update` carries them"
-    yield reduced in (0, count if update is None else 0), f"`smooth` makes it an effect with {reduced} states", expected
+    rates, friction = present.state_rates(chain), present.dry_friction(chain)
+    yield (rates is not None) == (count > 0), f"{count} states, `state_rates` {rates}", "rates where there are states"
+    yield reduced == count, f"`smooth` makes it an effect with {reduced} states", f"{count}"
+    yield smooth.dry_friction(chain) is None, "`smooth` leaves it dry friction", "a gradual `force` in its place"
     random = np.random.default_rng(seed)
     for leading in ((), (5,), (2, 5)):
-        q, v, target = (_read_only(0.3 * random.normal(size=(*leading, chain.size))) for _ in range(3))
+        q, v = (_read_only(0.3 * random.normal(size=(*leading, chain.size))) for _ in range(2))
         rest = present.initial_states(chain, q)
         yield from _array(f"`initial_states` at angles {q.shape}", rest, (*leading, count))
         yield from _array(f"`rest_angles` at angles {q.shape}", present.rest_angles(chain, q), q.shape)
+        if friction is not None:
+            joint, torque = friction
+            yield joint in chain.active, f"`dry_friction` of coordinate {joint}", f"an active joint, {chain.active}"
+            yield from _array(f"`dry_friction` at rates {leading}", torque(v[..., joint]), leading)
+            least = float(np.min(torque(v[..., joint])))
+            yield least >= 0, f"`dry_friction` of {least} N m", "a torque that is not negative"
         z, time = (
             _read_only(rest + 0.03 * random.normal(size=rest.shape)),
             _read_only(np.abs(random.normal(size=leading))),
         )
         yield from _each_alone("force", present.force(chain, _PAYLOAD), (time, q, v, z), q.shape)
         yield from _each_alone("state_rates", rates, (time, q, v, z), z.shape)
-        yield from _each_alone("rate_independent_update", update, (q, z, target), z.shape)
-        stationary = update is None or np.allclose(update(q, rest, q), rest, rtol=0.0, atol=_ROUNDING)
-        finding = "`rate_independent_update` changes states at rest where the joints stay"
-        yield stationary, finding, "states that follow the joints"
 
 
 def _each_alone(

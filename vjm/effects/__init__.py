@@ -15,7 +15,6 @@ from vjm.effects.bending import UnmodelledMode as UnmodelledMode
 from vjm.effects.bending import ViscoelasticCreep as ViscoelasticCreep
 from vjm.effects.effect import Effect as Effect
 from vjm.effects.effect import Parameter as Parameter
-from vjm.effects.effect import RateIndependentUpdate as RateIndependentUpdate
 from vjm.effects.effect import StateFunction as StateFunction
 from vjm.effects.effect import magnitude as magnitude
 from vjm.effects.effect import shape_parameter as shape_parameter

@@ -23,8 +23,6 @@ from vjm.records import Array, Recording, Rig
 Key = tuple[str, int | None]
 # From time (...), q (..., nv), v (..., nv) and internal states z (..., nz) to forces (..., nv) or rates (..., nz).
 StateFunction = Callable[[Array, Array, Array, Array], Array]
-# From angles (..., nv) at which internal states (..., nz) were, those states and other angles to the states at these.
-RateIndependentUpdate = Callable[[Array, Array, Array], Array]
 SENSING_HOOKS = ("camera_instants", "marker_positions", "encoder_angles")
 _METADATA = "vjm"
 # Powers of length, mass and time in units.
@@ -359,15 +357,7 @@ class Effect:
     def state_rates(self, chain: Chain) -> StateFunction | None:
         """Return the function, as of `force`, that gives the internal states' rates of change (..., nz).
 
-        It is needed where there are states and `rate_independent_update` returns None.
-        """
-        return None
-
-    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        """Return the function that moves internal states along with the joints, whatever time that takes.
-
-        It takes angles (..., nv) [rad], the states (..., nz) there and other angles, and returns the states at these.
-        States that slip have no derivatives: an effect that is `smooth` must not have any.
+        It is needed where there are states.
         """
         return None
 
@@ -386,10 +376,13 @@ class Effect:
         """Return the longest time step [s] with which a simulation resolves it."""
         return np.inf
 
-    @property
-    def joint_friction(self) -> float:
-        """Dry friction torque at the active joint [N m], as a URDF has it."""
-        return 0.0
+    def dry_friction(self, chain: Chain) -> tuple[int, Callable[[Array], Array]] | None:
+        """Return the coordinate of an active joint that it brakes, and its dry friction; None without any.
+
+        The friction is a function from rates (...) [rad/s] to the torque (...) [N m] against the motion, the largest
+        that holds the joint at rest.
+        """
+        return None
 
     def camera_instants(self, time: Array, positions: Array) -> Array:
         """Return the instants (F,), or (F, k) if markers differ, at which the camera saw what its frames show [s].

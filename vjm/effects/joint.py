@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -14,73 +14,41 @@ from vjm.effects.effect import (
     Effect,
     JointEffect,
     LinkEffect,
-    RateIndependentUpdate,
     StateFunction,
     magnitude,
     shape_parameter,
 )
-from vjm.model.dynamics import mechanism_of
 from vjm.records import Array, Recording
 
 # In the link's own unit of time T: the step under dry friction, by which instants of sticking are off, and by how much
 # the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
 _FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 360, 1 / 40
-_LEAST_TORQUE = 1e-5  # in the link's own unit EI / l, under a hundredth of a typical one: less has no bristle
 
 
 @dataclass(frozen=True)
 class _DryFriction(JointEffect):
-    """Dry friction at the active joint, against the motion, and sticking.
-
-    A bristle bends elastically by up to z_s and slips beyond (Prandtl's stop): over any way of the joint its angle z
-    changes as the joint's does, and is held within -z_s and z_s; the torque is -torque z / z_s, times a share that
-    depends on the joint's rate. It is as stiff as the steps in time resolve, since a softer one yields where dry
-    friction holds, which biases what is estimated.
-    """
+    """Dry friction at the active joint, against the motion, and sticking."""
 
     abscissa = "joint_rate"
     dissipative = True
     nonsmooth = True
 
-    @property
-    def largest(self) -> float:
-        """Torque at rest [N m]."""
+    def largest(self, rate: Array) -> Array:
+        """Return the torque (...) [N m] that opposes the motion at rates (...) [rad/s]; at rest, that it may reach."""
         raise NotImplementedError
 
-    def share(self, rate: Array) -> Array | float:
-        """Share of the torque at rest that there is at rates (...) [rad/s]."""
-        return 1.0
-
-    def initial_states(self, chain: Chain, q: Array) -> Array:
-        """Return the bristle's angle, none."""
-        return super().initial_states(chain, q) if self.smooth else np.zeros((*q.shape[:-1], 1))
+    def dry_friction(self, chain: Chain) -> tuple[int, Callable[[Array], Array]] | None:
+        """Return the joint's coordinate and its friction; None where it is gradual."""
+        return None if self.smooth else (self.active_joint(chain), self.largest)
 
     def force(self, chain: Chain, payload: float) -> StateFunction | None:
-        """Return the torque of the bristle, or one whose sign changes gradually."""
-        joint, torque, share = self.active_joint(chain), self.largest, self.share
-        if self.smooth:
-            gradual = self.units(chain)[2] / _GRADUAL_REVERSAL
-            return self.force_on(
-                joint, lambda time, q, v, z: -torque * share(v[..., joint]) * np.tanh(gradual * v[..., joint])
-            )
-        limit = self.presliding(chain)
-        return self.force_on(joint, lambda time, q, v, z: -torque / limit * share(v[..., joint]) * z[..., 0])
-
-    def rate_independent_update(self, chain: Chain) -> RateIndependentUpdate | None:
-        """Return how the bristle follows the joint, as far as it does not slip."""
-        if self.smooth:
+        """Return the torque if it is gradual: its sign changes over a range of rates."""
+        if not self.smooth:
             return None
-        joint, limit = self.active_joint(chain), self.presliding(chain)
-        # Two ufuncs take less time than `np.clip`, in the many small steps of a simulation.
-        return lambda q, z, to: np.maximum(np.minimum(z + (to - q)[..., joint, None], limit), -limit)
-
-    def presliding(self, chain: Chain) -> float:
-        """Return the angle [rad] at which a bristle slips on which the joint vibrates by a radian in each time step."""
-        mobility = np.linalg.inv(mechanism_of(chain).mass_matrix(np.zeros((1, chain.size)))[0])
-        joint = self.active_joint(chain)
-        length, mass, time = self.units(chain)
-        torque = max(self.largest, _LEAST_TORQUE * mass * length**2 / time**2)
-        return float(torque * mobility[joint, joint] * self.max_step(chain) ** 2)
+        joint, gradual = self.active_joint(chain), self.units(chain)[2] / _GRADUAL_REVERSAL
+        return self.force_on(
+            joint, lambda time, q, v, z: -self.largest(v[..., joint]) * np.tanh(gradual * v[..., joint])
+        )
 
     def max_step(self, chain: Chain) -> float:
         """Return the time step [s] that resolves sticking."""
@@ -101,15 +69,9 @@ class CoulombFriction(_DryFriction):
     common = True
     in_urdf = True
 
-    @property
-    def largest(self) -> float:
-        """Torque at rest [N m]."""
-        return self.torque
-
-    @property
-    def joint_friction(self) -> float:
-        """Dry friction torque at the active joint [N m]."""
-        return self.torque
+    def largest(self, rate: Array) -> Array:
+        """Return the same torque (...) [N m] at all rates."""
+        return np.full(np.shape(rate), self.torque)
 
 
 @dataclass(frozen=True)
@@ -117,8 +79,7 @@ class Stribeck(_DryFriction):
     """Dry friction that falls with the joint's rate v, torque exp(-(v / speed)^2), and sticks.
 
     It is what friction at low rates exceeds that at high ones by, which is `coulomb_friction`. A speed above all rates
-    of the joint would make the two the same. It acts about reversals only, where a bristle is late by a part of a step:
-    simulated motion is that of a torque 3 % smaller and a speed 3 % larger.
+    of the joint would make the two the same.
     """
 
     torque: float = magnitude("N m", 0.004, lower=0.0, in_rig_units=True)
@@ -133,14 +94,9 @@ class Stribeck(_DryFriction):
     reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
     distinguishing_experiment = "sweeps at several constant speeds, slow and fast"
 
-    @property
-    def largest(self) -> float:
-        """Torque at rest [N m]."""
-        return self.torque
-
-    def share(self, rate: Array) -> Array:
-        """Share of the torque at rest that there is at rates (...) [rad/s]."""
-        return np.asarray(np.exp(-((rate / self.speed) ** 2)))
+    def largest(self, rate: Array) -> Array:
+        """Return the torque (...) [N m] at rates (...) [rad/s]."""
+        return np.asarray(self.torque * np.exp(-((rate / self.speed) ** 2)))
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from vjm.chain.virtual_links import Chain
-from vjm.effects.effect import Effect, RateIndependentUpdate, StateFunction, is_nonsmooth
+from vjm.effects.effect import Effect, StateFunction, is_nonsmooth
 from vjm.model.urdf import chain_to_urdf, simulator_file
 from vjm.records import Array, Recording
 from vjm.text import in_sentence
@@ -109,20 +108,6 @@ class Arm:
         """True if any internal state has a rate of change."""
         return bool(self._state_rates)
 
-    @property
-    def has_rate_independent_states(self) -> bool:
-        """True if `update_states` changes any internal state."""
-        return bool(self._state_updates)
-
-    def update_states(self, q: Array, z: Array, to: Array) -> Array:
-        """Return internal states (..., nz) after a change of angles (..., nv); only rate-independent ones change."""
-        if len(self.effects) == 1 and self._state_updates:  # without the array for all effects': see `follow`
-            return self._state_updates[0][0](q, z, to)
-        updated = z.copy()
-        for function, part in self._state_updates:
-            updated[..., part] = function(q, z[..., part], to)
-        return updated
-
     def follow(self, time: Array, q: Array, v: Array, z: Array | None = None) -> Array:
         """Return the internal states (I, ..., nz) along given motions, integrated by Heun's method.
 
@@ -141,14 +126,11 @@ class Arm:
             return states
         first, last = v[:-1] + missing, v[1:] + missing
         # A single effect's rates without the array for all effects': there are many short steps.
-        rates = self._state_rates[0][0] if self._state_rates and len(self.effects) == 1 else self.state_rates
+        rates = self._state_rates[0][0] if len(self.effects) == 1 else self.state_rates
         for k, step in enumerate(steps):
-            end = states[k]
-            if self._state_rates:
-                slope = rates(time[k], q[k], first[k], end)
-                end_slope = rates(time[k + 1], q[k + 1], last[k], end + step * slope)
-                end = end + step / 2 * (slope + end_slope)
-            states[k + 1] = self.update_states(q[k], end, q[k + 1]) if self._state_updates else end
+            slope = rates(time[k], q[k], first[k], states[k])
+            end_slope = rates(time[k + 1], q[k + 1], last[k], states[k] + step * slope)
+            states[k + 1] = states[k] + step / 2 * (slope + end_slope)
         return states
 
     def urdf(self) -> str:
@@ -187,12 +169,25 @@ class Arm:
     @property
     def _friction(self) -> dict[str, float]:
         """Dry friction at active joints by their link's name [N m]."""
-        friction: dict[str, float] = {}
-        for effect in self.effects:
-            if effect.joint_friction:
-                name = self.chain.links[effect.link or 0].name
-                friction[name] = friction.get(name, 0.0) + effect.joint_friction
-        return friction
+        at_speed = self.friction_torques(np.full(self.chain.size, np.inf))[self.chain.active]
+        names = [link.name for link in self.chain.links if link.joint == "revolute"]
+        return {name: float(torque) for name, torque in zip(names, at_speed, strict=True) if torque}
+
+    @cached_property
+    def _dry_friction(self) -> list[tuple[int, Callable[[Array], Array]]]:
+        return [friction for friction, _ in self._hooks(lambda effect: effect.dry_friction(self.chain))]
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """True if a joint may stick."""
+        return bool(self._dry_friction)
+
+    def friction_torques(self, v: Array) -> Array:
+        """Return the dry friction (..., nv) [N m] that the joints have at rates (..., nv), at most where they rest."""
+        torques = np.zeros(v.shape)
+        for joint, friction in self._dry_friction:
+            torques[..., joint] += friction(v[..., joint])
+        return torques
 
     @property
     def longest_step(self) -> float:
@@ -216,22 +211,15 @@ class Arm:
         return theta
 
     @cached_property
-    def smooth(self) -> tuple[Arm, NDArray[np.intp]]:
-        """The arm of which derivatives are taken, and which of this arm's internal states it has."""
+    def smooth(self) -> Arm:
+        """The arm of which derivatives are taken: what sticks or touches does so gradually."""
         if not is_nonsmooth(self.effects):
-            return self, np.arange(sum(self.state_counts))
-        effects = tuple(replace(effect, smooth=True) for effect in self.effects)
-        smooth = Arm(self.chain, effects)
-        slices = zip(self._state_slices, smooth.state_counts, strict=True)
-        return smooth, np.concatenate([np.arange(part.start, part.start + count) for part, count in slices])
+            return self
+        return Arm(self.chain, tuple(replace(effect, smooth=True) for effect in self.effects))
 
     @cached_property
     def _state_rates(self) -> list[tuple[StateFunction, slice]]:
         return self._hooks(lambda effect: effect.state_rates(self.chain))
-
-    @cached_property
-    def _state_updates(self) -> list[tuple[RateIndependentUpdate, slice]]:
-        return self._hooks(lambda effect: effect.rate_independent_update(self.chain))
 
     @cached_property
     def _state_slices(self) -> list[slice]:

@@ -130,26 +130,25 @@ class PrecedingMotion:
     time: Array
     q: Array
     v: Array
-    _known: dict[tuple[int, tuple[Effect, ...]], tuple[Array, Array]] = field(default_factory=dict, repr=False)
+    _known: dict[tuple[int, tuple[Effect, ...]], Array] = field(default_factory=dict, repr=False)
 
-    def internal_states(self, arm: Arm, time: float, q: Array) -> Array:
-        """Return the internal states (nz,) of an arm's effects at a time [s] and angles q (nv,) [rad]."""
+    def internal_states(self, arm: Arm, time: float) -> Array:
+        """Return the internal states (nz,) of an arm's effects at a time since the recording's start [s]."""
         index = int(np.clip(np.searchsorted(self.time, time), 1, self.time.size - 1))
         share = np.clip((time - self.time[index - 1]) / (self.time[index] - self.time[index - 1]), 0.0, 1.0)
-        angles, states = (
-            values[index - 1] + share * (values[index] - values[index - 1]) for values in self._along(arm)
-        )
-        return arm.update_states(angles, states, q)
+        states = self._along(arm)
+        at_time: Array = states[index - 1] + share * (states[index] - states[index - 1])
+        return at_time
 
-    def _along(self, arm: Arm) -> tuple[Array, Array]:
-        """Return angles (I, nv) of an arm and internal states (I, nz) of its effects, which depend on no stiffness."""
+    def _along(self, arm: Arm) -> Array:
+        """Return internal states (I, nz) of an arm's effects, which depend on no stiffness."""
         counts = zip(arm.effects, arm.state_counts, strict=True)
         key = arm.chain.size, tuple(effect for effect, count in counts if count)
         if key not in self._known:
             q, v = self.q, self.v
             if arm.chain.size != self.chain.size:
                 q, v = np.split(transfer_state(self.chain, arm.chain, np.hstack([q, v]).T).T, 2, axis=1)
-            self._known[key] = q, Arm(arm.chain, key[1]).follow(self.time, q, v)
+            self._known[key] = Arm(arm.chain, key[1]).follow(self.time, q, v)
         return self._known[key]
 
 
@@ -307,7 +306,7 @@ class Observations:
         """Return the internal states (nz,) of an arm's effects at the first instant, at angles q (nv,) [rad]."""
         if self.preceding is None or not sum(arm.state_counts):
             return arm.initial_states(q)
-        return self.preceding.internal_states(arm, float(self.recording.time[0]) - self.began, q)
+        return self.preceding.internal_states(arm, float(self.recording.time[0]) - self.began)
 
     def truncated(self, end: float) -> Observations:
         """Return the values measured up to an instant [s]."""

@@ -200,11 +200,8 @@ class Run:
         self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Trajectory] | None = None
     ) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
-        arm, smooth_states = self.arm.smooth
-        trajectory = self.trajectory
-        if smooth_states.size < trajectory.z.shape[1]:
-            trajectory = replace(trajectory, z=trajectory.z[:, smooth_states])
-        smooth = [perturbation._replace(arm=perturbation.arm.smooth[0]) for perturbation in perturbed]
+        smooth = [perturbation._replace(arm=perturbation.arm.smooth) for perturbation in perturbed]
+        arm, trajectory = self.arm.smooth, self.trajectory
         return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
 
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
@@ -287,7 +284,7 @@ class Run:
         """
         if not observed.encoders_are_input:
             return observed
-        run, effects, recording = replace(self, observed=observed), self.arm.smooth[0].effects, observed.recording
+        run, effects, recording = replace(self, observed=observed), self.arm.smooth.effects, observed.recording
         resolved = 4 * 2 * self.stride * self.trajectory.step  # four intervals of the variational equations
         most = max(1, _MOST_ERROR_VALUES // (observed.count * recording.theta.shape[1]))
         errors = [

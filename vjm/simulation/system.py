@@ -163,10 +163,6 @@ class System:
         """True if anything acts beyond springs, dampers and torques."""
         return bool(self.acting)
 
-    @cached_property
-    def _has_rate_independent_states(self) -> bool:
-        return any(arm.has_rate_independent_states for _, arm, _ in self.acting)
-
     def further_forces(self, time: Array, q: Array, v: Array, z: Array) -> tuple[Array, Array]:
         """Return effects' forces (C, nv) [N m] and rates of internal states (C, nz) at times (C,) [s].
 
@@ -181,14 +177,27 @@ class System:
                 rates[copies] = arm.state_rates(time[copies], *motion)
         return force, rates
 
-    def update_states(self, q: Array, z: Array, to: Array) -> Array:
-        """Return internal states (C, nz) after a change of angles (C, nv); only rate-independent ones change."""
-        if not self._has_rate_independent_states:
-            return z
-        updated = z.copy()
-        for copies, arm, _ in self.acting:
-            updated[copies] = arm.update_states(q[copies], z[copies], to[copies])
-        return updated
+    @cached_property
+    def has_dry_friction(self) -> bool:
+        """True if a joint of any copy may stick."""
+        return bool(self._braked)
+
+    @cached_property
+    def _braked(self) -> list[tuple[Indices | slice, Arm]]:
+        groups: dict[int, list[int]] = {}
+        for k, arm in enumerate(self.arms):
+            if arm.has_dry_friction:
+                groups.setdefault(id(arm), []).append(k)
+        return [(_rows(copies), self.arms[copies[0]]) for copies in groups.values()]
+
+    def friction_torques(self, v: Array) -> Array:
+        """Return the dry friction (C, nv) [N m] of the joints at rates (C, nv) [rad/s]."""
+        if len(self._braked) == 1 and self._braked[0][0] == slice(0, len(self.arms)):
+            return self._braked[0][1].friction_torques(v)
+        torques = np.zeros(v.shape)
+        for copies, arm in self._braked:
+            torques[copies] = arm.friction_torques(v[copies])
+        return torques
 
     def acceleration(self, x: Array, torque: Array) -> Array:
         """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
