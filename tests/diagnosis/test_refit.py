@@ -170,7 +170,7 @@ def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
     unchanged = point.problem.simulated(point.x + step.change, [0 * off, 0 * off], point.states, [1.0, 1.0])
     assert trial is not None
     for run, begun in zip(trial.runs, unchanged.runs, strict=True):
-        assert run.cost <= begun.cost
+        assert run.cost <= begun.cost * (1 + 1e-12)
 
 
 def test_a_state_is_refined_where_it_alone_spoils_a_step() -> None:

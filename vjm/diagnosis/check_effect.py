@@ -297,7 +297,7 @@ def _motions(present: Effect, chain: Chain, seed: int) -> _Checks:
         if friction is not None:
             joint, torque = friction
             yield joint in chain.active, f"`dry_friction` of coordinate {joint}", f"an active joint, {chain.active}"
-            yield from _array(f"`dry_friction` at rates {leading}", torque(v[..., joint]), leading)
+            yield from _array(f"`dry_friction` at rates {leading}", np.asarray(torque(v[..., joint])), leading)
             least = float(np.min(torque(v[..., joint])))
             yield least >= 0, f"`dry_friction` of {least} N m", "a torque that is not negative"
         z, time = (

@@ -26,7 +26,6 @@ _MOST_STEPS = 2e7  # of a long one: several GiB, and a day of an arm that swings
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
 _DIVERGED = 1e3  # rad; no joint turns so far
-_PARTS = 4  # of a step, for the instants at which joints stop under dry friction
 # With an elbow: joints a link from which on steps are as much shorter as there are more, and for so many the angle
 # between those at which the linear part is taken [rad]; it shrinks with the square of the joints. Errors of 24 joints
 # are four times those of eight then, and were seventy times as large with the same steps and angle.
@@ -82,7 +81,7 @@ def simulate_trajectories(
         system = System.of(copies, [driven[k].payload for k in group], first.gravity)
         angles, rates = (np.stack([np.asarray(values[k], dtype=float) for k in group]) for values in (q, v))
         states = np.stack([arms[k].initial_states(np.asarray(q[k])) if z is None else z[k] for k in group])
-        with np.errstate(over="ignore", invalid="ignore"):  # divergence is noticed, and raised
+        with np.errstate(all="ignore"):  # divergence is noticed, and raised
             batch = _integrate(system, angles, rates, states, drive)
         for copy, (k, count) in enumerate(zip(group, counts, strict=True)):
             motion = (values[: count + 1, copy] for values in batch.motion)
@@ -190,7 +189,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     missing = drive.ends[:-1] - drive.start
     has_further_forces = system.has_further_forces
     start, middle, end = (_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end))
-    friction = _DryFriction(system, step)
+    active, friction = system.active, _DryFriction(system, step) if system.has_dry_friction else None
 
     def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
         path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
@@ -214,39 +213,38 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     for k in range(count):
         weights = propagator.at(x)
         p = _multiply(x, weights.state)  # springs, L x, exp(L h / 2) x, exp(L h) x
-        torque, torques, at_once = start[k], (middle[k], end[k]), missing[k]
-        if system.has_dry_friction:
-            torque = torque + friction.of_all_joints(friction.torque)
-        a, z1 = accelerate(k, x, z, p[:, :n], torque)
-        if system.has_dry_friction:
+        at_once = missing[k]
+        if friction is not None:
             known = friction.torque
-            first, *line = friction.over_step(x[:, n:], a, weights.response)
+            start[k][:, active] += known
+        a, z1 = accelerate(k, x, z, p[:, :n], start[k])
+        if friction is not None:
+            first, line = friction.over_step(x[:, n:], a, weights.response)
             a = a + _multiply(line[0] - known, weights.response)
             at_once = at_once + first - line[0]
-            torques = tuple(
-                torque + friction.of_all_joints(part) for torque, part in zip(torques, line[1:], strict=True)
-            )
+            middle[k][:, active] += line[1]
+            end[k][:, active] += line[2]
         record(k, x[:, :n], x[:, n:], a + _multiply(at_once, weights.response), z)
         half, full, remainder = p[:, 2 * n : 4 * n], p[:, 4 * n :], a - p[:, n : 2 * n]
         x2, x3, x4, x5, x = (_multiply(remainder, weights.first).reshape(len(x), 5, 2 * n)).transpose(1, 0, 2)
         x2 = half + x2
-        remainder, z2 = stage(k + 0.5, x2, z + step / 2 * z1, torques[0], weights)
+        remainder, z2 = stage(k + 0.5, x2, z + step / 2 * z1, middle[k], weights)
         p = _multiply(remainder, weights.second)
         x3 = half + x3 + p[:, : 2 * n]
-        remainder, z3 = stage(k + 0.5, x3, z + step / 2 * z2, torques[0], weights)
+        remainder, z3 = stage(k + 0.5, x3, z + step / 2 * z2, middle[k], weights)
         p = p[:, 2 * n :] + _multiply(remainder, weights.third)
         x4 = full + x4 + p[:, : 2 * n]
-        remainder, z4 = stage(k + 1, x4, z + step / 2 * (z2 + z3), torques[1], weights)
+        remainder, z4 = stage(k + 1, x4, z + step / 2 * (z2 + z3), end[k], weights)
         last = _multiply(remainder, weights.fourth)
         x5 = half + x5 + p[:, 2 * n :] + last[:, : 2 * n]
         z5 = z + step / 4 * z1 + step / 8 * (z2 + z3)
-        remainder, z5 = stage(k + 0.5, x5, z5, torques[0], weights)
+        remainder, z5 = stage(k + 0.5, x5, z5, middle[k], weights)
         x = full + x + last[:, 2 * n :] + _multiply(remainder, weights.fifth)
         z = z + step / 6 * (z1 + z4 + 4 * z5)
     springs = _multiply(x, propagator.at(x).rate)[:, :n]
     torque = _of_all_joints(system, drive.ends[-1:])[0]
-    if system.has_dry_friction:
-        torque = torque + friction.of_all_joints(friction.torque)
+    if friction is not None:
+        torque[:, active] += friction.torque
     a, _ = accelerate(count, x, z, springs, torque)
     record(count, x[:, :n], x[:, n:], a, z)
     return path
@@ -286,69 +284,69 @@ class _DryFriction:
     """Dry friction of the copies' active joints, from step to step.
 
     Over a step a joint's acceleration without friction is extrapolated from the last two. Its rate follows from that in
-    a few parts, each with the instant at which the joint stops: it stays at rest as long as friction can hold it. Over
-    the step the friction is then replaced by the line with the same mean and first moment.
+    two halves, each with the instant at which the joint stops: it stays at rest as long as friction can hold it. The
+    friction is then replaced by the line with the same mean in either half.
 
     Attributes:
-        torque: (C, n_a) at the end of the last step [N m].
+        torque: (C, n_a) over the second half of the last step [N m].
     """
 
     def __init__(self, system: System, step: float) -> None:
         self.system, self.step = system, step
         self.torque = np.zeros((len(system.arms), system.active.size))
-        self.acceleration: Array | None = None  # (C, n_a) without friction, at the start of the last step [rad/s^2]
+        self._free: Array | None = None  # (C, n_a) accelerations without friction at the last step's start [rad/s^2]
 
-    def of_all_joints(self, torque: Array) -> Array:
-        """Return torques of all joints (C, nv) from those of the active ones (C, n_a)."""
-        torques: Array = _of_all_joints(self.system, torque[None])[0]
-        return torques
-
-    def over_step(self, v: Array, a: Array, response: Array) -> tuple[Array, Array, Array, Array]:
-        """Return friction torques (C, n_a) at the start of a step, and the line's at its start, middle and end.
+    def over_step(self, v: Array, a: Array, response: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        """Return the friction torque (C, n_a) of a step's first half, and the line's at its start, middle and end.
 
         Args:
             v, a: (C, nv) rates [rad/s], and accelerations [rad/s^2] under `torque`, at the start.
             response: (C, n_a, nv) accelerations by the active joints' torques [rad/s^2/(N m)]; one for all if equal.
         """
-        active, part = self.system.active, self.step / _PARTS
-        mobility = response[:, :, active]
-        free = a[:, active] - _multiply(self.torque, mobility)
-        slope = 0.0 if self.acceleration is None else (free - self.acceleration) / self.step
-        self.acceleration = free
-        v, torque, torques = v.copy(), self.torque.copy(), np.empty((_PARTS, *free.shape))
-        for k in range(_PARTS):
-            largest = self.system.friction_torques(v)[:, active]
-            pushed = free + (k + 0.5) * part * slope
-            for j, joint in enumerate(active.tolist()):
-                own = mobility[:, j, j]
-                push = pushed[:, j] + (
-                    _multiply(torque, mobility)[:, j] - own * torque[:, j] if len(active) > 1 else 0.0
-                )
-                end = _stopped(v[:, joint], push, own * largest[:, j], part)
-                torque[:, j] = ((end - v[:, joint]) / part - push) / own
-                v[:, joint] = end
-            torques[k] = torque
-        self.torque = torque
-        mean = torques.mean(axis=0)
-        lean = 6 * np.tensordot((np.arange(_PARTS) + 0.5) / _PARTS - 0.5, torques, 1) / _PARTS
-        return torques[0], mean - lean, mean, mean + lean
+        active, half = self.system.active, self.step / 2
+        mobility, rate, accelerated = response[:, :, active], v[:, active], a[:, active]
+        free = accelerated - _multiply(self.torque, mobility)
+        change = 0.0 if self._free is None else (free - self._free) / 4  # over a quarter of a step
+        self._free = free
+        middle = v.copy()
+        middle[:, active] = np.where(rate * (rate + half * accelerated) > 0, rate + half * accelerated, 0.0)
+        largest = self.system.friction_torques(middle)[:, active]
+        first, rate = self._over_half(rate, free + change, largest, mobility, half)
+        self.torque, _ = self._over_half(rate, free + 3 * change, largest, mobility, half)
+        mean, lean = (first + self.torque) / 2, 0.75 * (self.torque - first)
+        return first, (mean - lean, mean, mean + lean)
+
+    def _over_half(
+        self, rate: Array, push: Array, largest: Array, mobility: Array, duration: float
+    ) -> tuple[Array, Array]:
+        """Return mean friction torques (C, n_a), and the rates at the end, from rates and pushes (C, n_a)."""
+        if rate.shape[1] == 1:
+            braking = largest * mobility[:, 0]
+            end = _stopped(rate, push, braking, duration)
+            return ((end - rate) / duration - push) / mobility[:, 0], end
+        torque, end = self.torque.copy(), rate.copy()
+        for j in range(rate.shape[1]):  # each under the latest friction of the others
+            own = mobility[:, j, j]
+            pushed = push[:, j] + _multiply(torque, mobility)[:, j] - own * torque[:, j]
+            end[:, j] = _stopped(rate[:, j], pushed, own * largest[:, j], duration)
+            torque[:, j] = ((end[:, j] - rate[:, j]) / duration - pushed) / own
+        return torque, end
 
 
 def _stopped(rate: Array, push: Array, braking: Array, duration: float) -> Array:
-    """Return the rates (C,) [rad/s] of joints after a duration [s].
+    """Return the rates [rad/s] of joints after a duration [s].
 
     Args:
-        rate: (C,) before.
-        push: (C,) accelerations by all but friction [rad/s^2].
-        braking: (C,) the friction's, against the motion; as large a push it withstands at rest.
+        rate: before.
+        push: accelerations by all but friction [rad/s^2].
+        braking: the friction's, against the motion; as large a push it withstands at rest.
         duration: [s].
     """
     slipping = push - np.sign(rate) * braking
-    with np.errstate(divide="ignore", invalid="ignore"):
-        until = np.where(rate == 0.0, 0.0, -rate / slipping)
+    until = -rate / slipping
+    started = push - np.maximum(np.minimum(push, braking), -braking)
     stops = (until >= 0.0) & (until < duration)
-    started = np.sign(push) * np.maximum(np.abs(push) - braking, 0.0)
-    return np.where(stops, started * (duration - np.where(stops, until, 0.0)), rate + slipping * duration)
+    return np.where(stops, started * (duration - until), rate + slipping * duration)
 
 
 class _LinearPropagator:
