@@ -46,7 +46,7 @@ def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() ->
     assert all(parameter.std is None for parameter in unknown.values())
 
 
-def model(effects: tuple[Any, ...], chi2: float) -> Any:
+def model(effects: tuple[Any, ...], chi2: float, converged: bool = True) -> Any:
     """A fit of effects whose residuals have a mean square of chi2 / 1000."""
     x = np.concatenate([np.zeros(0), *(effect.coordinates for effect in effects)])
     stops = np.cumsum([effect.coordinates.size for effect in effects], dtype=int).tolist()
@@ -59,6 +59,7 @@ def model(effects: tuple[Any, ...], chi2: float) -> Any:
         point=SimpleNamespace(problem=problem),
         chi2=chi2,
         misfit=float(np.sqrt(chi2 / 1000)),
+        converged=converged,
     )
 
 
@@ -70,7 +71,8 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     tried = {frozenset({offset.key}): model((offset,), 9000.0)}
     family = SimpleNamespace(p_of_fit=lambda effect, decrease: {8000.0: 1e-9, 29_000.0: 0.5}[decrease])
     search = SimpleNamespace(start=start, refit_without=lambda best, effect, fits: model((payload,), 30_000.0))
-    result = SimpleNamespace(best=best, first_tests=family, p_values={payload.key: 1e-3, offset.key: 1e-5}, fits=tried)
+    p_values = {payload.key: 1e-3, offset.key: 1e-5}
+    result = SimpleNamespace(best=best, first_tests=family, p_values=p_values, fits=tried, segment_fits={})
     others = {payload.key: (alternative,)}
     causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(3)))
     assert [cause.effect for cause in causes] == [offset, payload]
@@ -79,3 +81,15 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     assert [cause.alternatives for cause in causes] == [(), (alternative,)]
     assert causes[1].evidence.startswith("training residual falls from 3.00 to ")
     assert ("residual before the change" in causes[1].evidence) == (reference_misfit > 1)
+
+
+def test_a_refit_out_of_time_is_no_measure_of_what_is_missed() -> None:
+    payload = TipPayload(link=0, mass=0.01)
+    best = model((payload,), 1000.0)
+    family = SimpleNamespace(p_of_fit=lambda effect, decrease: 1e-9)
+    for converged, missed in ((True, 8_999_000.0), (False, 6000.0)):
+        search = SimpleNamespace(start=None, refit_without=lambda *_, done=converged: model((), 9e6, done))
+        result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
+        result.segment_fits = {frozenset(): model((), 7000.0)}
+        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
+        assert cause.decrease == missed

@@ -117,6 +117,10 @@ def estimate_causes(
     ]:
         names = best.effect_keys - {effect.key}
         reduced = result.fits.get(names) or search.refit_without(best, effect, result.fits) or search.start
+        shorter = result.segment_fits.get(names)
+        # A refit that ran out of time has not lost yet what it can lose. Shorter segments leave less than longer ones.
+        if not reduced.converged and shorter is not None and shorter.chi2 < reduced.chi2:
+            reduced = shorter
         decrease = reduced.chi2 - best.chi2
         # In units of the reduced chi^2, where the best model leaves more than noise.
         p_of_fit = result.first_tests.p_of_fit(effect, decrease / max(1.0, best.misfit**2))

@@ -20,8 +20,9 @@ from vjm.effects.effect import (
 )
 from vjm.records import Array, Recording
 
-# In the link's own unit of time T: the step under dry friction, by which instants of sticking are off, and by how much
-# the joint's rate changes between instants at which derivatives are taken, over which friction reverses there.
+# In the link's own unit of time T: the step under dry friction, over which accelerations are extrapolated (error of
+# chi^2: 0.02 of 43,866, and 2 in searches, whose steps are twice as long), and by how much the joint's rate changes
+# between instants at which derivatives are taken, over which friction reverses there.
 _FRICTION_STEP, _GRADUAL_REVERSAL = 1 / 360, 1 / 40
 
 
