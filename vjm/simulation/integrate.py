@@ -285,8 +285,8 @@ class _DryFriction:
 
     Over a step a joint's acceleration without friction is extrapolated from the last two. Its rate follows from that in
     two halves, each with the instant at which the joint stops: it stays at rest as long as friction can hold it. The
-    friction is then replaced by the line with the same mean in either half. A joint that is held thus moves by as much as
-    the extrapolation is wrong, and is stopped again in the next step.
+    friction is then replaced by the line with the same mean in either half. A joint that is held thus moves by as much
+    as the extrapolation is wrong, and is stopped again in the next step.
 
     Attributes:
         torque: (C, n_a) over the second half of the last step [N m].
