@@ -37,7 +37,6 @@ _OF_BODIES = (
     "hub_inertia",
     "root_inertia",
     "payload",
-    "payload_inertia",
     "rest_curvature",
 )
 
