@@ -15,6 +15,7 @@ from vjm.errors import EffectError
 # the same hooks one is enough each time: dry friction, other torques of a joint, what becomes of a recorded torque, a
 # joint at the root, drag, a camera's image, its clock.
 _SLOW = (
+    "coulomb_friction",
     *("backlash", "stribeck", "viscous_friction", "torque_offset", "torque_saturation", "gear_elasticity"),
     "quadratic_drag",
     *("camera_scale", "camera_translation", "lens_distortion", "clock_scale"),

@@ -57,7 +57,8 @@ def test_steps_that_are_long_beside_a_rough_start_hide_no_mode_of_a_release(plan
         assert run.chi2 < run.expected_chi2 + 5 * np.sqrt(2 * run.observed.count), run.observed.recording.file
 
 
-@pytest.mark.parametrize("seed", [901, *(pytest.param(k, marks=pytest.mark.slow) for k in (902, 903, 904))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [901, 902, 903, 904])
 def test_the_discretization_error_is_that_of_the_model_with_the_causes(plant: Plant, seed: int) -> None:
     """Without them, initial states of fast modes take part of what is missing, and those of a finer chain do not."""
     file, truth = plant("clamped", "structural_damping", seed=seed)
