@@ -11,12 +11,12 @@ from vjm.diagnosis.check_effect import check_effect
 from vjm.effects import BUILTIN, Effect
 from vjm.errors import EffectError
 
-# What rattles, in steps that resolve the contact of its flanks, takes as long as all others together; of effects with
-# the same hooks one is enough each time: dry friction, other torques of a joint, what becomes of a recorded torque, a
-# joint at the root, drag, a camera's image, its clock.
+# What rattles or sticks, in steps that resolve it, takes as long as all others together; of effects with the same hooks
+# one is enough each time: torques of a joint, what becomes of a recorded torque, a joint at the root, drag, a camera's
+# image, its clock.
 _SLOW = (
-    "coulomb_friction",
-    *("backlash", "stribeck", "viscous_friction", "torque_offset", "torque_saturation", "gear_elasticity"),
+    *("backlash", "coulomb_friction", "stribeck"),
+    *("viscous_friction", "torque_offset", "torque_saturation", "gear_elasticity"),
     "quadratic_drag",
     *("camera_scale", "camera_translation", "lens_distortion", "clock_scale"),
 )
