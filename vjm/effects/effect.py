@@ -342,7 +342,7 @@ class Effect:
         return None
 
     def initial_states(self, chain: Chain, q: Array) -> Array:
-        """Return internal states (..., nz), such as the deflection of a bristle, at a recording's start.
+        """Return internal states (..., nz), such as those of a Maxwell arm, at a recording's start.
 
         The angles there are q (..., nv) [rad].
         """
