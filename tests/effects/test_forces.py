@@ -148,6 +148,18 @@ def test_dry_friction_beside_internal_states_is_the_limit_of_a_gradual_one() -> 
     assert near < far / 5
 
 
+@pytest.mark.parametrize(("push", "moves"), [((0.028, 0.0095), False), ((0.035, 0.0095), True), ((0.028, 0.015), True)])
+def test_two_joints_are_held_each_by_its_own_friction(push: tuple[float, float], moves: bool) -> None:
+    chain, rig = chain_of(LINK, FORE, n=2), Rig("arm", (LINK, FORE))
+    time, rest = np.linspace(0.0, 0.5, 251), np.zeros(chain.size)
+    torque = np.minimum(time, 0.2)[:, None] / 0.2 * np.array(push)
+    recording = replace(driven(0.0 * time, time), tau=torque, theta=np.zeros((time.size, 2)))
+    effects = [CoulombFriction(each).placed(rig, link) for link, each in ((0, 0.03), (1, 0.01))]
+    (steps,) = simulate_trajectories([Arm.of(chain, effects)], [recording], [rest], [rest])
+    largest = np.abs(steps.angles(time)[:, chain.active]).max()
+    assert largest > 1e-3 if moves else largest < 1e-6
+
+
 @pytest.mark.slow
 def test_dry_friction_at_two_joints_is_the_limit_of_a_gradual_one() -> None:
     chain, rig = chain_of(LINK, FORE, n=2), Rig("arm", (LINK, FORE))

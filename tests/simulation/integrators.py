@@ -51,6 +51,8 @@ def simulate(
 
 def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Trajectory:
     """Classical fourth-order Runge-Kutta steps, the reference (section 6.4 of the paper takes 100 us)."""
+    if system.has_dry_friction:
+        raise ValueError("the reference has no dry friction: give it a gradual one")
     step, count = drive.step, len(drive.start)
     time, half = step * np.arange(count + 1.0), step / 2
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))

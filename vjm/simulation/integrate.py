@@ -189,7 +189,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     missing = drive.ends[:-1] - drive.start
     has_further_forces = system.has_further_forces
     start, middle, end = (_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end))
-    active, friction = system.active, _DryFriction(system, step) if system.has_dry_friction else None
+    active, friction = system.active, _StickSlip(system, step) if system.has_dry_friction else None
 
     def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
         path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
@@ -280,7 +280,7 @@ class _Weights(NamedTuple):
     response: Array
 
 
-class _DryFriction:
+class _StickSlip:
     """Dry friction of the copies' active joints, from step to step.
 
     Over a step a joint's acceleration without friction is extrapolated from the last two. Its rate follows from that in
