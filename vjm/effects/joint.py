@@ -64,7 +64,10 @@ class CoulombFriction(_DryFriction):
 
     description = "dry (Coulomb) friction at the active joint"
     clause = "dry friction of {torque} at the joint of '{link}'"
-    assumptions = "equal torque in both directions, at all angles and under all loads; no more at rest than in motion; no presliding"
+    assumptions = (
+        "equal torque in both directions, at all angles and under all loads; no more at rest than in motion; "
+        "no presliding"
+    )
     reference = (
         "D. Karnopp, Computer simulation of stick-slip friction in mechanical dynamic systems, J. Dynamic Systems, "
         "Measurement, and Control 107(1), 1985"
@@ -94,7 +97,10 @@ class Stribeck(_DryFriction):
     title = "Stribeck friction"
     description = "dry friction at the active joint that falls with speed (Stribeck)"
     clause = "dry friction of {torque} at the joint of '{link}' that falls with speed, Stribeck velocity {speed}"
-    assumptions = "a fall as exp(-(rate / speed)^2), without memory; equal torque in both directions and at all angles; no presliding"
+    assumptions = (
+        "a fall as exp(-(rate / speed)^2), without memory; equal torque in both directions and at all angles; "
+        "no presliding"
+    )
     reference = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, Automatica 30(7), 1994"
     distinguishing_experiment = "sweeps at several constant speeds, slow and fast"
 
