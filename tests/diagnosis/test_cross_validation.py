@@ -20,7 +20,12 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
 
 
-def linear(jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray], repeats: Sequence[str | None]) -> Any:
+def linear(
+    jacobians: Sequence[np.ndarray],
+    residuals: Sequence[np.ndarray],
+    repeats: Sequence[str | None],
+    held: Sequence[bool] | None = None,
+) -> Any:
     """A fit whose recordings are exactly linear in its coordinates, at its minimum, without effects."""
     count = jacobians[0].shape[1]
     parts = [SquareRootInformation.of([rows], count) for rows in zip(jacobians, residuals, strict=True)]
@@ -28,7 +33,8 @@ def linear(jacobians: Sequence[np.ndarray], residuals: Sequence[np.ndarray], rep
     prior = np.zeros((0, count)), np.zeros(0)
     problem = SimpleNamespace(prior=lambda x: prior, parts=(), reference_effects=0)
     runs = [SimpleNamespace(observed=one) for one in observed]
-    point = SimpleNamespace(problem=problem, x=np.zeros(count), runs=runs, linearizations=parts)
+    fixed = np.zeros(count, dtype=bool) if held is None else np.array(held)
+    point = SimpleNamespace(problem=problem, x=np.zeros(count), runs=runs, linearizations=parts, held=fixed)
     return SimpleNamespace(point=point, effects=(), new_effects=())
 
 
@@ -46,6 +52,15 @@ def test_each_group_is_predicted_by_the_best_parameters_of_the_others(seed: int,
         )[0]
         expected.append(sum(float(np.sum((residuals[k] - jacobians[k] @ x) ** 2)) for k in left_out))
     assert _prediction_errors(cast(TrajectoryFit, linear(jacobians, residuals, repeats))) == pytest.approx(expected)
+
+
+def test_coordinates_at_a_bound_stay_there_when_recordings_are_left_out() -> None:
+    random = np.random.default_rng(4)
+    jacobians = [random.standard_normal((20, 3)) for _ in range(3)]
+    residuals = [random.standard_normal(20) for _ in range(3)]
+    known = linear([rows[:, [0, 2]] for rows in jacobians], residuals, (None,) * 3)
+    held = linear(jacobians, residuals, (None,) * 3, (False, True, False))
+    assert _prediction_errors(held) == pytest.approx(_prediction_errors(known))
 
 
 def test_one_recording_alone_predicts_nothing() -> None:

@@ -22,7 +22,7 @@ from vjm.identification.identify import _marker_deflections, _modal_assurance
 from vjm.identification.parameters import Parametrisation
 from vjm.identification.trajectory_fit import Point, TrajectoryProblem, fit_trajectory
 from vjm.identification.trajectory_method import _largest_step_multiple, search_step_multiple
-from vjm.identification.uncertainty import _resampled, trajectory_information
+from vjm.identification.uncertainty import Information, _resampled, trajectory_information
 from vjm.model.modes import modes
 from vjm.records import Experiment, Recording
 from vjm.simulation.arm import Arm
@@ -211,6 +211,21 @@ def _std(fit: object) -> Array:
     assert all(one.correlated for one in whiteness)
     point = fit.point  # type: ignore[attr-defined]
     return np.sqrt(np.diag(point.problem.parametrisation.physical_covariance(point.x, information.covariance)))
+
+
+def test_errors_are_those_of_an_estimate_without_what_is_at_its_bound() -> None:
+    """A nuisance parameter that cannot be negative and is zero: half of the estimates have it there."""
+    random = np.random.default_rng(1)
+    jacobian = random.standard_normal((40, 3)) + 3 * random.standard_normal((40, 1))
+    others, normal = jacobian[:, :2], jacobian.T @ jacobian
+    noise = random.standard_normal((4000, 40))
+    at_bound = (noise @ np.linalg.pinv(jacobian).T)[:, 2] < 0
+    assert at_bound.mean() == pytest.approx(0.5, abs=0.03)
+    scatter = (noise[at_bound] @ np.linalg.pinv(others).T).std(axis=0)
+    held, free = (Information(normal, normal, np.array([False, False, bound])).covariance for bound in (True, False))
+    assert np.sqrt(np.diag(held)[:2]) == pytest.approx(scatter, rel=0.05)
+    assert (np.sqrt(np.diag(free)[:2]) > 1.2 * scatter).all()
+    assert held[2] == pytest.approx([0, 0, free[2, 2]])
 
 
 # On an executor

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tests.report.fits import hub_chain
 from vjm.identification.check import estimates
-from vjm.identification.parameters import Parametrisation
+from vjm.identification.parameters import Parametrisation, at_bounds
 from vjm.identification.uncertainty import Information
 from vjm.records import Estimate
 
@@ -19,7 +19,7 @@ def found(kind: str, relative: float, x: Array | None = None) -> dict[str, Estim
     """The estimates of a driven link, all with the same relative standard error."""
     parametrisation = Parametrisation(hub_chain(), kind, (0,))
     at = parametrisation.start if x is None else x
-    information = Information(np.eye(at.size), np.eye(at.size))
+    information = Information(np.eye(at.size), np.eye(at.size), at_bounds(at, parametrisation.bounds))
     physical = np.diag((relative * parametrisation.physical(at)) ** 2)
     return {each.name: each for each in estimates(parametrisation, at, information, physical)}
 

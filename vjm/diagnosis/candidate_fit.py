@@ -84,8 +84,8 @@ def information_of(fit: TrajectoryFit) -> Information:
 def predicted_increase(fit: TrajectoryFit, effect: Effect) -> float:
     """Return the increase of chi^2 without one of a model's effects, by its linear model with all else refitted."""
     sizes, R = fit.sizes_of(effect), fit.point.reduced()[0].R[:, :-1]
-    remaining = np.delete(np.arange(fit.point.x.size), sizes)
-    reduced = np.asarray(np.linalg.qr(R[:, [*remaining, *sizes]], mode="r"))[remaining.size :, remaining.size :]
+    remaining = [k for k in np.flatnonzero(~fit.point.held).tolist() if k not in sizes]
+    reduced = np.asarray(np.linalg.qr(R[:, [*remaining, *sizes]], mode="r"))[len(remaining) :, len(remaining) :]
     return float(np.sum((reduced @ fit.point.x[sizes]) ** 2))
 
 
@@ -94,7 +94,7 @@ def model_of(fit: TrajectoryFit, rig: Rig, noise: tuple[float, float]) -> Model:
     parametrisation, information = fit.point.problem.parametrisation, information_of(fit)
     chain_part = slice(len(parametrisation.coordinates))
     estimate, scores = fit.estimate[chain_part], information.score_covariance[chain_part, chain_part]
-    chain_information = Information(information.normal[chain_part, chain_part], scores)
+    chain_information = Information(information.normal[chain_part, chain_part], scores, information.held[chain_part])
     physical = parametrisation.physical_covariance(estimate, information.covariance[chain_part, chain_part])
     parameters = estimates(parametrisation, estimate, chain_information, physical)
     return Model(fit.point.chain, rig, *noise, parameters, fit.effects, fit.point.problem.reference_effects)

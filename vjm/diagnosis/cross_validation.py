@@ -68,8 +68,9 @@ def _prediction_errors(fit: TrajectoryFit) -> Array:
     then do not determine what the group shows.
     """
     point = fit.point
-    parts = [part.eliminated(part.columns - point.x.size).R for part in point.linearizations]
-    prior = np.column_stack(point.problem.prior(point.x))
+    free = np.r_[~point.held, True]  # and the residuals' column
+    parts = [part.eliminated(part.columns - point.x.size).R[:, free] for part in point.linearizations]
+    prior = np.column_stack(point.problem.prior(point.x))[:, free]
     all_rows = np.vstack([*parts, prior])[:, :-1]
     groups = _groups(point.runs)
     errors = np.full(len(groups), np.nan)
@@ -78,7 +79,7 @@ def _prediction_errors(fit: TrajectoryFit) -> Array:
         if (
             _smallest_information_share(rows[:, :-1], all_rows) > 0.5**2
         ):  # a share of the information; errors go as its inverse root
-            change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], point.x.size).best()
+            change = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1).best()
             residuals = [parts[k][:, :-1] @ change - parts[k][:, -1] for k in group]
             errors[index] = sum(float(residual @ residual) for residual in residuals)
     return errors

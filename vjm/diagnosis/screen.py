@@ -178,12 +178,14 @@ class Directions:
         effects: V absent effects.
         parts: columns of each one's sizes, counted from the first effect's.
         rows: (r, p + c + 1) derivatives by p coordinates and c sizes, then residuals; true up to a rotation.
+        held: (p,) true for coordinates at a bound, which are not projected out.
         unprojected: (c,) squares of the effects' directions before anything was projected out.
     """
 
     effects: tuple[Effect, ...]
     parts: tuple[slice, ...]
     rows: Array
+    held: Mask
     unprojected: Array
 
     @classmethod
@@ -210,7 +212,7 @@ class Directions:
         linearized = [pair for batch in workers.map(partial(_linearized, present, variants), jobs) for pair in batch]
         parts = _parts([variant.magnitude_count for variant in variants])
         unprojected = sum((squares for _, squares in linearized), start=np.zeros(parts[-1].stop if parts else 0))
-        return cls(tuple(variants), parts, np.vstack([rows for rows, _ in linearized]), unprojected)
+        return cls(tuple(variants), parts, np.vstack([rows for rows, _ in linearized]), point.held, unprojected)
 
     def screen(self, present: tuple[Effect, slice] | None = None, chosen: Sequence[int] | None = None) -> Screen:
         """Project the fit's coordinates out.
@@ -220,7 +222,6 @@ class Directions:
                 first.
             chosen: some of the absent effects; None: all.
         """
-        coordinates = self.rows.shape[1] - 1 - self.unprojected.size
         chosen = range(len(self.effects)) if chosen is None else chosen
         effects, counts = [self.effects[k] for k in chosen], [self.effects[k].magnitude_count for k in chosen]
         sizes = [column for k in chosen for column in range(self.parts[k].start, self.parts[k].stop)]
@@ -230,8 +231,8 @@ class Directions:
             retained = [*range(part.start, part.start + effect.magnitude_count)]
             effects, counts = [effect, *effects], [len(retained), *counts]
             unprojected = np.r_[np.zeros(len(retained)), unprojected]
-        eliminated = [k for k in range(coordinates) if k not in retained]
-        rows = self.rows[:, [*eliminated, *retained, *(coordinates + k for k in sizes), -1]]
+        eliminated = [k for k in np.flatnonzero(~self.held).tolist() if k not in retained]
+        rows = self.rows[:, [*eliminated, *retained, *(self.held.size + k for k in sizes), -1]]
         information = SquareRootInformation.of([(rows[:, :-1], rows[:, -1])], rows.shape[1] - 1)
         return Screen(tuple(effects), _parts(counts), information.eliminated(len(eliminated)).R, unprojected, self)
 

@@ -78,8 +78,8 @@ class SearchOptions:
         return StoppingRule(max_chi2, deadline=self.deadline)
 
     def criterion(self, fit: TrajectoryFit) -> float:
-        """Return chi^2 of a model, larger for each parameter of its effects: rivals are ranked by it."""
-        parameters = fit.point.x.size - len(fit.point.problem.parametrisation.coordinates)
+        """Return chi^2 of a model, larger for each free parameter of its effects: rivals are ranked by it."""
+        parameters = int(np.sum(~fit.point.held[len(fit.point.problem.parametrisation.coordinates) :]))
         return fit.chi2 * (1 + self.parameter_share) ** parameters
 
     def negligible(self, chi2: float) -> float:

@@ -158,9 +158,7 @@ def estimates(
     values = parametrisation.physical(x)
     std = np.sqrt(np.maximum(np.diag(physical), 0))
     correlation = physical / np.maximum(np.outer(std, std), 1e-300)
-    lower, upper = parametrisation.bounds
-    at_bound = np.minimum(x - lower, upper - x) < 1e-6  # searches start no nearer
-    visible = information.visible
+    at_bound, visible = information.held, information.visible
     shifts = [None] * x.size if shift is None else (parametrisation.jacobian(x) @ shift).tolist()
     result = []
     for k, coordinate in enumerate(parametrisation.coordinates):

@@ -38,7 +38,9 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
         offset = [fine - _predicted(run) for fine, run in zip(predicted, coarse.runs, strict=True)]
         corrected = with_offset(coarse, offset)
-        change: Array = corrected.reduced()[0].best() - coarse.reduced()[0].best()
+        change, free = np.zeros(point.x.size), ~point.held
+        for sign, shifted in ((1, corrected), (-1, coarse)):
+            change[free] += sign * shifted.reduced()[0].of_unknowns(free).best()
     except (SimulationDivergedError, InsufficientDataError):
         return None
     return _extrapolation(point) * change

@@ -22,12 +22,19 @@ from vjm.records import Array, Mask
 Parameters = Literal["uniform", "joints", "lengths", "full"]
 PARAMETRISATIONS: tuple[str, ...] = get_args(Parameters)
 
+NEAREST_TO_BOUND = 1e-6  # distance of coordinates from their bounds with which searches start
+
 _LINEAR = ("stiffness", "damping", "hub")  # groups in which the torque errors are linear
 _MAX_LOGARITHM = 12.0  # e^12 = 1.6e5: no ratio of lengths or masses of one link is larger, no fraction nearer to 0 or 1
 # Widths of the preference for the template: relative for stiffness, damping and hub, in logarithms and logits for the
 # others. Recordings usually tell these to a few per cent; what they do not tell stays within a factor of two or so.
 _WIDTHS = {"stiffness": 0.5, "damping": 1.0, "hub": 1.0, "length": 0.5, "mass": 0.5, "center": 1.0, "inertia": 1.0}
 _FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "inertia": "inertias"}
+
+
+def at_bounds(x: Array, bounds: tuple[Array, Array]) -> Mask:
+    """Return (p,) true where coordinates (p,) are nearer to their lower or upper bounds (p,), (p,) than at a start."""
+    return np.minimum(x - bounds[0], bounds[1] - x) < 0.999 * NEAREST_TO_BOUND
 
 
 @dataclass(frozen=True)

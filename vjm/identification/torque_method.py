@@ -11,7 +11,7 @@ from vjm.chain.layout import starting_chain
 from vjm.chain.virtual_links import Chain
 from vjm.errors import InsufficientDataError
 from vjm.experiment.spectrum import match
-from vjm.identification.parameters import Parametrisation
+from vjm.identification.parameters import NEAREST_TO_BOUND, Parametrisation
 from vjm.identification.training_data import TrainingData
 from vjm.model.modes import modes
 from vjm.records import Array, Progress
@@ -61,7 +61,7 @@ class _TorqueProblem:
 
         result = least_squares(
             vector,
-            np.clip(start, lower + 1e-6, upper),
+            np.clip(start, lower + NEAREST_TO_BOUND, upper),
             bounds=(lower, upper),
             x_scale="jac",
             ftol=1e-10,

@@ -19,9 +19,9 @@ from scipy.optimize import lsq_linear
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.parameters import Parametrisation
+from vjm.identification.parameters import NEAREST_TO_BOUND, Parametrisation, at_bounds
 from vjm.model.modes import modes
-from vjm.records import REFERENCE, Array, Progress, Record, Recording
+from vjm.records import REFERENCE, Array, Mask, Progress, Record, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_from_best_states
 from vjm.simulation.integrate import locked_joint_frequencies
@@ -218,6 +218,11 @@ class Point(Record):
         return [run.state for run in self.runs]
 
     @cached_property
+    def held(self) -> Mask:
+        """(p,) true for coordinates at a bound, which keeps them from changing with the measurements."""
+        return at_bounds(self.x, self.problem.bounds)
+
+    @cached_property
     def cost(self) -> float:
         """Objective of the search: the residuals' loss, and the priors of x and of the initial states."""
         residual = self.problem.prior(self.x)[1]
@@ -360,7 +365,7 @@ def fit_trajectory(
         SimulationDivergedError: the start cannot be simulated.
     """
     lower, upper = problem.bounds
-    x = np.clip(start, lower + 1e-6, upper)
+    x = np.clip(start, lower + NEAREST_TO_BOUND, upper)
     known = 0.0 if states is None else known_duration
     durations = problem.durations(problem.first_horizon(x))[:-1] if np.isfinite(known) else []
     horizons = [*(duration for duration in durations if duration > _GROWTH / 2 * known), np.inf]

@@ -13,6 +13,7 @@ from scipy import stats
 from scipy.optimize import root_scalar
 
 from vjm.errors import ChoiceError, InsufficientDataError, ShapeError, SimulationDivergedError
+from vjm.identification.parameters import at_bounds
 from vjm.identification.records import Identification, Whiteness
 from vjm.identification.torque_method import TorqueFit
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, fit_trajectory
@@ -31,6 +32,7 @@ class Information:
     # (p, p) of the scores J^T r; equal to `normal` where the residuals are white noise of the standard deviation they
     # were weighted with.
     score_covariance: Array
+    held: Mask  # (p,) true for coordinates that are at a bound, and so do not follow the noise
 
     @classmethod
     def of_torque_errors(cls, fit: TorqueFit) -> Self:
@@ -50,17 +52,33 @@ class Information:
             score_covariance += _long_run_covariance(scores, lags)
         errors, frequencies = fit.jacobian[:start], fit.jacobian[start : start + len(problem.targets)]
         known = frequencies.T @ frequencies
-        return cls(errors.T @ errors + known, score_covariance + known)
+        held = at_bounds(fit.x, problem.parametrisation.bounds)
+        return cls(errors.T @ errors + known, score_covariance + known, held)
 
     @property
     def covariance(self) -> Array:
-        """(p, p) covariance of the coordinates (sandwich); huge along directions that the data do not respond to."""
-        scale = 1 / np.sqrt(np.maximum(np.diag(self.normal), 1e-300))
-        values, vectors = np.linalg.eigh(self.normal * np.outer(scale, scale))
+        """(p, p) covariance of the coordinates (sandwich); huge along directions that the data do not respond to.
+
+        The others' is that of an estimate without the coordinates that are held, whose own variances are what they
+        would be if free: how far from the bound they may be.
+        """
+        result = self._covariance(np.ones(self.held.size, dtype=bool))
+        if self.held.any():
+            variances = np.diag(result)[self.held]
+            result[self.held], result[:, self.held] = 0.0, 0.0
+            result[self.held, self.held] = variances
+            result[np.ix_(~self.held, ~self.held)] = self._covariance(~self.held)
+        return result
+
+    def _covariance(self, chosen: Mask) -> Array:
+        """Return the covariance of some coordinates, the others being known."""
+        normal, scores = self.normal[np.ix_(chosen, chosen)], self.score_covariance[np.ix_(chosen, chosen)]
+        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
         silent = values <= SINGULAR * values[-1]
         inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
         unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
-        result: Array = inverse @ self.score_covariance @ inverse + unknown / SINGULAR
+        result: Array = inverse @ scores @ inverse + unknown / SINGULAR
         return result
 
     @property
@@ -88,7 +106,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
         normal += R.T @ R
         uncorrelated += R.T @ R * (max(tested.mean_square, 1.0) if noise_known else tested.mean_square)
     if all(tested.white for tested in whiteness):
-        return Information(normal, uncorrelated), whiteness
+        return Information(normal, uncorrelated, point.held), whiteness
     sandwich, perturbed = np.zeros((count, count)), point.problem.perturbed_arms(point.x)
     for run, linearized, by_parameters in zip(
         point.runs, point.linearizations, linearize(point.runs, perturbed), strict=True
@@ -98,7 +116,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
         starts = np.unique(np.r_[0, frames[1:]]) if frames.size else np.arange(len(scores))
         summed = np.add.reduceat(scores, starts, axis=0)
         sandwich += _long_run_covariance(summed, _correlation_length(summed))
-    return Information(normal, _larger(sandwich, uncorrelated, normal)), whiteness
+    return Information(normal, _larger(sandwich, uncorrelated, normal), point.held), whiteness
 
 
 def _long_run_covariance(scores: Array, lags: int) -> Array:

@@ -9,7 +9,7 @@ from typing import Generic, Literal, Protocol, Self, TypeVar, get_args
 
 import numpy as np
 
-from vjm.records import Array
+from vjm.records import Array, Mask
 
 _LEAST_DAMPING = 1e-10  # smaller eigenvalues of the scaled J^T J are rounding errors of forward differences
 
@@ -61,6 +61,10 @@ class SquareRootInformation:
     def eliminated(self, count: int) -> SquareRootInformation:
         """Return the problem of the other unknowns, the first `count` having been eliminated (variable projection)."""
         return SquareRootInformation(self.R[count:, count:])
+
+    def of_unknowns(self, chosen: Mask) -> SquareRootInformation:
+        """Return the problem of the unknowns where a mask (C,) is true, the others held at zero."""
+        return SquareRootInformation.of([(self.R[:, :-1][:, chosen], self.R[:, -1])], int(chosen.sum()))
 
     def solve(self, count: int, others: Array) -> Array:
         """Return the first `count` unknowns (count,) that minimise the sum, given the others (C - count,)."""
