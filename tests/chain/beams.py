@@ -45,17 +45,21 @@ def roots(function: Callable[[float], float], most: float, count: int) -> Array:
     return np.array([brentq(function, grid[i], grid[i + 1], xtol=1e-14, rtol=1e-14) for i in starts])
 
 
-def clamped_frequencies(count: int, payload: float = 0.0) -> Array:
-    """Hz, of a clamped beam of unit length, mass and stiffness with a point mass on the tip.
+def clamped_frequencies(count: int, payload: float = 0.0, rotary_inertia: float = 0.0) -> Array:
+    """Hz, of a clamped beam of unit length, mass and stiffness with a body on the tip.
 
     w = A (cosh zx - cos zx) + B (sinh zx - sin zx) satisfies w(0) = w'(0) = 0 and w'''' = z^4 w, omega = z^2. On the
-    tip w'' = 0 and w''' = -p omega^2 w. The determinant of the two conditions, divided by 2 z^5 cosh z, is
-    cos z + 1 / cosh z + p z (cos z tanh z - sin z).
+    tip w'' = j omega^2 w' and w''' = -p omega^2 w. The determinant of the two conditions, divided by 2 z^5 cosh z, is
+    cos z + 1 / cosh z + p z (cos z tanh z - sin z) - j z^3 (cos z tanh z + sin z) + p j z^4 (1 / cosh z - cos z).
     """
-    z = roots(
-        lambda z: np.cos(z) + 1 / np.cosh(z) + payload * z * (np.cos(z) * np.tanh(z) - np.sin(z)), 4.0 * count, count
-    )
-    return z**2 / (2 * np.pi)
+
+    def determinant(z: float) -> float:
+        cos, sin, tanh, inverse = np.cos(z), np.sin(z), np.tanh(z), 1 / np.cosh(z)
+        mass, inertia = payload * z, rotary_inertia * z**3
+        bent = cos + inverse + mass * (cos * tanh - sin) - inertia * (cos * tanh + sin)
+        return float(bent + mass * inertia * (inverse - cos))
+
+    return roots(determinant, 4.0 * count, count) ** 2 / (2 * np.pi)
 
 
 def hub_frequencies(count: int, hub_inertia: float) -> Array:

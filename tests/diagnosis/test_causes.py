@@ -29,6 +29,12 @@ def test_standard_errors_follow_each_parameters_scale() -> None:
     assert parameters["stiffness"].std == pytest.approx(56.0 * 0.01 / coordinate, rel=1e-3)
     # At its bound, where the logarithm would have no slope, a damping has the error that it has elsewhere.
     assert parameters["damping"].std == pytest.approx(0.2 * gear.parameters[2].typical_magnitude, rel=1e-4)
+    for square, std in ((0.0, 0.04), (9.0, 0.04)):  # of a radius of gyration over a typical one
+        body = TipPayload(link=0).at(np.array([0.5, square]))
+        parameters = _with_errors(body, np.diag([0.01, std**2]))
+        change = (square + std) ** 0.5 - square**0.5
+        assert parameters["radius_of_gyration"].std == pytest.approx(change * body.parameters[1].typical_magnitude)
+        assert parameters["mass"].std == pytest.approx(0.1 * body.parameters[0].typical_magnitude, rel=1e-4)
 
 
 def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() -> None:
@@ -41,9 +47,10 @@ def test_indices_have_no_standard_error_and_nor_does_what_is_not_determined() ->
 
 
 def model(effects: tuple[Any, ...], chi2: float, converged: bool = True) -> Any:
-    """A fit of effects that are one coordinate each, whose residuals have a mean square of chi2 / 1000."""
+    """A fit of effects whose residuals have a mean square of chi2 / 1000."""
     x = np.concatenate([np.zeros(0), *(effect.coordinates for effect in effects)])
-    parts = tuple(slice(k, k + 1) for k in range(len(effects)))
+    stops = np.cumsum([effect.coordinates.size for effect in effects], dtype=int).tolist()
+    parts = tuple(slice(stop - effect.coordinates.size, stop) for effect, stop in zip(effects, stops, strict=True))
     problem = SimpleNamespace(effects_at=lambda x: effects, parts=parts, reference_effects=0)
     return SimpleNamespace(
         effects=effects,
@@ -67,7 +74,7 @@ def test_causes_are_ordered_by_what_is_missed_without_them(reference_misfit: flo
     p_values = {payload.key: 1e-3, offset.key: 1e-5}
     result = SimpleNamespace(best=best, first_tests=family, p_values=p_values, fits=tried, segment_fits={})
     others = {payload.key: (alternative,)}
-    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(2)))
+    causes = ranked(estimate_causes(cast(Any, result), cast(Any, search), others, reference_misfit, np.eye(3)))
     assert [cause.effect for cause in causes] == [offset, payload]
     assert [cause.decrease for cause in causes] == [29_000.0, 8000.0]
     assert [cause.p_value for cause in causes] == [1e-5, 1e-9]
@@ -84,5 +91,5 @@ def test_a_refit_out_of_time_is_no_measure_of_what_is_missed() -> None:
         search = SimpleNamespace(start=None, refit_without=lambda *_, done=converged: model((), 9e6, done))
         result = SimpleNamespace(best=best, first_tests=family, p_values={}, fits={}, segment_fits={})
         result.segment_fits = {frozenset(): model((), 7000.0)}
-        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(1))
+        (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
         assert cause.decrease == missed

@@ -71,6 +71,7 @@ def test_kinetic_energy_is_that_of_the_bodies(arm: Chain, direction: float, seed
     energy += 0.5 * (masses @ (rates(centers) ** 2).sum(axis=1) + inertias @ turning**2)
     tips = np.cumsum([link.lengths.size for link in arm.links]) - 1
     energy += 0.5 * np.array([link.payload for link in arm.links]) @ (rates(ends)[tips] ** 2).sum(axis=1)
+    energy += 0.5 * np.array([link.payload_inertia for link in arm.links]) @ turning[tips] ** 2
     firsts = tips + 1 - [link.lengths.size for link in arm.links]  # hubs turn with them
     energy += 0.5 * np.array([link.hub_inertia for link in arm.links]) @ turning[firsts] ** 2
     mass = Mechanism(chain).mass_matrix(q)[0]

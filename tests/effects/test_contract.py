@@ -139,7 +139,7 @@ def test_what_effects_do_scales_with_the_rig(length: float, mass: float, time: f
             assert second_friction[1](v[joint] / time) == pytest.approx(torque * largest(v[joint])), effect.id
 
 
-def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_linear() -> None:
+def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_a_power() -> None:
     (absent,) = GearElasticity().variants(Rig("hub", (LINK,)), [])
     damping = absent.parameters[2]
     assert (absent.damping, damping.grid, damping.bounds[0]) == (0.0, (0.0,), 0.0)
@@ -147,16 +147,22 @@ def test_the_coordinate_of_a_shape_parameter_that_may_be_zero_is_linear() -> Non
     assert present.damping == 2 * damping.typical_magnitude
     assert present.coordinates == pytest.approx([0.5, 0.3, 2.0])
     assert present.with_softer_joint(2.0).damping == 0.0
+    (body,) = TipPayload().variants(Rig("hub", (LINK,)), [])
+    radius = body.parameters[1]
+    assert (body.radius_of_gyration, radius.bounds[0]) == (0.0, 0.0)
+    assert body.at(np.array([0.5, 4.0])).radius_of_gyration == pytest.approx(2 * radius.typical_magnitude)
+    assert body.at(np.array([0.5, 4.0])).coordinates == pytest.approx([0.5, 4.0])
 
 
 def test_coordinates_stay_in_the_rig_s_units() -> None:
     (absent,) = TipPayload().variants(Rig("hub", (LINK,)), [])
-    present = absent.at(np.array([2.0]))
+    present = absent.at(np.array([2.0, 0.5]))
     assert present.mass == pytest.approx(2 * 0.02 * LINK.mass)
-    assert present == TipPayload(present.mass, link=0)
-    assert present.at(np.array([0.5])).mass == pytest.approx(0.01 * LINK.mass)
+    assert present.radius_of_gyration == pytest.approx(0.5**0.5 * 0.05 * LINK.length)
+    assert present == TipPayload(present.mass, present.radius_of_gyration, link=0)
+    assert present.at(np.array([0.5, 0.0])).mass == pytest.approx(0.01 * LINK.mass)
     assert "rig_units" not in repr(present)
-    assert TipPayload(0.3).coordinates == pytest.approx([0.3 / 0.02])  # on no rig: as on one whose units are 1
+    assert TipPayload(0.3).coordinates == pytest.approx([0.3 / 0.02, 0.0])  # on no rig: as on one whose units are 1
 
 
 @dataclass(frozen=True)

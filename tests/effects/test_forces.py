@@ -11,7 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.chain.beams import beam_chain, clamped_frequencies
 from tests.effects.setups import FORE, LINK, POST, PRESENT, chain_of, placed_first, recording_of, revolute_arms
+from tests.fine_beam import Beam
+from tests.fine_beam.extended import Extended
+from tests.fine_beam.hidden import Physics
 from tests.model.arms import random_motion
 from tests.simulation.integrators import trajectories_of
 from vjm.chain.virtual_links import Array, Chain
@@ -231,8 +235,21 @@ def test_joints_get_dampers_and_springs() -> None:
 
 def test_a_mass_on_the_tip_joins_the_one_that_is_there() -> None:
     chain = chain_of(POST, replace(LINK, payload=0.02))
-    assert [link.payload for link in TipPayload(mass=0.01).chain(chain).links] == pytest.approx([0.0, 0.03])
+    loaded = TipPayload(mass=0.01, radius_of_gyration=0.05).chain(TipPayload(0.03, 0.1).chain(chain))
+    assert [link.payload for link in loaded.links] == pytest.approx([0.0, 0.06])
+    assert [link.payload_inertia for link in loaded.links] == pytest.approx([0.0, 0.01 * 0.05**2 + 0.03 * 0.1**2])
     assert modes(TipPayload(mass=0.03).chain(HUB)).frequencies == pytest.approx(modes(HUB, payload=0.03).frequencies)
+
+
+def test_a_body_on_the_tip_makes_the_frequencies_of_the_characteristic_equation() -> None:
+    beam, extended = beam_chain(32, distal="joined"), Beam(1.0, 1.0, 1.0)  # an end that carries a moment
+    for mass, radius in ((0.02, 0.0), (0.02, 0.2), (0.3, 0.05), (0.3, 0.25)):
+        exact = clamped_frequencies(3, mass, mass * radius**2)
+        chain = TipPayload(mass, radius).chain(beam)
+        assert modes(chain).frequencies[:3] == pytest.approx(exact, rel=2e-4)
+        physics = Physics(tip_payload_mass=mass, tip_payload_radius_of_gyration=radius)
+        pulsations = Extended(extended, physics, np.zeros(1)).modes()[0][:3]
+        assert pulsations / (2 * np.pi) == pytest.approx(exact, rel=1e-6)
 
 
 def test_gravity_adds_up() -> None:

@@ -21,7 +21,7 @@ class Basis:
         nodes: arc lengths, m, (N,).
         weights: quadrature weights, m, (N,).
         heading: B_m at the nodes, (N, m); B_m(0) = 0.
-        curvature: dB_m/ds at the nodes, 1/m, (N, m); zero at the free end.
+        curvature: dB_m/ds at the nodes, 1/m, (N, m); zero at the distal end where that carries no moment.
         cumulative: takes nodal values of f to the integral of f from 0 to each node, m, (N, N).
     """
 
@@ -52,15 +52,16 @@ def _integrals(abscissae: Array, count: int) -> Array:
 
 
 @lru_cache(maxsize=64)
-def make_basis(length: float, size: int, node_count: int) -> Basis:
-    """Build `size` bending functions; the curvatures P_m - P_(m-1) vanish at the free end, where no moment acts.
+def make_basis(length: float, size: int, node_count: int, tip_moment: bool = False) -> Basis:
+    """Build `size` bending functions; the curvatures P_m - P_(m-1) vanish at the distal end if no moment acts there.
 
-    Building that condition in makes the highest, merely numerical, natural frequency several times lower.
+    Building that condition in makes the highest, merely numerical, natural frequency several times lower. Where what is
+    on the tip resists turning, the curvatures are P_(m-1).
     """
     gauss_nodes, gauss_weights = legendre.leggauss(node_count)
     cumulative = 0.5 * length * _integrals(gauss_nodes, node_count)
     polynomials = legendre.legvander(gauss_nodes, size)
-    curvature = (polynomials[:, 1:] - polynomials[:, :-1]) / length
+    curvature = (polynomials[:, :-1] if tip_moment else polynomials[:, 1:] - polynomials[:, :-1]) / length
     return Basis(
         length=length,
         nodes=0.5 * length * (gauss_nodes + 1.0),

@@ -45,7 +45,9 @@ class Extended:
     """A beam with hidden physics and B payloads (kg, on the tip, on top of its own)."""
 
     def __init__(self, beam: Beam, physics: Physics, payloads: Array, size: int = 8, nodes: int = 16) -> None:
-        basis: Basis = make_basis(beam.length, size, nodes)
+        tip_moment = physics.tip_payload_radius_of_gyration > 0.0
+        size += int(tip_moment)  # up to the same degree
+        basis: Basis = make_basis(beam.length, size, nodes, tip_moment)
         self.beam, self.physics, self.basis = beam, physics, basis
         self.revolute = beam.joint == "revolute"
         self.motor = self.revolute and physics.has_motor
@@ -96,12 +98,14 @@ class Extended:
         tips = self.tip_masses[:, None]
         kernels = bare + tips[..., None] * np.outer(basis.weights, basis.weights)
         beyond = carried @ basis.cumulative + tips * basis.weights
-        self._hub: Array = np.zeros((self.size, self.size))
+        self._turning: Array = np.zeros((self.size, self.size))
         if self.revolute:
             motor = self.physics.motor_share
             for k, share in enumerate((motor, 1.0 - motor) if self.motor else (1.0,)):
-                self._hub[k, k] = share * self.beam.hub_inertia
-        self.mass: Array = self.heading.T @ kernels @ self.heading + self._hub
+                self._turning[k, k] = share * self.beam.hub_inertia
+        rotary = self.physics.tip_payload_mass * self.physics.tip_payload_radius_of_gyration**2
+        self._turning += rotary * np.outer(self.tip_heading, self.tip_heading)
+        self.mass: Array = self.heading.T @ kernels @ self.heading + self._turning
         if self.physics.has_table:
             self._moved: Array = self.physics.base_compliance_mass + self.beam.mass + self.tip_masses
             self.mass[:, -1, -1] = self._moved
@@ -189,7 +193,7 @@ class Extended:
         kernel = self._kernel * (
             along.cosine[:, :, None] * along.cosine[:, None, :] + along.sine[:, :, None] * along.sine[:, None, :]
         )
-        mass = self.heading.T @ (kernel @ self.heading) + self._hub
+        mass = self.heading.T @ (kernel @ self.heading) + self._turning
         if self.physics.has_table:
             across = self.slide[1] * along.cosine - self.slide[0] * along.sine
             pulled = (self._beyond * across) @ self.heading[:, :-1]

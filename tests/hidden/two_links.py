@@ -150,7 +150,8 @@ def _with_hidden(setting: TwoLinkSetting, effects: Sequence[Planted]) -> Arm:
             case "in_plane_gravity":
                 arm = replace(arm, gravity=(value["gx"], value["gy"]))
             case "tip_payload":
-                links[-1] = replace(links[-1], payload=value["mass"])
+                inertia = value["mass"] * value["radius_of_gyration"] ** 2
+                links[-1] = replace(links[-1], payload=value["mass"], payload_inertia=inertia)
             case "coulomb_friction":
                 links[place] = replace(links[place], joint_friction=value["torque"])
             case "viscous_friction":

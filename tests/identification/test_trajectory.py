@@ -216,7 +216,8 @@ def _std(fit: object) -> Array:
 def test_errors_are_those_of_an_estimate_without_what_is_at_its_bound() -> None:
     """A nuisance parameter that cannot be negative and is zero: half of the estimates have it there."""
     random = np.random.default_rng(1)
-    jacobian = random.standard_normal((40, 3)) + 3 * random.standard_normal((40, 1))
+    jacobian = random.standard_normal((40, 3))
+    jacobian[:, 2] += jacobian[:, :2].sum(axis=1)
     others, normal = jacobian[:, :2], jacobian.T @ jacobian
     noise = random.standard_normal((4000, 40))
     at_bound = (noise @ np.linalg.pinv(jacobian).T)[:, 2] < 0

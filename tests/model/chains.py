@@ -35,6 +35,7 @@ def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
     joint = draw(st.sampled_from(["revolute", "clamped"]))
     active = draw(st.booleans()) and joint == "revolute"
     rooted = draw(st.booleans())
+    payload = draw(st.sampled_from([0.0, 0.015, 2.5]))
     return LinkChain(
         name=name,
         joint=joint,
@@ -46,7 +47,8 @@ def link_chains(draw: st.DrawFn, name: str) -> LinkChain:
         damping=draw(sizes(n, 0.0, 2.0)),
         cells=draw(sizes(n, 1e-3, 1.0)),
         hub_inertia=draw(st.sampled_from([0.0, 0.02, 1.7])),
-        payload=draw(st.sampled_from([0.0, 0.015, 2.5])),
+        payload=payload,
+        payload_inertia=draw(st.sampled_from([0.0, 3e-5, 0.07])) if payload else 0.0,
         distal=draw(st.sampled_from(["free", "joined"])),
         joint_stiffness=draw(positive(0.0, 2.0)) if active else 0.0,
         joint_damping=draw(positive(0.0, 0.1)) if active else 0.0,
@@ -150,7 +152,7 @@ class Plane:
             self.bodies.append((link.masses[j], turning, center, len(self.pivots)))
             self.point = self._ahead(link.lengths[j])
         self.places[f"{link.name}_tip"] = (self.point, self.angle)
-        self.bodies.append((link.payload, 0.0, self.point, len(self.pivots)))
+        self.bodies.append((link.payload, link.payload_inertia, self.point, len(self.pivots)))
 
     def mass_matrix(self) -> Array:
         """Sum over bodies of m J^T J + I w w^T."""

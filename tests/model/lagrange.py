@@ -54,7 +54,7 @@ class TwoBodies:
         p = link.payload + payload
         return cls(
             alpha=link.hub_inertia + i0 + m0 * c0**2 + (m1 + p) * l0**2,
-            beta=i1 + m1 * c1**2 + p * l1**2,
+            beta=i1 + m1 * c1**2 + p * l1**2 + link.payload_inertia,
             gamma=l0 * (m1 * c1 + p * l1),
             mu0=m0 * c0 + (m1 + p) * l0,
             mu1=m1 * c1 + p * l1,
@@ -94,7 +94,7 @@ def _segments(chain: Chain) -> tuple[Array, list[tuple[float, float, Array]]]:
             inertia = link.inertias[j] + (link.hub_inertia if j == 0 else 0.0)
             bodies.append((link.masses[j], inertia, [*lengths, link.mass_centers[j]]))
             lengths.append(float(link.lengths[j]))
-        bodies.append((link.payload, 0.0, list(lengths)))
+        bodies.append((link.payload, link.payload_inertia, list(lengths)))
     padded = [(m, i, np.array(reach + [0.0] * (len(lengths) - len(reach)))) for m, i, reach in bodies]
     return np.array(headings), padded
 

@@ -340,3 +340,11 @@ def test_shapes_follow_the_section_and_the_payload() -> None:
     assert colours == ["vjm_even", "vjm_odd", "vjm_even"]
     radius = links["beam_payload"].visuals[0].geometry.sphere.radius
     assert 7850 * 4 / 3 * np.pi * radius**3 == pytest.approx(0.05)
+    large = robot_of(Chain("arm", (plain_link(payload=0.05, payload_inertia=3e-4),))).link_map["beam_payload"]
+    assert 2 / 5 * 0.05 * large.visuals[0].geometry.sphere.radius ** 2 == pytest.approx(3e-4)
+    assert large.inertial.inertia == pytest.approx(np.diag([3e-4] * 3))
+
+
+def test_what_is_not_there_has_no_inertia() -> None:
+    with pytest.raises(ShapeError, match=r"beam\.payload_inertia.*without a payload"):
+        plain_link(payload=0.0, payload_inertia=1e-3)

@@ -75,7 +75,10 @@ def test_effects_of_reference_recordings_come_first(tmp_path: Path) -> None:
         ({"effect": "gremlin"}, r"key 'effects\[0\]\.effect': got 'gremlin'; expected one of tip_payload"),
         ({"link": "tail"}, r"effects\[0\]\.link': got 'tail'; expected null or one of \['upper', 'fore'\]"),
         ({"link": "upper"}, r"key 'effects\[0\]\.link': got 'upper'; expected one of \['fore'\]"),
-        ({"parameters": {"mass": 0.1, "colour": 1.0}}, r"key 'effects\[0\]\.parameters\.colour': unknown key"),
+        (
+            {"parameters": {"mass": 0.1, "radius_of_gyration": 0.0, "colour": 1.0}},
+            r"key 'effects\[0\]\.parameters\.colour': unknown key",
+        ),
         ({"parameters": {}}, r"key 'effects\[0\]\.parameters\.mass': missing"),
         ({"parameters": {"mass": -0.1}}, r"key 'effects\[0\]\.parameters\.mass': got -0\.1; expected 0 to inf kg"),
         ({"parameters": {"mass": None}}, r"key 'effects\[0\]\.parameters\.mass': got null"),

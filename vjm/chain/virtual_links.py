@@ -39,7 +39,8 @@ class LinkChain(Record):
     damping: _Values  # (n,) D of each virtual joint [N m s/rad]
     cells: _Values  # (n,) length of beam whose bending each virtual joint stands for [m]: phi_j = cells_j kappa(s_j)
     hub_inertia: _NotNegative = 0.0  # about the active joint's axis [kg m^2]
-    payload: _NotNegative = 0.0  # point mass at the distal end [kg]
+    payload: _NotNegative = 0.0  # mass at the distal end, where its centre is [kg]
+    payload_inertia: _NotNegative = 0.0  # of that mass about its centre [kg m^2]
     distal: Distal = "free"  # the distal end carries no moment, or `joined`: another link is driven from there
     joint_stiffness: _NotNegative = 0.0  # of the active joint, back to zero [N m/rad]
     joint_damping: _NotNegative = 0.0  # of the active joint, viscous [N m s/rad]
@@ -68,6 +69,8 @@ class LinkChain(Record):
             value = getattr(self, field)
             if value is not None and not 0 <= value < np.inf:
                 raise ShapeError(f"{self.name}.{field}", value, "zero or a positive number")
+        if self.payload_inertia and not self.payload:
+            raise ShapeError(f"{self.name}.payload_inertia", self.payload_inertia, "zero, without a payload")
         for field in ("lengths", "cells"):
             if (getattr(self, field) <= 0).any():
                 raise ShapeError(f"{self.name}.{field}", getattr(self, field).tolist(), "positive lengths")
@@ -146,7 +149,10 @@ class MovingBase:
         return np.array([np.cos(self.direction), np.sin(self.direction)])
 
 
-_NOT_NEGATIVE = ("joint_stiffness", "joint_damping", "root_stiffness", "root_damping", "root_inertia")
+_NOT_NEGATIVE = (
+    *("joint_stiffness", "joint_damping", "payload_inertia"),
+    *("root_stiffness", "root_damping", "root_inertia"),
+)
 _SIZES = {"lengths": 1, "masses": 1, "mass_centers": 1, "inertias": 1, "stiffness": 0, "damping": 0, "cells": 0}
 
 

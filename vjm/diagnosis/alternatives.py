@@ -146,10 +146,13 @@ def _with_errors(effect: Effect, covariance: Array) -> dict[str, Estimate]:
     """Return an effect's parameters with errors by the delta method, from its coordinates' covariance (p, p).
 
     A whole number has none, nor has what acts in impacts only: chi^2 is rough in it, with minima up to a factor of two
-    apart, which its curvature does not show.
+    apart, which its curvature does not show. What is a root of its coordinate has no slope at zero: its error is the
+    change over one standard error of the coordinate.
     """
     x, values = effect.coordinates, effect.values
     steps = 1e-5 * np.maximum(np.abs(x), 1.0)
+    roots = [k for k in effect.root_coordinates if covariance[k, k] > 0]
+    steps[roots] = np.sqrt(np.diag(covariance)[roots])
     moved = [effect.at(x + step).values for step in np.diag(steps)]
     parameters = {}
     for parameter in effect.parameters:

@@ -42,9 +42,9 @@ class Parameter:
     reciprocal: bool = False  # the effect grows with one over the value, whose null is infinite
     threshold: float = np.inf  # of a reciprocal one: value below which it acts, where its coordinate is zero
     integer: bool = False  # it is a whole number, which is never varied in a fit
-    # Of a shape parameter that may be zero: its coordinate is the value over a typical one, since the logarithm's slope
-    # vanishes there.
-    linear: bool = False
+    # Of a shape parameter that may be zero: its coordinate is this power, in which the motion is about linear, of the
+    # value over a typical one. None: the logarithm, whose slope vanishes at zero.
+    power: int | None = None
     # Of a shape parameter: derivatives by it are from simulations, as it acts for less time than the variational
     # equations resolve.
     simulated: bool = False
@@ -64,14 +64,14 @@ class Parameter:
     def coordinate(self, value: float) -> float:
         """Return the number that a search varies: zero at the null, one at a typical magnitude.
 
-        Of a shape parameter it is the logarithm over a typical value, or if linear their ratio.
+        Of a shape parameter it is the logarithm of the value over a typical one, or a power of that.
         """
         with np.errstate(divide="ignore"):
             if self.reciprocal:
                 excess = np.divide(self.typical_magnitude, max(value, 0.0)) - self.typical_magnitude / self.threshold
                 return max(float(excess), 0.0)
-            if self.linear:
-                return value / self.typical_magnitude
+            if self.power:
+                return float((value / self.typical_magnitude) ** self.power)
             if self.shape_parameter:
                 return float(np.log(value / self.typical_magnitude))
         return (value - self.null) / self.typical_magnitude
@@ -81,8 +81,8 @@ class Parameter:
         if self.reciprocal:
             inverse = coordinate + self.typical_magnitude / self.threshold
             return self.typical_magnitude / inverse if coordinate > 0 else np.inf
-        if self.linear:
-            return self.typical_magnitude * coordinate
+        if self.power:
+            return self.typical_magnitude * float(max(coordinate, 0.0) ** (1 / self.power))
         if self.shape_parameter:
             return float(self.typical_magnitude * np.exp(coordinate))
         return self.null + self.typical_magnitude * coordinate
@@ -134,10 +134,11 @@ def magnitude(unit: str, typical_magnitude: float, null: float = 0.0, **attribut
 def shape_parameter(unit: str, typical_magnitude: float, lower: float = 0.0, **attributes: Any) -> Any:
     """Declare a field that says how an effect is, and is irrelevant where its magnitudes are null.
 
-    The typical value is the default, zero if it is linear; the default is the grid if none is given. Further attributes
-    of `Parameter` that it may have: `upper`, `grid`, `integer`, `linear`, `simulated`, `from_spectrum`, `in_rig_units`.
+    The typical value is the default, zero if it has a power; the default is the grid if none is given. Further
+    attributes of `Parameter` that it may have: `upper`, `grid`, `integer`, `power`, `simulated`, `from_spectrum`,
+    `in_rig_units`.
     """
-    usual = 0.0 if attributes.get("linear") else typical_magnitude
+    usual = 0.0 if attributes.get("power") else typical_magnitude
     default = int(usual) if attributes.get("integer") else usual
     grid = attributes.pop("grid", (usual,))
     shape = Parameter(unit, typical_magnitude, np.nan, lower, grid=grid, **attributes)
@@ -255,6 +256,11 @@ class Effect:
     def simulated_coordinates(self) -> tuple[int, ...]:
         """Indices of the coordinates whose derivatives are taken from simulations."""
         return tuple(k for k, parameter in enumerate(self._varied) if parameter.simulated)
+
+    @property
+    def root_coordinates(self) -> tuple[int, ...]:
+        """Indices of the coordinates of which the parameter is a root: it has no slope where they are zero."""
+        return tuple(k for k, parameter in enumerate(self._varied) if (parameter.power or 1) > 1)
 
     def scaled(self, factor: float) -> Self:
         """Return the effect with its magnitudes times a factor."""

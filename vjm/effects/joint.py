@@ -203,7 +203,7 @@ class ClampCompliance(LinkEffect):
     # structures, 0.01 to 0.1. At most as large as that moment: beyond, the damper holds the root in every mode.
     # Searches start from typical: a little of it does to all modes of a clamped link what the link's own damping does,
     # and what tells the two apart goes with its square, which has no slope at zero.
-    damping: float = shape_parameter("N m s/rad", 1.0, upper=30.0, linear=True, grid=(1.0,), in_rig_units=True)
+    damping: float = shape_parameter("N m s/rad", 1.0, upper=30.0, power=1, grid=(1.0,), in_rig_units=True)
 
     description = "compliant clamp: the link's root rotates under load"
     clause = "the clamp of '{link}' is compliant, {compliance}[, damping {damping}]"
@@ -232,7 +232,7 @@ class GearElasticity(JointEffect):
     # Typical: 7 % of critical where the halves of a hub of 0.045 m l^2 swing against each other on a typical spring, by
     # 51 rad / T. At most as large as that spring's torque in the slowest mode, 3.5 rad / T behind a heavy hub: beyond,
     # the damper holds the hub to the motor in every mode.
-    damping: float = shape_parameter("N m s/rad", 0.1, upper=9.0, linear=True, in_rig_units=True)
+    damping: float = shape_parameter("N m s/rad", 0.1, upper=9.0, power=1, in_rig_units=True)
 
     on_drive = False
     description = "gear elasticity between the motor's encoder and the hub"

@@ -29,13 +29,15 @@ class _TipEffect(LinkEffect):
 
 @dataclass(frozen=True)
 class TipPayload(_TipEffect):
-    """A point mass at the distal end of the last link."""
+    """A mass with its centre at the distal end of the last link, and a radius of gyration about it."""
 
     mass: float = magnitude("kg", 0.02, lower=0.0, in_rig_units=True)
+    # Typical: of a body a sixth as long as the link. At most that of a rod as long as the link, held by its middle.
+    radius_of_gyration: float = shape_parameter("m", 0.05, upper=12**-0.5, power=2, in_rig_units=True)
 
     description = "unknown mass on the tip"
-    clause = "unknown mass of {mass} on the tip of '{link}'"
-    assumptions = "a point at the end of the last link's centre line, without rotary inertia; rigidly fastened"
+    clause = "unknown mass of {mass}[, radius of gyration {radius_of_gyration},] on the tip of '{link}'"
+    assumptions = "a centre of mass at the end of the last link's centre line; rigidly fastened"
     reference = "L. Meirovitch, Fundamentals of Vibrations, McGraw-Hill, 2001"
     distinguishing_experiment = "a recording with a known tip mass, static sag, or driven recordings"
     common = True
@@ -43,7 +45,9 @@ class TipPayload(_TipEffect):
 
     def chain(self, chain: Chain) -> Chain:
         """Return the chain with a larger payload."""
-        return self.with_link(chain, payload=self.link_of(chain).payload + self.mass)
+        link = self.link_of(chain)
+        inertia = link.payload_inertia + self.mass * self.radius_of_gyration**2
+        return self.with_link(chain, payload=link.payload + self.mass, payload_inertia=inertia)
 
 
 @dataclass(frozen=True)

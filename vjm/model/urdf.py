@@ -169,10 +169,12 @@ def _joints(chain: Chain, parent: str, friction: Mapping[str, float]) -> Iterato
         parent = f"{name}_tip"
         yield _Joint(f"{name}_tip_mount", "fixed", body.name, link.lengths[-1], _Body(parent))
         if link.payload:
-            # A point mass: an inertia of zero keeps M(q) exact, and is physically valid.
-            point = _Inertial(float(link.payload), 0.0, 0.0, 0.0, 0.0)
-            radius = (3 * link.payload / (4 * math.pi * 7850.0)) ** (1 / 3)  # of a ball of steel
-            body = _Body(f"{name}_payload", point, (_Shape("sphere", (radius,), 0.0, "vjm_payload"),))
+            # The same about every axis, as a ball's; zero is a point mass's, exact and physically valid.
+            mass, inertia = float(link.payload), float(link.payload_inertia)
+            ball = _Inertial(mass, 0.0, inertia, inertia, inertia)
+            steel = (3 * mass / (4 * math.pi * 7850.0)) ** (1 / 3)  # radius of a ball of steel
+            radius = max(steel, math.sqrt(2.5 * inertia / mass))  # the latter of a uniform ball of this inertia
+            body = _Body(f"{name}_payload", ball, (_Shape("sphere", (radius,), 0.0, "vjm_payload"),))
             yield _Joint(f"{name}_payload_mount", "fixed", parent, 0.0, body)
 
 

@@ -37,6 +37,7 @@ _OF_BODIES = (
     "hub_inertia",
     "root_inertia",
     "payload",
+    "payload_inertia",
     "rest_curvature",
 )
 
