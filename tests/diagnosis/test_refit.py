@@ -539,16 +539,22 @@ def test_a_known_model_is_fitted_again_only_if_it_may_be_in_another_minimum(monk
 
 
 def test_a_further_parameter_must_bring_its_share() -> None:
+    """Unless it is at a bound, where it has brought nothing."""
     recordings = recorded(Arm(chain_of()), 1)
     point = point_of(chain_of(), (), recordings)
-    one, two = (
+    one, two, held = (
         TrajectoryFit(replace(point.problem, effects=(effect,)).point(np.r_[point.x, effect.coordinates]))
-        for effect in (ViscousFriction(link=0, coefficient=1e-6), ViscoelasticCreep(link=0, ratio=1e-6))
+        for effect in (
+            ViscousFriction(link=0, coefficient=1e-6),
+            ViscoelasticCreep(link=0, ratio=1e-6),
+            TipPayload(link=0, mass=1e-6, radius_of_gyration=0.0),
+        )
     )
     assert two.chi2 == pytest.approx(one.chi2, rel=1e-3)
     plain, strict = selection.SearchOptions(), selection.SearchOptions(parameter_share=1.0)
     assert plain.criterion(two) == two.chi2
     assert strict.criterion(two) == pytest.approx(2 * strict.criterion(one), rel=1e-3)
+    assert strict.criterion(held) == pytest.approx(strict.criterion(one), rel=1e-3)
 
 
 @pytest.mark.parametrize(("seed", "off"), [(1, 1.1), (2, -0.9), pytest.param(3, 0.9, marks=pytest.mark.slow)])  # rad

@@ -12,7 +12,7 @@ from scipy import stats
 from tests.diagnosis.rigs import RIG, chain_of, in_segments, point_of, recorded
 from vjm.chain.curve import transfer_state
 from vjm.chain.virtual_links import Chain
-from vjm.diagnosis.screen import CandidateSet, FamilyTest, Screen
+from vjm.diagnosis.screen import CandidateSet, Directions, FamilyTest, Screen
 from vjm.diagnosis.search_starts import _explained, _fourier_transform, temporal_peaks
 from vjm.effects import (
     CameraRotation,
@@ -215,6 +215,16 @@ def test_what_other_parameters_do_as_well_is_absorbed() -> None:
     seen = Screen.of(point_of(chain, (), blind), (), [bound(EncoderOffset()), bound(TimeOffset())])
     assert seen.absorbed.tolist() == [True, False]
     assert seen.statistics[0] == 0
+
+
+def test_coordinates_at_a_bound_explain_nothing() -> None:
+    rows = np.random.default_rng(1).standard_normal((30, 5))
+    effect, parts, unprojected = (JointSpring(),), (slice(0, 1),), np.ones(1)
+    held = Directions(effect, parts, rows, np.array([False, True, False]), unprojected).screen()
+    without = Directions(effect, parts, np.delete(rows, 1, axis=1), np.zeros(2, dtype=bool), unprojected).screen()
+    free = Directions(effect, parts, rows, np.zeros(3, dtype=bool), unprojected).screen()
+    assert held.products == pytest.approx(without.products)
+    assert (np.diag(held.products) > np.diag(free.products)).all()
 
 
 def test_reference_recordings_say_nothing_of_an_effect() -> None:
