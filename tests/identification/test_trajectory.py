@@ -229,6 +229,20 @@ def test_errors_are_those_of_an_estimate_without_what_is_at_its_bound() -> None:
     assert held[2] == pytest.approx([0, 0, free[2, 2]])
 
 
+def test_chi2_of_models_differs_by_as_much_more_as_the_noise_is_correlated() -> None:
+    """What further parameters take off chi^2 of noise alone, on average, by drawing; of white noise it is one each."""
+    random = np.random.default_rng(1)
+    jacobian = np.cumsum(random.standard_normal((60, 3)), axis=0)
+    normal, free = jacobian.T @ jacobian, np.zeros(3, dtype=bool)
+    correlation = 0.9 ** np.abs(np.subtract.outer(np.arange(60), np.arange(60)))
+    noise = random.standard_normal((4000, 60)) @ np.linalg.cholesky(correlation).T
+    decreases = np.sum((noise @ np.linalg.qr(jacobian)[0]) ** 2, axis=1)
+    inflation = Information(normal, jacobian.T @ correlation @ jacobian, free).inflation
+    assert decreases.mean() == pytest.approx(3 * inflation, rel=0.05)
+    assert inflation > 5
+    assert Information(normal, normal, free).inflation == pytest.approx(1)
+
+
 # On an executor
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from vjm.diagnosis.candidate_fit import starting_effect
+from vjm.diagnosis.candidate_fit import information_of, starting_effect
 from vjm.diagnosis.records import EQUIVALENT, Alternative, Cause
 from vjm.diagnosis.screen import Screen
 from vjm.diagnosis.selection import Fits, Search, SearchOptions, SearchResult
@@ -30,7 +30,7 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     best, causes = result.best, result.best.new_effects
     if not causes:
         return {}
-    tolerance = EQUIVALENT * max(1.0, best.misfit**2)  # of chi^2, in units of the reduced chi^2
+    tolerance = EQUIVALENT * max(1.0, information_of(best).inflation)
     directions = result.last_tests.screen.directions
     # Stick-slip and play are slow to fit: they are tried only where the screen finds them similar to the cause.
     candidates = {
@@ -46,12 +46,17 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
         screened = directions.screen(present=(cause, best.part_of(cause)), chosen=candidates[cause.key])
         remaining = [effect for effect in best.effects if effect is not cause]
         guesses = _substitute_sizes(screened, cause, tolerance)
-        models = [
-            (*remaining, starting_effect(screened.effects[k], size, best.point.chain)) for k, size in guesses.items()
-        ]
+        guessed = [starting_effect(screened.effects[k], size, best.point.chain) for k, size in guesses.items()]
+        models = [(*remaining, _as_fitted(effect, best.effect_keys - {cause.key}, result)) for effect in guessed]
         search.fit_models(best, models, best.chi2 + tolerance, result.fits)
         alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance, search.options)
     return alternatives
+
+
+def _as_fitted(effect: Effect, others: frozenset[Key], result: SearchResult) -> Effect:
+    """Return an effect as it was fitted to segments beside others, where that was done: no linear guess is as near."""
+    fit = result.segment_fits.get(others | {effect.key})
+    return effect if fit is None else next(fitted for fitted in fit.effects if fitted.key == effect.key)
 
 
 def _equivalent_fits(

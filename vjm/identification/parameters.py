@@ -33,8 +33,8 @@ _FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "ine
 
 
 def at_bounds(x: Array, bounds: tuple[Array, Array]) -> Mask:
-    """Return (p,) true where coordinates (p,) are nearer to their lower or upper bounds (p,), (p,) than at a start."""
-    return np.minimum(x - bounds[0], bounds[1] - x) < 0.999 * NEAREST_TO_BOUND
+    """Return (p,) true where coordinates x (p,) are no further from lower or upper bounds (p,) than at a start."""
+    return np.minimum(x - bounds[0], bounds[1] - x) < 1.001 * NEAREST_TO_BOUND
 
 
 @dataclass(frozen=True)

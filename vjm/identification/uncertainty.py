@@ -82,6 +82,17 @@ class Information:
         return result
 
     @property
+    def inflation(self) -> float:
+        """Factor by which differences of chi^2 between models scatter more than beside white noise of unit variance.
+
+        It is the mean eigenvalue of the score covariance over the information, by which a likelihood ratio is adjusted
+        where the model is wrong or the noise correlated (R. E. Chandler and S. Bate, Biometrika 94, 2007).
+        """
+        known = ~self.held & self.visible
+        normal, scores = (matrix[np.ix_(known, known)] for matrix in (self.normal, self.score_covariance))
+        return float(np.trace(np.linalg.lstsq(normal, scores, rcond=SINGULAR)[0]) / max(known.sum(), 1))
+
+    @property
     def visible(self) -> Mask:
         """(p,) True where the residuals respond to a coordinate at all."""
         response = np.sqrt(np.maximum(np.diag(self.normal), 0))
