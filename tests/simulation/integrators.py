@@ -54,14 +54,14 @@ def runge_kutta(system: System, q: Array, v: Array, z: Array, drive: Drive) -> T
     if system.has_dry_friction:
         raise ValueError("the reference has no dry friction: give it a gradual one")
     step, count = drive.step, len(drive.start)
-    time, half = step * np.arange(count + 1.0), step / 2
+    time, half, accelerations = step * np.arange(count + 1.0), step / 2, system.accelerations()
     path = Trajectory(time, *(np.empty((count + 1, *like.shape)) for like in (q, q, q, z)))
 
     def slopes(time: float, q: Array, v: Array, z: Array, torque: Array) -> tuple[Array, Array]:
         force, rates = system.further_forces(np.full(len(q), time), q, v, z)
         force = force - system.stiffness * q - system.damping * v
         force[:, system.active] += torque
-        return system.acceleration(np.concatenate([q, v], axis=1), force), rates
+        return accelerations(q, v, force), rates
 
     for k in range(count):
         middle = drive.middle[k]

@@ -26,6 +26,7 @@ _MOST_STEPS = 2e7  # of a long one: several GiB, and a day of an arm that swings
 _HALF_INTERVAL, _HALF_INTERVAL_ELBOW = 1 / 140, 1 / 600
 _SIMILAR_DURATIONS = 1.5  # durations within this factor are advanced together
 _DIVERGED = 1e3  # rad; no joint turns so far
+_STEPS_BETWEEN_CHECKS = 50  # whether the motion has diverged; a check takes a twentieth of a step's time
 # With an elbow: joints a link from which on steps are as much shorter as there are more, and for so many the angle
 # between those at which the linear part is taken [rad]; it shrinks with the square of the joints. Errors of 24 joints
 # are four times those of eight then, and were seventy times as large with the same steps and angle.
@@ -189,20 +190,22 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     missing = drive.ends[:-1] - drive.start
     has_further_forces = system.has_further_forces
     start, middle, end = (_of_all_joints(system, active) for active in (drive.start, drive.middle, drive.end))
+    accelerations, internal = system.accelerations(), z.size > 0
+    # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
+    unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
     active, friction = system.active, _StickSlip(system, step) if system.has_dry_friction else None
 
     def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
         path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
-        if not np.abs(q).max() < _DIVERGED:
-            copy = int(np.argmin((np.abs(q) < _DIVERGED).all(axis=1)))
-            remedy = "take smaller steps, or check the model's masses, stiffness and torque"
-            raise SimulationDivergedError(float(drive.first[copy]) + step * max(k - 1, 0), step, remedy)
+        if k % unchecked == 0 or k == count:
+            _require_finite(path.q, range(max(k - unchecked, 0), k + 1), drive)
 
     def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
         if not has_further_forces:
-            return system.acceleration(x, springs + torque), z
-        force, rates = system.further_forces(elapsed + k * step, x[:, :n], x[:, n:], z)
-        return system.acceleration(x, springs + torque + force), rates
+            return accelerations(x[:, :n], x[:, n:], springs + torque), z
+        q, v = x[:, :n], x[:, n:]
+        force, rates = system.further_forces(elapsed + k * step, q, v, z)
+        return accelerations(q, v, springs + torque + force), rates
 
     def stage(k: float, x: Array, z: Array, torque: Array, weights: _Weights) -> tuple[Array, Array]:
         p = _multiply(x, weights.rate)
@@ -228,19 +231,19 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         half, full, remainder = p[:, 2 * n : 4 * n], p[:, 4 * n :], a - p[:, n : 2 * n]
         x2, x3, x4, x5, x = (_multiply(remainder, weights.first).reshape(len(x), 5, 2 * n)).transpose(1, 0, 2)
         x2 = half + x2
-        remainder, z2 = stage(k + 0.5, x2, z + step / 2 * z1, middle[k], weights)
+        remainder, z2 = stage(k + 0.5, x2, z + step / 2 * z1 if internal else z, middle[k], weights)
         p = _multiply(remainder, weights.second)
         x3 = half + x3 + p[:, : 2 * n]
-        remainder, z3 = stage(k + 0.5, x3, z + step / 2 * z2, middle[k], weights)
+        remainder, z3 = stage(k + 0.5, x3, z + step / 2 * z2 if internal else z, middle[k], weights)
         p = p[:, 2 * n :] + _multiply(remainder, weights.third)
         x4 = full + x4 + p[:, : 2 * n]
-        remainder, z4 = stage(k + 1, x4, z + step / 2 * (z2 + z3), end[k], weights)
+        remainder, z4 = stage(k + 1, x4, z + step / 2 * (z2 + z3) if internal else z, end[k], weights)
         last = _multiply(remainder, weights.fourth)
         x5 = half + x5 + p[:, 2 * n :] + last[:, : 2 * n]
-        z5 = z + step / 4 * z1 + step / 8 * (z2 + z3)
+        z5 = z + step / 4 * z1 + step / 8 * (z2 + z3) if internal else z
         remainder, z5 = stage(k + 0.5, x5, z5, middle[k], weights)
         x = full + x + last[:, 2 * n :] + _multiply(remainder, weights.fifth)
-        z = z + step / 6 * (z1 + z4 + 4 * z5)
+        z = z + step / 6 * (z1 + z4 + 4 * z5) if internal else z
     springs = _multiply(x, propagator.at(x).rate)[:, :n]
     torque = _of_all_joints(system, drive.ends[-1:])[0]
     if friction is not None:
@@ -248,6 +251,16 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     a, _ = accelerate(count, x, z, springs, torque)
     record(count, x[:, :n], x[:, n:], a, z)
     return path
+
+
+def _require_finite(q: Array, steps: range, drive: Drive) -> None:
+    """Raise SimulationDivergedError if a copy's angles (S, C, nv) leave the finite numbers within some steps."""
+    largest: Array = np.abs(q[steps.start : steps.stop]).max(axis=2)
+    if not largest.max() < _DIVERGED:
+        row = int(np.argmax(~(largest < _DIVERGED).all(axis=1)))
+        first = float(drive.first[np.argmax(~(largest[row] < _DIVERGED))])
+        remedy = "take smaller steps, or check the model's masses, stiffness and torque"
+        raise SimulationDivergedError(first + drive.step * max(steps[row] - 1, 0), drive.step, remedy)
 
 
 def _of_all_joints(system: System, active: Array) -> Array:
@@ -259,7 +272,9 @@ def _of_all_joints(system: System, active: Array) -> Array:
 
 def _multiply(states: Array, matrices: Array) -> Array:
     """Return states (C, m) times the transposed matrix of each copy, or that all copies share."""
-    return np.asarray(states @ matrices[0] if len(matrices) == 1 else np.matmul(states[:, None, :], matrices)[:, 0, :])
+    # For few copies most of the time is NumPy's overhead, of which `dot` has least.
+    result: Array = np.matmul(states[:, None, :], matrices)[:, 0] if len(matrices) > 1 else states.dot(matrices[0])
+    return result
 
 
 class _Weights(NamedTuple):

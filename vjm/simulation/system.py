@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -199,16 +199,18 @@ class System:
             torques[copies] = arm.friction_torques(v[copies])
         return torques
 
-    def acceleration(self, x: Array, torque: Array) -> Array:
-        """Return (C, nv) accelerations at x = (q, v) (C, 2 nv) under all joints' torques (C, nv), springs included."""
-        n = torque.shape[1]
-        q, v = x[:, :n], x[:, n:]
+    def accelerations(self) -> Callable[[Array, Array, Array], Array]:
+        """Return the function of q, v (C, nv) and all joints' torques (C, nv), springs included, that gives (C, nv)."""
         if len(self.mechanisms) == 1:
-            return self.mechanisms[0][1].forward_dynamics(q, v, torque)
-        result = np.empty(torque.shape)
-        for copies, mechanism in self.mechanisms:
-            result[copies] = mechanism.forward_dynamics(q[copies], v[copies], torque[copies])
-        return result
+            return self.mechanisms[0][1].forward_dynamics
+
+        def of_each(q: Array, v: Array, torque: Array) -> Array:
+            result = np.empty(torque.shape)
+            for copies, mechanism in self.mechanisms:
+                result[copies] = mechanism.forward_dynamics(q[copies], v[copies], torque[copies])
+            return result
+
+        return of_each
 
 
 def _mechanisms(
