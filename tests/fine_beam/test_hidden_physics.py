@@ -30,9 +30,12 @@ def test_with_nothing_hidden_it_is_the_plain_beam() -> None:
     np.testing.assert_allclose(motion.theta, plain.theta, atol=1e-7)
 
 
-def test_runs_together_are_the_runs_alone() -> None:
+@pytest.mark.parametrize("friction", [0.0, pytest.param(0.008, marks=pytest.mark.slow)])
+def test_runs_together_are_the_runs_alone(friction: float) -> None:
     runs = [Run(drive(TIME)), Run(drive(TIME), payload=0.05), Run(-0.5 * drive(TIME), payload=0.05), Run(held=True)]
-    physics = Physics(coulomb_friction_torque=0.008, structural_damping_loss_factor=0.02, linear_drag_coefficient=0.02)
+    physics = Physics(
+        coulomb_friction_torque=friction, structural_damping_loss_factor=0.02, linear_drag_coefficient=0.02
+    )
     for run, motion in zip(runs, simulate_runs(HUB, physics, TIME, runs), strict=True):
         # Friction halves steps wherever any joint of the batch starts or stops.
         np.testing.assert_allclose(motion.theta, alone(HUB, physics, run).theta, atol=5e-6)

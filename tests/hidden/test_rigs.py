@@ -66,6 +66,7 @@ def test_the_files_do_not_tell_the_truth(plant: Plant) -> None:
     assert [each.effect for each in truth.effects] == ["tip_payload", "coulomb_friction"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_writes_the_same_bytes(plant: Plant) -> None:
     first = {path.name: path.read_bytes() for path in plant("clamped", "linear_drag", seed=4)[0].parent.iterdir()}
     again = {path.name: path.read_bytes() for path in plant("clamped", "linear_drag", seed=4)[0].parent.iterdir()}
@@ -99,6 +100,7 @@ def test_reference_recordings_hide_nothing() -> None:
     assert sum(one.plan.entry.condition == "reference" for one in hidden) == 2
 
 
+@pytest.mark.slow
 def test_recorded_torque_is_not_the_true_one() -> None:
     effects = (Planted("torque_gain", {"gain": 1.25}), Planted("torque_offset", {"offset": 0.01}))
     both = {each.plan.entry.file: each for each in perform("hub", effects, 1)}

@@ -94,7 +94,7 @@ def test_noise_free_chain_gives_its_stiffness_and_damping_from_a_far_start(joint
 
 
 @pytest.mark.parametrize(("method", "first", "second"), [("torque", 0.01, 0.05), ("torque+frequency", 0.002, 0.01)])
-@pytest.mark.parametrize("parameters", ["uniform", "joints", "lengths"])
+@pytest.mark.parametrize("parameters", ["uniform", "joints", pytest.param("lengths", marks=pytest.mark.slow)])
 def test_demo_frequencies(method: str, parameters: str, first: float, second: float) -> None:
     fit = demo_fit(method, parameters)
     f1, f2 = TRUTH["euler_bernoulli"]["frequencies_hz"][:2]

@@ -250,13 +250,14 @@ def test_rates_and_accelerations_may_be_given() -> None:
     assert np.isnan(fit.residual_torque[:, :2]).all()
 
 
-def test_markers_may_hide() -> None:
+@pytest.mark.parametrize("count", [1, pytest.param(8, marks=pytest.mark.slow)])
+def test_markers_may_hide(count: int) -> None:
     """One in ten, at random, and all but three for half a second: nearly all other frames are used."""
     found = coarse_motion()
     markers = found.markers.copy()
     markers[np.random.default_rng(1).random(markers.shape[:2]) < 0.1] = np.nan
     markers[300:420, 3:] = np.nan
-    fits = [identified(replace(found, markers=markers), 3e-4, seed, robot()) for seed in range(8)]
+    fits = [identified(replace(found, markers=markers), 3e-4, seed, robot()) for seed in range(count)]
     whole = identified(found, 3e-4, 0, robot())
     errors = []
     for fit in fits:
@@ -268,8 +269,9 @@ def test_markers_may_hide() -> None:
             assert other.std is not None
             assert other.std < each.std < 3 * other.std
             errors.append((each.value - true) / each.std)
-    # The root mean square of 48 errors, in part correlated, in units of their standard deviations.
-    assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
+    assert np.abs(errors).max() < 4
+    if count == 8:  # the root mean square of 48 errors, in part correlated, in units of their standard deviations
+        assert 0.75 < np.sqrt(np.mean(np.square(errors))) < 1.3
 
 
 def test_positions_of_markers_have_their_derivatives() -> None:

@@ -172,6 +172,7 @@ def test_estimates_are_not_biased(joint: str, n: int, kind: str) -> None:
     assert scatter.max() < 0.1  # of the bias itself
 
 
+@pytest.mark.slow
 def test_coloured_noise_widens_the_standard_errors() -> None:
     """Noise that lasts ten frames: the plain Fisher information would promise three times too much."""
     point = truth_point("revolute", 2, "uniform")

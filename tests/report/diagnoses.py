@@ -98,13 +98,12 @@ def followed_by(
     experiment: Experiment, base: Model, model: Model, next_best: Model | None
 ) -> tuple[RecordingComparison, ...]:
     """Every recording, replayed by all models."""
-    models = [each for each in (base, model, next_best) if each is not None]
-    replays = [[each.replay(recording) for recording in experiment.recordings] for each in models]
-    if next_best is None:
-        replays.append([None] * len(experiment.recordings))  # type: ignore[list-item]
+    before = [base.replay(recording) for recording in experiment.recordings]
+    after = [model.replay(recording) for recording in experiment.recordings] if model.effects else before
+    other = [None if next_best is None else next_best.replay(recording) for recording in experiment.recordings]
     return tuple(
-        RecordingComparison(recording, NOISE, after, before, alternative)
-        for recording, before, after, alternative in zip(experiment.recordings, *replays, strict=True)
+        RecordingComparison(recording, NOISE, *simulated)
+        for recording, *simulated in zip(experiment.recordings, after, before, other, strict=True)
     )
 
 
