@@ -17,6 +17,7 @@ from vjm.diagnosis.baseline import corrected_for_discretization
 from vjm.diagnosis.candidate_fit import (
     StoppingRule,
     _multistart,
+    continued,
     fit_segments,
     information_of,
     largest_chi2_in_longer,
@@ -162,6 +163,22 @@ def test_dry_friction_has_its_torque_though_its_search_begins_far_away(seed: int
     assert found is not None
     assert found.point.misfit < 1.1
     assert found.effects[0].values["torque"] == pytest.approx(0.008, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_fit_beside_dry_friction_is_continued_to_its_minimum() -> None:
+    """No lower one is found from the truth."""
+    truth = CoulombFriction(link=0, torque=0.008)
+    recordings = recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0)
+    found = refit(in_segments(recordings), [replace(truth, torque=0.0075)])
+    assert found is not None
+    fit = continued(found, np.inf)
+    assert fit.chi2 < found.chi2 - 1
+    problem, x = fit.point.problem, fit.point.x.copy()
+    x[-1:] = truth.coordinates
+    assert fit.chi2 < fit_trajectory(problem, x, states=fit.point.states).chi2 + 1
+    std = float(np.sqrt(information_of(fit).covariance[-1, -1]))
+    assert abs(fit.point.x[-1] - x[-1]) < 3 * std
 
 
 def test_what_sticks_begins_nearer_where_a_step_misses() -> None:

@@ -227,6 +227,33 @@ def test_derivatives_across_impacts_and_stiction_lead_to_the_truth(effect: Effec
     assert np.median(lengths) == pytest.approx(1.0, abs=0.3)
 
 
+def test_exact_derivatives_beside_dry_friction_are_differences_of_simulations() -> None:
+    """By initial states and parameters, each over ten times as large a step and simulated alone."""
+    chain, friction = arm_of(steel_link(3, "revolute")), CoulombFriction(link=0, torque=0.01)
+    arm, stronger = Arm.of(chain, (friction,)), Arm.of(chain, (replace(friction, torque=0.01 + 1e-8),))
+    observed = [seen_by(chain, recording_of(chain, np.arange(61) / 100.0, jerky_torque(1, seed))) for seed in range(2)]
+    runs = runs_from_rest(arm, observed)
+    errors, gradual_errors = [], []
+    for run, exact, gradual in zip(
+        runs,
+        linearize(runs, [[PerturbedArm(stronger, 1e-8)]] * 2, exact=True),
+        linearize(runs, [[PerturbedArm(stronger, 1e-8)]] * 2),
+        strict=True,
+    ):
+        moved = [(arm, 1e-5 * direction, 1e-5) for direction in run.basis.states.T]
+        moved.append((Arm.of(chain, (replace(friction, torque=0.01 + 1e-7),)), 0 * run.state, 1e-7))
+        columns = [
+            (run.residual - simulate_runs([other], [run.observed], [run.prior], [run.state + off], 1.0)[0].residual) / h
+            for other, off, h in moved
+        ]
+        expected = np.stack(columns, axis=1)
+        for found, to in ((exact, errors), (gradual, gradual_errors)):
+            slopes = np.concatenate([part for _, part in run.jacobian(found)])
+            to.append(np.linalg.norm(slopes - expected, axis=0) / np.linalg.norm(expected, axis=0))
+    assert np.median(errors) < 1e-3
+    assert np.median(gradual_errors) > 0.05
+
+
 @pytest.mark.parametrize("step", [-0.2, 0.2])
 def test_by_the_flanks_of_a_backlash_derivatives_are_differences_of_simulations(step: float) -> None:
     """The motion comes from a batch with other arms, the differences from one simulation after the other."""

@@ -131,7 +131,7 @@ def refit(
     known = {effect.key for effect in start.effects}
     for share in (1.0, 0.5, 0.25, 0.125):  # a linear estimate may be too large to be simulated
         sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
-        problem = replace(start.point.problem, effects=tuple(sized))
+        problem = replace(start.point.problem, effects=tuple(sized), exact=False)
         chain = start.point.x[: len(problem.parametrisation.coordinates)]
         x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in sized)]), *problem.bounds)
         # Longer steps than the default have been found short enough without an added joint, which may vibrate fast.
@@ -172,6 +172,23 @@ def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None
                 return None
             shift[part] = start.shift[shifted]
     return shift
+
+
+def continued(fit: TrajectoryFit, deadline: float) -> TrajectoryFit:
+    """Continue a fit that was stopped early until it has converged, if that lowers chi^2.
+
+    One with joints that stick is continued with exact derivatives: its others led it near to a minimum only. After the
+    deadline, as of `StoppingRule`, it ends where it stands.
+    """
+    point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
+    if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
+        return fit
+    problem = replace(point.problem, exact=sticking)
+    try:
+        further = fit_trajectory(problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+    except (SimulationDivergedError, InsufficientDataError):
+        return fit
+    return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
 
 
 def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:

@@ -22,6 +22,7 @@ from vjm.diagnosis.candidate_fit import (
     INCOMPLETE_MISFIT,
     LEAST_SHARE,
     StoppingRule,
+    continued,
     fit_segments,
     largest_chi2_in_longer,
     predicted_increase,
@@ -37,7 +38,7 @@ from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.discretization import refined
-from vjm.identification.trajectory_fit import TrajectoryFit, fit_trajectory
+from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import Array, Rig
 from vjm.simulation.run import all_followed
 from vjm.text import ratio
@@ -186,18 +187,10 @@ class Search:
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
     def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
-        """Continue a fit that was stopped early until it has converged, if that lowers chi^2."""
-        if fit.converged or is_nonsmooth(fit.effects) or not fit.new_effects:
+        if not fit.new_effects or self.options.exhausted:
             return fit
         self.report("converging")
-        point = fit.point
-        try:
-            continued = fit_trajectory(
-                point.problem, point.x, None, point.states, stop=lambda point, predicted: self.options.exhausted
-            )
-        except (SimulationDivergedError, InsufficientDataError):
-            return fit
-        return replace(continued, shift=fit.shift) if continued.chi2 < fit.chi2 else fit
+        return continued(fit, self.options.deadline)
 
     def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
         """Add small effects that are needed beside a model corrected for its chain's discretization error.

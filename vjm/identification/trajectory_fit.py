@@ -56,6 +56,7 @@ class TrajectoryProblem(Record):
             typical ones, then shape parameters: logarithms, or linear where they may be zero.
         reference_effects: number of effects, the first ones, that act in the reference recordings too.
         simulated_held: True to hold the coordinates whose derivatives are from simulations.
+        exact: True for exact derivatives where joints stick, which lead to a minimum from nearby only (`linearize`).
     """
 
     parametrisation: Parametrisation
@@ -66,6 +67,7 @@ class TrajectoryProblem(Record):
     effects: tuple[Effect, ...] = ()
     reference_effects: int = 0
     simulated_held: bool = False
+    exact: bool = False
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,), without effects."""
@@ -259,7 +261,7 @@ class Point(Record):
         moved = self.problem.perturbed_arms(self.x)
         return tuple(
             run.linearized(linearization)
-            for run, linearization in zip(self.runs, linearize(self.runs, moved), strict=True)
+            for run, linearization in zip(self.runs, linearize(self.runs, moved, self.problem.exact), strict=True)
         )
 
     def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:

@@ -20,8 +20,8 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.given_motion import acceleration_errors
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import Observations, principal_errors, sensor_readings
-from vjm.simulation.sensitivity import Linearization, with_coefficients
+from vjm.simulation.measurement import DIFFERENCE_STEP, Observations, principal_errors, sensor_readings
+from vjm.simulation.sensitivity import Linearization, SimulatedLinearization, with_coefficients
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
 from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
@@ -30,6 +30,7 @@ _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a
 # Modes that chains may exchange are nearer to each other; the first ten of a beam are further apart, ((2k+1)/(2k-1))^2.
 _FREQUENCY_TOLERANCE = 0.1
 # Values that errors of a given motion make at once, 0.3 GB: the slowest, in a minute of five markers up to 5 Hz.
+_MOST_COPIES = 300  # simulated at once for derivatives: a few tens of MB
 _MOST_ERROR_VALUES = 40_000_000
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
@@ -204,7 +205,7 @@ class Run:
         arm, trajectory = self.arm.smooth, self.trajectory
         return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
 
-    def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
+    def jacobian(self, linearization: Linearization | SimulatedLinearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         parts = linearization.jacobian()
         if self.observed.is_white and not self.arm.timing_variance:
@@ -216,13 +217,13 @@ class Run:
         all_slopes[measured] = np.concatenate(slopes)
         yield np.arange(measured.size), self._whiten_timing(self.observed.whitened(all_slopes))
 
-    def weighted_jacobian(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
+    def weighted_jacobian(self, linearization: Linearization | SimulatedLinearization) -> Iterator[tuple[Array, Array]]:
         """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the robust loss."""
         weights = np.sqrt(self.observed.loss.slope(self.residual**2))
         for measured, part in self.jacobian(linearization):
             yield weights[measured, None] * part, weights[measured] * self.residual[measured]
 
-    def linearized(self, linearization: Linearization) -> SquareRootInformation:
+    def linearized(self, linearization: Linearization | SimulatedLinearization) -> SquareRootInformation:
         """Return the linearised least-squares problem of the slow modes' initial coordinates, rates, and parameters.
 
         Raises:
@@ -249,7 +250,9 @@ class Run:
         rows[:, : states.shape[1]] = weight @ states
         return rows, weight @ (self.prior.rest - self.state)
 
-    def timing_rows(self, linearization: Linearization, likelihood_ratio: bool = False) -> tuple[Array, Array]:
+    def timing_rows(
+        self, linearization: Linearization | SimulatedLinearization, likelihood_ratio: bool = False
+    ) -> tuple[Array, Array]:
         """Return the row (r, columns) and right-hand side (r,) of the timing noise's variance; r is 0 or 1.
 
         Args:
@@ -269,7 +272,7 @@ class Run:
         row = np.r_[np.zeros(columns - len(by_parameters)), slope * np.array(by_parameters)]
         return row[None], np.array([residual])
 
-    def scores(self, linearization: Linearization, linearized: SquareRootInformation) -> Array:
+    def scores(self, linearization: Linearization | SimulatedLinearization, linearized: SquareRootInformation) -> Array:
         """Return the scores (T, p): each instant's part in the gradient of -chi^2 / 2, initial state eliminated."""
         instants = self.observed.instants
         scores = np.zeros((self.observed.recording.time.size, len(linearization.perturbed)))
@@ -298,7 +301,7 @@ class Run:
         return replace(observed, motion_errors=principal_errors(by_errors))
 
     def _parameter_jacobian(
-        self, linearization: Linearization, linearized: SquareRootInformation
+        self, linearization: Linearization | SimulatedLinearization, linearized: SquareRootInformation
     ) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, p) by parameters, initial state eliminated."""
         states = linearized.columns - len(linearization.perturbed)
@@ -360,11 +363,70 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
     return np.concatenate([values[0] for values in path.sample(instant)])
 
 
-def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
-    """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
-    simulated = _simulate_perturbed(runs, perturbed)
-    triples = zip(runs, perturbed, simulated, strict=True)
-    return with_coefficients([run.linearization(arms, paths) for run, arms, paths in triples])
+def linearize(
+    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]], exact: bool = False
+) -> Iterator[Linearization | SimulatedLinearization]:
+    """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch.
+
+    Where a joint may stick it is of a friction that sets in gradually, which leads a search from afar, or if `exact` by
+    simulations, right for small steps only and several times as slow.
+    """
+    sticking = [k for k, run in enumerate(runs) if exact and run.arm.has_dry_friction]
+    by_simulation = _linearize_by_simulation([runs[k] for k in sticking], [perturbed[k] for k in sticking])
+    others = [k for k in range(len(runs)) if k not in sticking]
+    simulated = _simulate_perturbed([runs[k] for k in others], [perturbed[k] for k in others])
+    by_variation = with_coefficients(
+        [runs[k].linearization(perturbed[k], paths) for k, paths in zip(others, simulated, strict=True)]
+    )
+    for k in range(len(runs)):
+        if k in sticking:
+            yield next(by_simulation)
+        else:
+            yield next(by_variation)
+
+
+def _linearize_by_simulation(
+    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
+) -> Iterator[SimulatedLinearization]:
+    """Yield runs' linearizations by simulations with each unknown changed a little, several at once."""
+    batch: list[int] = []
+    for k, run in enumerate(runs):
+        batch.append(k)
+        copies = sum(2 * runs[j].basis.slow_count + len(perturbed[j]) for j in batch)
+        alike = k + 1 < len(runs) and np.isclose(runs[k + 1].trajectory.step, run.trajectory.step, rtol=1e-9)
+        if not alike or copies > _MOST_COPIES:
+            yield from _changed_a_little([runs[j] for j in batch], [perturbed[j] for j in batch])
+            batch = []
+
+
+def _changed_a_little(
+    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
+) -> Iterator[SimulatedLinearization]:
+    """Yield linearizations of runs of the same step; copies of one arm are simulated together, which is faster."""
+    directions = [run.basis.states.T for run in runs]
+    scales = [DIFFERENCE_STEP / np.abs(each).max(axis=1) for each in directions]  # small at every joint
+    changes = [scale[:, None] * direction for scale, direction in zip(scales, directions, strict=True)]
+    counts = [len(change) for change in changes]
+    copies = [run for run, count in zip(runs, counts, strict=True) for _ in range(count)]
+    starts = [run.state + change for run, run_changes in zip(runs, changes, strict=True) for change in run_changes]
+    by_state = _predictions([run.arm for run in copies], copies, starts)
+    by_arm = [
+        _predictions([moved[k].arm for moved in perturbed], runs, [run.state for run in runs])
+        for k in range(len(perturbed[0]))
+    ]
+    ends = np.cumsum(counts).tolist()
+    for j, (run, moved, end) in enumerate(zip(runs, perturbed, ends, strict=True)):
+        steps = np.r_[scales[j], [step for _, step, _ in moved]]
+        changed = np.stack([*by_state[end - counts[j] : end], *(predicted[j] for predicted in by_arm)], axis=1)
+        predicted = run.observed.predicted(run.arm, run.trajectory)
+        yield SimulatedLinearization(run.observed, moved, (changed - predicted[:, None]) / steps)
+
+
+def _predictions(arms: Sequence[Arm], runs: Sequence[Run], states: Sequence[Array]) -> list[Array]:
+    """Return what sensors would show (N,) of runs with other arms and initial states, all of the same step."""
+    observed = [run.observed for run in runs]
+    paths = _trajectories(arms, observed, states, runs[0].trajectory.step, 2.0)
+    return [values.predicted(arm, path) for values, arm, path in zip(observed, arms, paths, strict=True)]
 
 
 def _simulate_perturbed(

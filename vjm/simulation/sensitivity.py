@@ -208,6 +208,26 @@ class Linearization:
         return slopes
 
 
+@dataclass(frozen=True)
+class SimulatedLinearization:
+    """Linearization of a run by simulations with each unknown changed a little: attributes as of `Linearization`.
+
+    Where a joint sticks, the instants at which it stops and starts move with the unknowns, which variational equations
+    of a gradual friction do not follow.
+
+    Attributes:
+        slopes: (N, 2 slow + p) derivatives of the predictions, not weighted.
+    """
+
+    observed: Observations
+    perturbed: Sequence[PerturbedArm]
+    slopes: Array
+
+    def jacobian(self) -> Iterator[tuple[Indices, Array]]:
+        """Yield the indices of all values, and their derivatives times their weights, as `Linearization.jacobian`."""
+        yield np.arange(len(self.slopes)), self.observed.weights[:, None] * self.slopes
+
+
 def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
     """Yield linearizations with their coefficients; those of neighbouring short ones of the same arm in one batch."""
     group: list[Linearization] = []
