@@ -285,7 +285,8 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         repeated = before - fit.chi2 < _stall_decrease(fit.point)
         point = fit.point if nonsmooth and repeated else replace(fit.point, runs=_multistart(fit.point))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
-        if gained < _stall_decrease(point) or monotonic() > stop.deadline:
+        hopeless = stays_above(point, gained, stop.max_chi2)  # as each round of steps and multistart gains less
+        if gained < _stall_decrease(point) or hopeless or monotonic() > stop.deadline:
             return replace(fit, point=replace(point, problem=problem))
         before, x, states = point.chi2, point.x, point.states
 
