@@ -32,7 +32,7 @@ from vjm.records import REFERENCE, Array, Mask, Recording, Rig
 from vjm.simulation.arm import Arm
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.run import InitialStatePrior, Run, linearize, simulate_runs
-from vjm.simulation.sensitivity import Linearization, SimulatedLinearization
+from vjm.simulation.sensitivity import Linearization
 from vjm.simulation.variational_equations import PerturbedArm
 
 _STEP = 0.1  # of the typical magnitude, for a difference quotient; all effects but joints are nearly linear in it
@@ -268,7 +268,7 @@ def _linearized(
 
 def _projected(
     run: Run,
-    linearization: Linearization | SimulatedLinearization,
+    linearization: Linearization,
     secants: Mapping[int, Array],
     parts: Sequence[slice],
 ) -> tuple[Array, Array]:

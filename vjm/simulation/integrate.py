@@ -201,9 +201,9 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
             _require_finite(path.q, range(max(k - unchecked, 0), k + 1), drive)
 
     def accelerate(k: float, x: Array, z: Array, springs: Array, torque: Array) -> tuple[Array, Array]:
-        if not has_further_forces:
-            return accelerations(x[:, :n], x[:, n:], springs + torque), z
         q, v = x[:, :n], x[:, n:]
+        if not has_further_forces:
+            return accelerations(q, v, springs + torque), z
         force, rates = system.further_forces(elapsed + k * step, q, v, z)
         return accelerations(q, v, springs + torque + force), rates
 

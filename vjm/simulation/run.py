@@ -21,7 +21,12 @@ from vjm.simulation.given_motion import acceleration_errors
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
 from vjm.simulation.measurement import DIFFERENCE_STEP, Observations, principal_errors, sensor_readings
-from vjm.simulation.sensitivity import Linearization, SimulatedLinearization, with_coefficients
+from vjm.simulation.sensitivity import (
+    Linearization,
+    SimulatedLinearization,
+    VariationalLinearization,
+    with_coefficients,
+)
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
 from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
@@ -30,8 +35,8 @@ _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a
 # Modes that chains may exchange are nearer to each other; the first ten of a beam are further apart, ((2k+1)/(2k-1))^2.
 _FREQUENCY_TOLERANCE = 0.1
 # Values that errors of a given motion make at once, 0.3 GB: the slowest, in a minute of five markers up to 5 Hz.
-_MOST_COPIES = 300  # simulated at once for derivatives: a few tens of MB
 _MOST_ERROR_VALUES = 40_000_000
+_MOST_COPIES = 300  # simulated at once for derivatives: a few tens of MB
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
 
@@ -199,13 +204,15 @@ class Run:
 
     def linearization(
         self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Trajectory] | None = None
-    ) -> Linearization:
+    ) -> VariationalLinearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
         smooth = [perturbation._replace(arm=perturbation.arm.smooth) for perturbation in perturbed]
         arm, trajectory = self.arm.smooth, self.trajectory
-        return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
+        return VariationalLinearization.of(
+            self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {}
+        )
 
-    def jacobian(self, linearization: Linearization | SimulatedLinearization) -> Iterator[tuple[Indices, Array]]:
+    def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
         parts = linearization.jacobian()
         if self.observed.is_white and not self.arm.timing_variance:
@@ -217,13 +224,13 @@ class Run:
         all_slopes[measured] = np.concatenate(slopes)
         yield np.arange(measured.size), self._whiten_timing(self.observed.whitened(all_slopes))
 
-    def weighted_jacobian(self, linearization: Linearization | SimulatedLinearization) -> Iterator[tuple[Array, Array]]:
+    def weighted_jacobian(self, linearization: Linearization) -> Iterator[tuple[Array, Array]]:
         """Yield derivatives (r, 2 slow + p) of predictions and residuals (r,), weighted by the robust loss."""
         weights = np.sqrt(self.observed.loss.slope(self.residual**2))
         for measured, part in self.jacobian(linearization):
             yield weights[measured, None] * part, weights[measured] * self.residual[measured]
 
-    def linearized(self, linearization: Linearization | SimulatedLinearization) -> SquareRootInformation:
+    def linearized(self, linearization: Linearization) -> SquareRootInformation:
         """Return the linearised least-squares problem of the slow modes' initial coordinates, rates, and parameters.
 
         Raises:
@@ -250,9 +257,7 @@ class Run:
         rows[:, : states.shape[1]] = weight @ states
         return rows, weight @ (self.prior.rest - self.state)
 
-    def timing_rows(
-        self, linearization: Linearization | SimulatedLinearization, likelihood_ratio: bool = False
-    ) -> tuple[Array, Array]:
+    def timing_rows(self, linearization: Linearization, likelihood_ratio: bool = False) -> tuple[Array, Array]:
         """Return the row (r, columns) and right-hand side (r,) of the timing noise's variance; r is 0 or 1.
 
         Args:
@@ -272,7 +277,7 @@ class Run:
         row = np.r_[np.zeros(columns - len(by_parameters)), slope * np.array(by_parameters)]
         return row[None], np.array([residual])
 
-    def scores(self, linearization: Linearization | SimulatedLinearization, linearized: SquareRootInformation) -> Array:
+    def scores(self, linearization: Linearization, linearized: SquareRootInformation) -> Array:
         """Return the scores (T, p): each instant's part in the gradient of -chi^2 / 2, initial state eliminated."""
         instants = self.observed.instants
         scores = np.zeros((self.observed.recording.time.size, len(linearization.perturbed)))
@@ -301,7 +306,7 @@ class Run:
         return replace(observed, motion_errors=principal_errors(by_errors))
 
     def _parameter_jacobian(
-        self, linearization: Linearization | SimulatedLinearization, linearized: SquareRootInformation
+        self, linearization: Linearization, linearized: SquareRootInformation
     ) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, p) by parameters, initial state eliminated."""
         states = linearized.columns - len(linearization.perturbed)
@@ -365,7 +370,7 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
 
 def linearize(
     runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]], exact: bool = False
-) -> Iterator[Linearization | SimulatedLinearization]:
+) -> Iterator[Linearization]:
     """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch.
 
     Where a joint may stick it is of a friction that sets in gradually, which leads a search from afar, or if `exact` by
