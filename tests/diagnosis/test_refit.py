@@ -136,7 +136,8 @@ def test_a_backlash_has_its_gap_whatever_its_flanks_are_like(stiffness: float, d
     assert [sizes[name].std is None for name in backlash.values] == [False, False, True, True]
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 3])
 def test_a_segment_that_sticks_is_begun_from_rest_or_from_the_end_of_the_one_before(seed: int) -> None:
     truth = CoulombFriction(link=0, torque=0.008)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
@@ -181,6 +182,7 @@ def test_a_fit_beside_dry_friction_is_continued_to_its_minimum() -> None:
     assert abs(fit.point.x[-1] - x[-1]) < 3 * std
 
 
+@pytest.mark.slow
 def test_what_sticks_begins_nearer_where_a_step_misses() -> None:
     point, step, off = missing_step(CoulombFriction(link=0, torque=0.008))
     trial = _trial_point(point, step)
@@ -368,6 +370,7 @@ def test_what_is_small_is_looked_for_in_whole_recordings_at_once(size: float, in
         assert abs(best.estimate[-1] - effect.coordinates[0]) < 3 * std < effect.coordinates[0]
 
 
+@pytest.mark.slow
 def test_a_table_that_was_recentred_is_lengthened_about_its_new_direction() -> None:
     truth = BaseCompliance(stiffness=500.0, mass=1.0, direction=1.3).placed(RIG, None)
     point = point_of(chain_of(), (truth,), recorded(Arm.of(chain_of(), (truth,)), 1, factor=3.0))
@@ -470,7 +473,8 @@ def test_friction_is_not_fitted_again_where_nothing_is_to_be_had(
     assert [fit] == fits
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
 def test_initial_states_may_be_estimated_before_all_parameters(seed: int) -> None:
     truth = Stribeck(link=0, torque=0.008, speed=0.08)
     start = in_segments(recorded(Arm.of(chain_of(), (truth,)), seed))
