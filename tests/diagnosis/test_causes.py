@@ -8,9 +8,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from vjm.diagnosis.alternatives import _with_errors, estimate_causes, ranked
-from vjm.diagnosis.records import Alternative
+from tests.diagnosis.rigs import chain_of, point_of, recorded
+from vjm.diagnosis.alternatives import _with_errors, equivalent_increase, estimate_causes, ranked
+from vjm.diagnosis.records import EQUIVALENT, Alternative
 from vjm.effects import EncoderOffset, GearElasticity, MarkerOffset, TipPayload, ViscoelasticCreep
+from vjm.identification.trajectory_fit import fit_trajectory
+from vjm.simulation.arm import Arm
 
 
 def test_standard_errors_follow_each_parameters_scale() -> None:
@@ -93,3 +96,17 @@ def test_a_refit_out_of_time_is_no_measure_of_what_is_missed() -> None:
         result.segment_fits = {frozenset(): model((), 7000.0)}
         (cause,) = estimate_causes(cast(Any, result), cast(Any, search), {}, 1.0, np.eye(2))
         assert cause.decrease == missed
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_models_are_equivalent_further_apart_where_something_else_is_missing(seed: int) -> None:
+    """What is left lasts: there are far fewer independent looks at it than values."""
+    complete, incomplete = (
+        fit_trajectory(point.problem, point.x)
+        for point in (
+            point_of(chain_of(), (), recorded(arm, seed))
+            for arm in (Arm(chain_of()), Arm.of(chain_of(), (TipPayload(link=0, mass=0.01),)))
+        )
+    )
+    assert equivalent_increase(complete) == pytest.approx(EQUIVALENT, rel=0.15)
+    assert equivalent_increase(incomplete) > 10 * EQUIVALENT * incomplete.misfit**2

@@ -30,7 +30,7 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
     best, causes = result.best, result.best.new_effects
     if not causes:
         return {}
-    tolerance = EQUIVALENT * max(1.0, information_of(best).inflation)
+    tolerance = equivalent_increase(best)
     directions = result.last_tests.screen.directions
     # Stick-slip and play are slow to fit: they are tried only where the screen finds them similar to the cause.
     candidates = {
@@ -51,6 +51,14 @@ def find_alternatives(result: SearchResult, search: Search) -> dict[Key, tuple[A
         search.fit_models(best, models, best.chi2 + tolerance, result.fits)
         alternatives[cause.key] = _equivalent_fits(best, cause, result.fits, tolerance, search.options)
     return alternatives
+
+
+def equivalent_increase(fit: TrajectoryFit) -> float:
+    """Return how far above a fit's chi^2 that of another model may be that explains the recordings as well.
+
+    Where what a fit leaves is correlated or more than noise, chi^2 of models differs by more (`Information.inflation`).
+    """
+    return EQUIVALENT * max(1.0, information_of(fit).inflation)
 
 
 def _as_fitted(effect: Effect, others: frozenset[Key], result: SearchResult) -> Effect:
