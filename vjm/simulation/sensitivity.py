@@ -1,4 +1,4 @@
-"""Derivatives of predicted measurements by initial states and parameters, by a run's variational equations."""
+"""Derivatives of predicted measurements by initial states and parameters, by variational equations or simulations."""
 
 from __future__ import annotations
 
