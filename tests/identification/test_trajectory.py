@@ -242,6 +242,14 @@ def test_chi2_of_models_differs_by_as_much_more_as_the_noise_is_correlated() -> 
     assert decreases.mean() == pytest.approx(3 * inflation, rel=0.05)
     assert inflation > 5
     assert Information(normal, normal, free).inflation == pytest.approx(1)
+    units = np.diag([1e-8, 1.0, 1e6])  # in other units, and beside a coordinate that nothing responds to
+    scaled = [np.pad(units @ each @ units, (0, 1)) for each in (normal, jacobian.T @ correlation @ jacobian)]
+    assert Information(*scaled, np.zeros(4, dtype=bool)).inflation == pytest.approx(inflation)
+
+
+def test_where_all_coordinates_are_at_bounds_each_has_an_error_of_its_own() -> None:
+    normal = np.diag([4.0, 25.0])
+    assert Information(normal, normal, np.ones(2, dtype=bool)).covariance == pytest.approx(np.linalg.inv(normal))
 
 
 # On an executor

@@ -267,10 +267,7 @@ def _linearized(
 
 
 def _projected(
-    run: Run,
-    linearization: Linearization,
-    secants: Mapping[int, Array],
-    parts: Sequence[slice],
+    run: Run, linearization: Linearization, secants: Mapping[int, Array], parts: Sequence[slice]
 ) -> tuple[Array, Array]:
     """Return the factor of one recording's problem, and the squares of the directions in `parts`."""
     count = parts[-1].stop if parts else 0

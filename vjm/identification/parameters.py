@@ -34,7 +34,8 @@ _FIELDS = {"length": "lengths", "mass": "masses", "center": "mass_centers", "ine
 
 def at_bounds(x: Array, bounds: tuple[Array, Array]) -> Mask:
     """Return (p,) true where coordinates x (p,) are no further from lower or upper bounds (p,) than at a start."""
-    return np.minimum(x - bounds[0], bounds[1] - x) < 1.001 * NEAREST_TO_BOUND
+    nearest = np.minimum(x - bounds[0], bounds[1] - x)
+    return nearest < 1.001 * NEAREST_TO_BOUND  # rounding of a sum must not take a start for further away
 
 
 @dataclass(frozen=True)

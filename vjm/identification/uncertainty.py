@@ -72,14 +72,22 @@ class Information:
 
     def _covariance(self, chosen: Mask) -> Array:
         """Return the covariance of some coordinates, the others being known."""
-        normal, scores = self.normal[np.ix_(chosen, chosen)], self.score_covariance[np.ix_(chosen, chosen)]
-        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
-        silent = values <= SINGULAR * values[-1]
+        scale, values, vectors, silent = self._axes(chosen)
+        scores = self.score_covariance[np.ix_(chosen, chosen)]
         inverse = scale[:, None] * ((vectors[:, ~silent] / values[~silent]) @ vectors[:, ~silent].T) * scale
         unknown = scale[:, None] * (vectors[:, silent] @ vectors[:, silent].T) * scale
         result: Array = inverse @ scores @ inverse + unknown / SINGULAR
         return result
+
+    def _axes(self, chosen: Mask) -> tuple[Array, Array, Array, Mask]:
+        """Return the eigenvalues and eigenvectors of the information on some coordinates, in units of their own.
+
+        The units (c,) come first; last (c,) true for axes that the residuals do not respond to.
+        """
+        normal = self.normal[np.ix_(chosen, chosen)]
+        scale = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        values, vectors = np.linalg.eigh(normal * np.outer(scale, scale))
+        return scale, values, vectors, values <= SINGULAR * values.max(initial=0.0)
 
     @property
     def inflation(self) -> float:
@@ -88,9 +96,11 @@ class Information:
         It is the mean eigenvalue of the score covariance over the information, by which a likelihood ratio is adjusted
         where the model is wrong or the noise correlated (R. E. Chandler and S. Bate, Biometrika 94, 2007).
         """
-        known = ~self.held & self.visible
-        normal, scores = (matrix[np.ix_(known, known)] for matrix in (self.normal, self.score_covariance))
-        return float(np.trace(np.linalg.lstsq(normal, scores, rcond=SINGULAR)[0]) / max(known.sum(), 1))
+        free = ~self.held
+        scale, values, vectors, silent = self._axes(free)
+        axes = scale[:, None] * vectors[:, ~silent] / np.sqrt(values[~silent])
+        eigenvalues = np.einsum("ij,ik,kj->j", axes, self.score_covariance[np.ix_(free, free)], axes)
+        return float(np.mean(eigenvalues)) if eigenvalues.size else 1.0
 
     @property
     def visible(self) -> Mask:
