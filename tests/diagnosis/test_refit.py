@@ -173,7 +173,7 @@ def test_a_fit_beside_dry_friction_is_continued_to_its_minimum() -> None:
     recordings = recorded(Arm.of(chain_of(), (truth,)), 1, duration=4.0)
     found = refit(in_segments(recordings), [replace(truth, torque=0.0075)])
     assert found is not None
-    fit = continued(found, np.inf)
+    fit = continued(found, RIG, np.inf)
     assert fit.chi2 < found.chi2 - 1
     problem, x = fit.point.problem, fit.point.x.copy()
     x[-1:] = truth.coordinates

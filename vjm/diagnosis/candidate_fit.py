@@ -20,6 +20,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
+from vjm.identification.discretization import parameter_shift
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
 from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
@@ -174,10 +175,11 @@ def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None
     return shift
 
 
-def continued(fit: TrajectoryFit, deadline: float) -> TrajectoryFit:
+def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     """Continue a fit that was stopped early until it has converged, if that lowers chi^2.
 
-    One with joints that stick is continued with exact derivatives: its others led it near to a minimum only. After the
+    One with joints that stick is continued with exact derivatives: its others led it near to a minimum only. With them
+    its discretization shift is measured, which no refit beside the error of its many stops would show. After the
     deadline, as of `StoppingRule`, it ends where it stands.
     """
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
@@ -188,7 +190,12 @@ def continued(fit: TrajectoryFit, deadline: float) -> TrajectoryFit:
         further = fit_trajectory(problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
     except (SimulationDivergedError, InsufficientDataError):
         return fit
-    return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
+    if further.chi2 < fit.chi2:
+        fit = replace(further, shift=fit.shift)
+    if not sticking or monotonic() > deadline:
+        return fit
+    shift = parameter_shift(replace(fit.point, problem=problem), rig)
+    return fit if shift is None else replace(fit, shift=shift)
 
 
 def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:

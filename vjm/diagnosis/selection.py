@@ -190,7 +190,7 @@ class Search:
         if not fit.new_effects or self.options.exhausted:
             return fit
         self.report("converging")
-        return continued(fit, self.options.deadline)
+        return continued(fit, self.rig, self.options.deadline)
 
     def _select_small(self, stages: list[tuple[TrajectoryFit, Fits]]) -> tuple[TrajectoryFit, Fits, FamilyTest]:
         """Add small effects that are needed beside a model corrected for its chain's discretization error.

@@ -133,6 +133,8 @@ class DiscretizationBias:
 
 def with_offset(point: Point, offset: Sequence[Array] | None) -> Point:
     """Return the same simulations with offsets (N,) of their predictions, one for each recording; None: without."""
+    if offset is None and all(run.observed.discretization_offset is None for run in point.runs):
+        return point  # with what is known of its linearization
     runs = tuple(
         replace(run, observed=replace(run.observed, discretization_offset=run_offset))
         for run, run_offset in zip(point.runs, [None] * len(point.runs) if offset is None else offset, strict=True)
