@@ -36,7 +36,7 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
     coarse = with_offset(point, None)
     try:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
-        offset = [fine - _predicted(run) for fine, run in zip(predicted, coarse.runs, strict=True)]
+        offset = [fine - run.predicted for fine, run in zip(predicted, coarse.runs, strict=True)]
         corrected = with_offset(coarse, offset)
         change, free = np.zeros(point.x.size), ~point.held
         for sign, shifted in ((1, corrected), (-1, coarse)):
@@ -87,7 +87,7 @@ class DiscretizationBias:
                 if np.isfinite(previous_fall) and fall**2 / previous_fall < negligible:
                     break
                 if remaining:
-                    offset = [fine - _predicted(run) for fine, run in zip(predicted, current.runs, strict=True)]
+                    offset = [fine - run.predicted for fine, run in zip(predicted, current.runs, strict=True)]
                     shifted = with_offset(current, offset)
                     states = [run.state for run in shifted.runs]
                     # To the minimum: a loose tolerance leaves up to ten standard errors, which do not settle.
@@ -103,7 +103,7 @@ class DiscretizationBias:
             return None
         predicted, x = best
         factor = _extrapolation(point)
-        offset = [factor * (fine - _predicted(run)) for fine, run in zip(predicted, start.runs, strict=True)]
+        offset = [factor * (fine - run.predicted) for fine, run in zip(predicted, start.runs, strict=True)]
         # What the extrapolation adds is a bound of its own error.
         added = [
             run.observed.whitened(run.observed.weights * (1 - 1 / factor) * run_offset)
@@ -178,17 +178,13 @@ def _predictions(finer: TrajectoryProblem, point: Point) -> list[Array]:
     observed = [run.observed for run in point.runs]
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
     states = _transferred_states(finer, point)
-    return [_predicted(run) for run in simulate_runs(arms, observed, None, states, point.problem.step_multiple)]
+    return [run.predicted for run in simulate_runs(arms, observed, None, states, point.problem.step_multiple)]
 
 
 def _transferred_states(finer: TrajectoryProblem, point: Point) -> list[Array]:
     """Return the initial states (2 nv,) of the finer chain that a fitted chain's stand for."""
     arms = finer.arms(point.x, [run.observed.recording for run in point.runs])
     return [run.transferred_state(arm) for run, arm in zip(point.runs, arms, strict=True)]
-
-
-def _predicted(run: Run) -> Array:
-    return run.observed.predicted(run.arm, run.trajectory)
 
 
 def _chi2(run: Run, predicted: Array) -> float:

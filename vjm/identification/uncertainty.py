@@ -346,7 +346,7 @@ def _simulated(run: Run, kind: ErrorKind, rng: np.random.Generator) -> Observati
     errors = rng.standard_normal(observed.count) if kind == "noise" else _block_errors(run, rng)
     if observed.motion_errors is not None:
         errors = errors + observed.motion_errors @ rng.standard_normal(observed.motion_errors.shape[1])
-    return replace(observed, values=observed.predicted(run.arm, run.trajectory) + errors / observed.weights)
+    return replace(observed, values=run.predicted + errors / observed.weights)
 
 
 def _block_errors(run: Run, rng: np.random.Generator) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
@@ -114,6 +115,11 @@ class Run:
         return self.arm.chain
 
     @cached_property
+    def predicted(self) -> Array:
+        """(N,) what the sensors would show [m, rad]."""
+        return self.observed.predicted(self.arm, self.trajectory)
+
+    @cached_property
     def residual(self) -> Array:
         """(N,) measured less simulated, weighted and whitened."""
         return self._whiten_timing(self.observed.residual(self.arm, self.trajectory))
@@ -203,7 +209,7 @@ class Run:
         return locked_modes(arm.chain, driven.payload, driven.gravity, driven.initial_theta)
 
     def linearization(
-        self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Trajectory] | None = None
+        self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Array] | None = None
     ) -> VariationalLinearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
         smooth = [perturbation._replace(arm=perturbation.arm.smooth) for perturbation in perturbed]
@@ -379,9 +385,9 @@ def linearize(
     sticking = [k for k, run in enumerate(runs) if exact and run.arm.has_dry_friction]
     by_simulation = _linearize_by_simulation([runs[k] for k in sticking], [perturbed[k] for k in sticking])
     others = [k for k in range(len(runs)) if k not in sticking]
-    simulated = _simulate_perturbed([runs[k] for k in others], [perturbed[k] for k in others])
+    simulated = _slopes_by_simulated_arms([runs[k] for k in others], [perturbed[k] for k in others])
     by_variation = with_coefficients(
-        [runs[k].linearization(perturbed[k], paths) for k, paths in zip(others, simulated, strict=True)]
+        [runs[k].linearization(perturbed[k], slopes) for k, slopes in zip(others, simulated, strict=True)]
     )
     for k in range(len(runs)):
         if k in sticking:
@@ -393,64 +399,72 @@ def linearize(
 def _linearize_by_simulation(
     runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
 ) -> Iterator[SimulatedLinearization]:
-    """Yield runs' linearizations by simulations with each unknown changed a little, several at once."""
+    """Yield runs' linearizations by simulations with each unknown changed a little, several runs at once."""
     batch: list[int] = []
+    copies = 0
     for k, run in enumerate(runs):
         batch.append(k)
-        copies = sum(2 * runs[j].basis.slow_count + len(perturbed[j]) for j in batch)
-        alike = k + 1 < len(runs) and np.isclose(runs[k + 1].trajectory.step, run.trajectory.step, rtol=1e-9)
-        if not alike or copies > _MOST_COPIES:
-            yield from _changed_a_little([runs[j] for j in batch], [perturbed[j] for j in batch])
-            batch = []
+        copies += 2 * run.basis.slow_count + len(perturbed[k])
+        if copies > _MOST_COPIES or k + 1 == len(runs):
+            changed = [_changed_a_little(runs[j], perturbed[j]) for j in batch]
+            slopes = iter(_simulated_slopes([change for changes in changed for change in changes]))
+            for j, changes in zip(batch, changed, strict=True):
+                columns = np.stack([next(slopes) for _ in changes], axis=1)
+                yield SimulatedLinearization(runs[j].observed, perturbed[j], columns)
+            batch, copies = [], 0
 
 
-def _changed_a_little(
-    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
-) -> Iterator[SimulatedLinearization]:
-    """Yield linearizations of runs of the same step; copies of one arm are simulated together, which is faster."""
-    directions = [run.basis.states.T for run in runs]
-    scales = [DIFFERENCE_STEP / np.abs(each).max(axis=1) for each in directions]  # small at every joint
-    changes = [scale[:, None] * direction for scale, direction in zip(scales, directions, strict=True)]
-    counts = [len(change) for change in changes]
-    copies = [run for run, count in zip(runs, counts, strict=True) for _ in range(count)]
-    starts = [run.state + change for run, run_changes in zip(runs, changes, strict=True) for change in run_changes]
-    by_state = _predictions([run.arm for run in copies], copies, starts)
-    by_arm = [
-        _predictions([moved[k].arm for moved in perturbed], runs, [run.state for run in runs])
-        for k in range(len(perturbed[0]))
+class _ChangedRun(NamedTuple):
+    """A run with another arm and initial state (2 nv,), and the step by which one of its unknowns is changed."""
+
+    run: Run
+    arm: Arm
+    state: Array
+    step: float
+
+
+def _changed_a_little(run: Run, perturbed: Sequence[PerturbedArm]) -> list[_ChangedRun]:
+    """Return a run with each slow mode's initial coordinate and rate changed in turn, then with each perturbed arm."""
+    directions = run.basis.states.T
+    steps = DIFFERENCE_STEP / np.abs(directions).max(axis=1)  # small at every joint
+    by_state = [
+        _ChangedRun(run, run.arm, run.state + step * direction, step)
+        for direction, step in zip(directions, steps.tolist(), strict=True)
     ]
-    ends = np.cumsum(counts).tolist()
-    for j, (run, moved, end) in enumerate(zip(runs, perturbed, ends, strict=True)):
-        steps = np.r_[scales[j], [step for _, step, _ in moved]]
-        changed = np.stack([*by_state[end - counts[j] : end], *(predicted[j] for predicted in by_arm)], axis=1)
-        predicted = run.observed.predicted(run.arm, run.trajectory)
-        yield SimulatedLinearization(run.observed, moved, (changed - predicted[:, None]) / steps)
+    return by_state + [_ChangedRun(run, arm, run.state, step) for arm, step, _ in perturbed]
 
 
-def _predictions(arms: Sequence[Arm], runs: Sequence[Run], states: Sequence[Array]) -> list[Array]:
-    """Return what sensors would show (N,) of runs with other arms and initial states, all of the same step."""
-    observed = [run.observed for run in runs]
-    paths = _trajectories(arms, observed, states, runs[0].trajectory.step, 2.0)
-    return [values.predicted(arm, path) for values, arm, path in zip(observed, arms, paths, strict=True)]
-
-
-def _simulate_perturbed(
+def _slopes_by_simulated_arms(
     runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
-) -> list[dict[int, Trajectory]]:
-    """Simulate those perturbed arms that are to be, from each run's initial state and with its step; by index."""
-    by_step: dict[float, list[tuple[int, int]]] = {}
-    for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True)):
-        for k, (arm, _, simulated) in enumerate(arms):
-            if simulated and arm.effects != run.arm.effects:  # else it is held, or absent from the recording
-                by_step.setdefault(round(float(np.log(run.trajectory.step)), 9), []).append((j, k))
-    paths: list[dict[int, Trajectory]] = [{} for _ in runs]
-    for pairs in by_step.values():
-        chosen, moved = [runs[j] for j, _ in pairs], [perturbed[j][k].arm for j, k in pairs]
-        observed, states = [run.observed for run in chosen], [run.state for run in chosen]
-        found = _trajectories(moved, observed, states, chosen[0].trajectory.step, 2.0)
-        for (j, k), path in zip(pairs, found, strict=True):
-            paths[j][k] = path
-    return paths
+) -> list[dict[int, Array]]:
+    """Return derivatives (N,) of runs' predictions by those perturbed arms that are to be simulated, by index."""
+    chosen = [
+        (j, k)
+        for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True))
+        for k, (arm, _, simulated) in enumerate(arms)
+        if simulated and arm.effects != run.arm.effects  # else it is held, or absent from the recording
+    ]
+    changed = [_ChangedRun(runs[j], perturbed[j][k].arm, runs[j].state, perturbed[j][k].step) for j, k in chosen]
+    slopes: list[dict[int, Array]] = [{} for _ in runs]
+    for (j, k), column in zip(chosen, _simulated_slopes(changed), strict=True):
+        slopes[j][k] = column
+    return slopes
+
+
+def _simulated_slopes(changed: Sequence[_ChangedRun]) -> list[Array]:
+    """Return derivatives (N,) of predictions, not weighted, by simulations; those of one arm and step in one batch."""
+    batches: dict[tuple[int, float], list[int]] = {}
+    for k, (run, arm, _, _) in enumerate(changed):
+        batches.setdefault((id(arm.chain), round(float(np.log(run.trajectory.step)), 9)), []).append(k)
+    slopes: dict[int, Array] = {}
+    for batch in batches.values():
+        arms, observed = [changed[k].arm for k in batch], [changed[k].run.observed for k in batch]
+        step = changed[batch[0]].run.trajectory.step
+        paths = _trajectories(arms, observed, [changed[k].state for k in batch], step, 2.0)
+        for k, arm, path in zip(batch, arms, paths, strict=True):
+            run = changed[k].run
+            slopes[k] = (run.observed.predicted(arm, path) - run.predicted) / changed[k].step
+    return [slopes[k] for k in range(len(changed))]
 
 
 def linearize_by_states(runs: Sequence[Run]) -> None:

@@ -56,7 +56,7 @@ class VariationalLinearization:
         trajectory: the motion linearised about; its number of steps is a multiple of two strides.
         stride: integrator steps in half an interval.
         trajectories: the motion for each of the perturbed arms, with joints that only it has.
-        simulated: the motion of those of the perturbed arms that are simulated, by index.
+        simulated: (N,) derivatives of the predictions by those of the perturbed arms that were simulated, by index.
         coefficients: those of the variational equations along the whole trajectory; None: not computed yet.
     """
 
@@ -67,7 +67,7 @@ class VariationalLinearization:
     trajectory: Trajectory
     stride: int
     trajectories: tuple[Trajectory, ...]
-    simulated: Mapping[int, Trajectory]
+    simulated: Mapping[int, Array]
     coefficients: Coefficients | None = None
 
     @classmethod
@@ -79,7 +79,7 @@ class VariationalLinearization:
         perturbed: Sequence[PerturbedArm],
         trajectory: Trajectory,
         stride: int,
-        simulated: Mapping[int, Trajectory],
+        simulated: Mapping[int, Array],
     ) -> Self:
         """Linearize a motion; arguments as the attributes."""
         moved = tuple(with_added_joints(trajectory, arm.chain, other_arm, observed) for other_arm, *_ in perturbed)
@@ -108,6 +108,8 @@ class VariationalLinearization:
                 [flat[observed.marker_indices[markers] - camera.start * by_markers.shape[1]], by_angles]
             )
             measured = np.r_[markers, angles]
+            for k, column in self.simulated.items():
+                slopes[:, slopes.shape[1] - len(self.perturbed) + k] = column[measured]
             yield measured, observed.weights[measured, None] * slopes
             first = last
 
@@ -188,12 +190,10 @@ class VariationalLinearization:
             # Markers are measured at the same places unless sensors, joints or curves differ.
             chain, path = self.arm.chain, self.trajectories[k - first]
             unchanged = chain.size == arm.chain.size and have_equal_links(chain, arm.chain, _OF_CURVES)
-            simulated = self.simulated.get(k - first)
-            if self.arm.sensors != arm.sensors or not unchanged or simulated:
+            if self.arm.sensors != arm.sensors or not unchanged:
                 base = arcs.measured_positions(self.arm, q, elapsed) if base is None else base
-                changed = arcs.positions_in_frames(arm, simulated or path, stamps)
-                change = ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
-                slopes[:, :, k] = change if simulated else slopes[:, :, k] + change
+                changed = arcs.positions_in_frames(arm, path, stamps)
+                slopes[:, :, k] += ((changed - base) / step).reshape(len(base), 2 * base.shape[1])
         return slopes
 
     def _encoder_jacobian(self, part: Trajectory, angles: slice) -> Array:
@@ -210,12 +210,9 @@ class VariationalLinearization:
         simulated = self.trajectory.angles(observed.recording.time)[:, active]
         first = slopes.shape[1] - len(self.perturbed)
         for k, (arm, step, _) in enumerate(self.perturbed, start=first):
-            path = self.simulated.get(k - first)
-            if path or arm.sensors != self.arm.sensors:
-                moved = path.angles(observed.recording.time)[:, active] if path else simulated
-                change = arm.encoder_angles(moved) - self.arm.encoder_angles(simulated)
-                change = change.ravel()[observed.angle_indices[rows]] / step
-                slopes[:, k] = change if path else slopes[:, k] + change
+            if arm.sensors != self.arm.sensors:
+                change = arm.encoder_angles(simulated) - self.arm.encoder_angles(simulated)
+                slopes[:, k] += change.ravel()[observed.angle_indices[rows]] / step
         return slopes
 
 
