@@ -39,7 +39,8 @@ from vjm.effects import (
 from vjm.model.modes import linearise, modes, modes_of
 from vjm.records import Recording, Rig
 from vjm.simulation.arm import Arm
-from vjm.simulation.integrate import _stopped, simulate_trajectories
+from vjm.simulation.integrate import simulate_trajectories
+from vjm.simulation.stick_slip import under_friction
 
 HUB = chain_of(LINK)
 # What has internal states may give back what it took: the contract follows it over a motion.
@@ -196,7 +197,7 @@ def test_a_joint_stops_at_once_and_starts_if_pushed_harder(
 
     def stopped(rate: float, duration: float) -> float:
         with np.errstate(all="ignore"):
-            return float(_stopped(*np.array([[rate], [push], [braking]]), duration)[0])
+            return float(under_friction(*np.array([[rate], [push], [braking]]), duration).after[0])
 
     end = stopped(rate, duration)
     assert stopped(stopped(rate, duration / 2), duration / 2) == pytest.approx(end, abs=1e-12)

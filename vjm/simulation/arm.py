@@ -212,10 +212,20 @@ class Arm:
 
     @cached_property
     def smooth(self) -> Arm:
-        """The arm of which derivatives are taken: what sticks or touches does so gradually."""
+        """The arm with what sticks or touches setting in gradually."""
+        return self._smoothed(lambda effect: True)
+
+    @cached_property
+    def smooth_in_contact(self) -> Arm:
+        """The arm with what touches setting in gradually, and dry friction as it is."""
+        return self._smoothed(lambda effect: effect.dry_friction(self.chain) is None)
+
+    def _smoothed(self, chosen: Callable[[Effect], bool]) -> Arm:
         if not is_nonsmooth(self.effects):
             return self
-        return Arm(self.chain, tuple(replace(effect, smooth=True) for effect in self.effects))
+        return Arm(
+            self.chain, tuple(replace(effect, smooth=True) if chosen(effect) else effect for effect in self.effects)
+        )
 
     @cached_property
     def _state_rates(self) -> list[tuple[StateFunction, slice]]:

@@ -7,6 +7,7 @@ torque, by a fourth-order exponential Runge-Kutta method.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ from vjm.errors import InsufficientDataError, ShapeError, SimulationDivergedErro
 from vjm.model.modes import locked_modes
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
+from vjm.simulation.stick_slip import FrictionHistory, under_friction
 from vjm.simulation.system import Drive, System, Trajectory
 
 _LEAST_STEPS = 20  # of a short recording
@@ -86,7 +88,9 @@ def simulate_trajectories(
             batch = _integrate(system, angles, rates, states, drive)
         for copy, (k, count) in enumerate(zip(group, counts, strict=True)):
             motion = (values[: count + 1, copy] for values in batch.motion)
-            trajectories[k] = Trajectory(driven[k].time[0] + batch.time[: count + 1], *motion, start=starts[k])
+            friction = None if batch.friction is None else batch.friction.of_copy(copy, count)
+            time = driven[k].time[0] + batch.time[: count + 1]
+            trajectories[k] = Trajectory(time, *motion, start=starts[k], friction=friction)
     return [trajectories[k] for k in range(len(arms))]
 
 
@@ -250,7 +254,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         torque[:, active] += friction.torque
     a, _ = accelerate(count, x, z, springs, torque)
     record(count, x[:, :n], x[:, n:], a, z)
-    return path
+    return path if friction is None else replace(path, friction=FrictionHistory.of(friction.halves))
 
 
 def _require_finite(q: Array, steps: range, drive: Drive) -> None:
@@ -305,11 +309,13 @@ class _StickSlip:
 
     Attributes:
         torque: (C, n_a) over the second half of the last step [N m].
+        halves: what has happened in each half step so far.
     """
 
     def __init__(self, system: System, step: float) -> None:
         self.system, self.step = system, step
         self.torque = np.zeros((len(system.arms), system.active.size))
+        self.halves: list[FrictionHistory] = []
         self._free: Array | None = None  # (C, n_a) accelerations without friction at the last step's start [rad/s^2]
 
     def over_step(self, v: Array, a: Array, response: Array) -> tuple[Array, tuple[Array, Array, Array]]:
@@ -327,42 +333,26 @@ class _StickSlip:
         middle = v.copy()
         middle[:, active] = np.where(rate * (rate + half * accelerated) > 0, rate + half * accelerated, 0.0)
         largest = self.system.friction_torques(middle)[:, active]
-        first, rate = self._over_half(rate, free + change, largest, mobility, half)
-        self.torque, _ = self._over_half(rate, free + 3 * change, largest, mobility, half)
+        first = self._over_half(rate, free + change, largest, mobility)
+        self.torque = self._over_half(self.halves[-1].after, free + 3 * change, largest, mobility)
         mean, lean = (first + self.torque) / 2, 0.75 * (self.torque - first)
         return first, (mean - lean, mean, mean + lean)
 
-    def _over_half(
-        self, rate: Array, push: Array, largest: Array, mobility: Array, duration: float
-    ) -> tuple[Array, Array]:
-        """Return mean friction torques (C, n_a), and the rates at the end, from rates and pushes (C, n_a)."""
+    def _over_half(self, rate: Array, push: Array, largest: Array, mobility: Array) -> Array:
+        """Return mean friction torques (C, n_a), from rates and pushes (C, n_a), and note what happens."""
+        duration = self.step / 2
         if rate.shape[1] == 1:
-            braking = largest * mobility[:, 0]
-            end = _stopped(rate, push, braking, duration)
-            return ((end - rate) / duration - push) / mobility[:, 0], end
-        torque, end = self.torque.copy(), rate.copy()
+            half = under_friction(rate, push, largest * mobility[:, 0], duration)
+            self.halves.append(half)
+            return np.asarray(((half.after - rate) / duration - push) / mobility[:, 0])
+        torque, joints = self.torque.copy(), list[FrictionHistory]()
         for j in range(rate.shape[1]):  # each under the latest friction of the others
             own = mobility[:, j, j]
             pushed = push[:, j] + _multiply(torque, mobility)[:, j] - own * torque[:, j]
-            end[:, j] = _stopped(rate[:, j], pushed, own * largest[:, j], duration)
-            torque[:, j] = ((end[:, j] - rate[:, j]) / duration - pushed) / own
-        return torque, end
-
-
-def _stopped(rate: Array, push: Array, braking: Array, duration: float) -> Array:
-    """Return the rates [rad/s] of joints after a duration [s].
-
-    Args:
-        rate: before.
-        push: accelerations by all but friction [rad/s^2].
-        braking: the friction's, against the motion; as large a push it withstands at rest.
-        duration: [s].
-    """
-    slipping = push - np.sign(rate) * braking
-    until = -rate / slipping
-    started = push - np.maximum(np.minimum(push, braking), -braking)
-    stops = (until >= 0.0) & (until < duration)
-    return np.where(stops, started * (duration - until), rate + slipping * duration)
+            joints.append(under_friction(rate[:, j], pushed, own * largest[:, j], duration))
+            torque[:, j] = ((joints[-1].after - rate[:, j]) / duration - pushed) / own
+        self.halves.append(FrictionHistory(*(np.stack(values, axis=1) for values in zip(*joints, strict=True))))
+        return torque
 
 
 class _LinearPropagator:

@@ -212,8 +212,13 @@ class Run:
         self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Array] | None = None
     ) -> VariationalLinearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
-        smooth = [perturbation._replace(arm=perturbation.arm.smooth) for perturbation in perturbed]
-        arm, trajectory = self.arm.smooth, self.trajectory
+        # Where the arm sticks, it is known when: dry friction needs not be gradual.
+        arm, *others = (
+            each.smooth_in_contact if self.arm.has_dry_friction else each.smooth
+            for each in (self.arm, *(perturbation.arm for perturbation in perturbed))
+        )
+        smooth = [perturbation._replace(arm=other) for perturbation, other in zip(perturbed, others, strict=True)]
+        trajectory = self.trajectory
         return VariationalLinearization.of(
             self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {}
         )

@@ -129,15 +129,17 @@ class VariationalLinearization:
         for first in range(0, rows.size - 1, chunk_size):
             part = rows[first : first + chunk_size + 1]
             coefficients = self.coefficients or self._coefficients_along(part)
-            flow, forced = propagators(coefficients, 2 * self.stride * trajectory.step)
-            states = np.empty((len(flow) + 1, 2 * size + nz, count))
+            friction = None if coefficients.friction is None else trajectory.friction
+            pieces = None if friction is None else friction.pieces(2 * part[::2])
+            flow, forced = propagators(coefficients, 2 * self.stride * trajectory.step, pieces)
+            states = np.empty((len(part) // 2 + 1, 2 * size + nz, count))
             states[0] = state
-            for k in range(len(flow)):
+            ends = np.arange(1, len(states)) if pieces is None else pieces.interval + 1
+            for k, end in enumerate(ends.tolist()):
                 state = flow[k] @ state
                 state[:, 2 * slow_count :] += forced[k]
-                states[k + 1] = state
-            a = coefficients.by_state[::2, :size] @ states
-            a[:, :, 2 * slow_count :] += coefficients.accelerations[::2]
+                states[end] = state  # of the last of its pieces
+            a = coefficients.accelerations(states, pieces)
             columns = (states[:, :size], states[:, size : 2 * size], a, states[:, 2 * size :])
             copies = (np.ascontiguousarray(np.swapaxes(column, 1, 2)) for column in columns)
             yield Trajectory(trajectory.time[part[::2]], *copies)

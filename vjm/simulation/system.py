@@ -17,6 +17,7 @@ from vjm.errors import InsufficientDataError
 from vjm.model.dynamics import Mechanism, mechanism_of
 from vjm.records import Array, Indices, Recording
 from vjm.simulation.arm import Arm
+from vjm.simulation.stick_slip import FrictionHistory
 
 
 @dataclass(frozen=True)
@@ -267,6 +268,7 @@ class Trajectory:
         q, v, a: (S + 1, ..., nv) angles [rad], rates [rad/s] and accelerations [rad/s^2]; copies are in the middle.
         z: (S + 1, ..., nz) internal states of the effects.
         start: instant at which the recording began, from which effects count time [s]; None: the first.
+        friction: what dry friction has done to the active joints; None without any.
     """
 
     time: Array
@@ -276,6 +278,7 @@ class Trajectory:
     z: Array
     _: KW_ONLY
     start: float | None = None
+    friction: FrictionHistory | None = None
 
     @property
     def began(self) -> float:

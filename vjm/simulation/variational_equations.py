@@ -17,10 +17,11 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import is_nonsmooth
 from vjm.model.dynamics import mechanism_of
 from vjm.model.modes import linearise
-from vjm.records import Array, Indices, Recording
+from vjm.records import Array, Indices, Mask, Recording
 from vjm.simulation.arm import Arm
 from vjm.simulation.integrate import flow_and_response, locked_joint_frequencies
 from vjm.simulation.measurement import DIFFERENCE_STEP, Observations
+from vjm.simulation.stick_slip import Pieces
 from vjm.simulation.system import Trajectory, torque_at
 
 # Modes whose phase changes by less in an interval are slow [rad]; derivatives, which are interpolated inside it, are
@@ -183,17 +184,25 @@ class _InertialForcing(NamedTuple):
         """Return the forcing at some of its instants."""
         return self._replace(inertia=self.inertia[part], q=self.q[part], v=self.v[part], a=self.a[part])
 
-    def carried(self, first: slice, part: slice, elapsed: float, by: Array) -> Array:
-        """Return modal coordinates and rates (K, 2 m) that its accelerations make since the first instants [s].
+    def sampled(self, pieces: Pieces | None) -> list[Self]:
+        """Return the forcing at the beginning, the middle and the end of pieces of intervals of three instants."""
+        fields = zip(*(_sampled(values, pieces) for values in (self.inertia, self.q, self.v, self.a)), strict=True)
+        return [type(self)(self.column, *values) for values in fields]
 
-        Args:
-            first: K instants at which intervals begin.
-            part: K later ones.
-            elapsed: time between them [s].
-            by: (K, m, r) inertia.
-        """
-        q = self.q[part] - self.q[first] - elapsed * self.v[first]
-        return np.concatenate([_times(by, q), _times(by, self.v[part] - self.v[first])], axis=1)
+
+def _carried(by: Array, first: _InertialForcing, later: _InertialForcing, elapsed: Array) -> Array:
+    """Return modal coordinates and rates (P, 2 m) that accelerations of inertia (P, m, r) make in times (P,) [s]."""
+    q = later.q - first.q - elapsed[:, None] * first.v
+    return np.concatenate([_times(by, q), _times(by, later.v - first.v)], axis=1)
+
+
+def _sampled(values: Array, pieces: Pieces | None) -> tuple[Array, Array, Array]:
+    """Return values (I, ...) at the beginning, the middle and the end of intervals, or of pieces of these."""
+    return (values[:-2:2], values[1:-1:2], values[2::2]) if pieces is None else pieces.sampled(values)
+
+
+def _product(matrices: Array, values: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    return matrices @ values[0], matrices @ values[1], matrices @ values[2]
 
 
 def _times(matrices: Array, vectors: Array) -> Array:
@@ -204,22 +213,59 @@ def _times(matrices: Array, vectors: Array) -> Array:
 class Coefficients(NamedTuple):
     """Coefficients of the variational equations along a motion of I instants.
 
-    They are derivatives of m modal accelerations and nz internal states' rates. Those by the parameters do not include
-    inertial forcing.
+    They are derivatives of m modal accelerations and nz internal states' rates. Those by the parameters include neither
+    inertial forcing nor dry friction.
     """
 
     by_state: Array  # (I, m + nz, 2 m + nz), by modal coordinates, rates and internal states
     by_parameters: Array  # (I, m + nz, p)
     inertial: tuple[_InertialForcing, ...]
+    friction: DryFrictionCoefficients | None
 
-    @property
-    def accelerations(self) -> Array:
-        """(I, m, p) accelerations by the parameters, inertial forcing included."""
+    def accelerations(self, states: Array, pieces: Pieces | None) -> Array:
+        """Return the modal accelerations (K + 1, m, c) between intervals.
+
+        Args:
+            states: (K + 1, 2 m + nz, c) derivatives of modal coordinates, rates and internal states by c unknowns, the
+                last p of which are the parameters.
+            pieces: of the intervals; None where no joint sticks.
+        """
         m = self.by_state.shape[2] - self.by_state.shape[1]
-        total = self.by_parameters[:, :m].copy()
+        forced = self.by_parameters[::2, :m].copy()
         for forcing in self.inertial:
-            total[:, :, forcing.column] -= _times(forcing.inertia, forcing.a)
-        return total
+            forced[:, :, forcing.column] -= _times(forcing.inertia[::2], forcing.a[::2])
+        total: Array = self.by_state[::2, :m] @ states
+        if self.friction is None or pieces is None:
+            total[:, :, total.shape[2] - forced.shape[2] :] += forced
+            return total
+        now = pieces.at_edges
+        forced += np.einsum("kj,kjmp->kmp", pieces.direction[now], self.friction.by_parameters[::2])
+        total[:, :, total.shape[2] - forced.shape[2] :] += forced
+        return self.friction.at(slice(None, None, 2)).locked(pieces.held[now]) @ total
+
+
+class DryFrictionCoefficients(NamedTuple):
+    """What dry friction of n_a active joints makes of the variational equations along a motion of I instants."""
+
+    rates: Array  # (n_a, m) the joints' rates by modal rates
+    response: Array  # (I, m, n_a) modal accelerations by torques on the joints
+    by_parameters: Array  # (I, n_a, m, p) modal accelerations by the parameters where the joint turns forwards
+
+    def at(self, instants: slice | Indices) -> Self:
+        """Return the coefficients at some of the instants."""
+        return self._replace(response=self.response[instants], by_parameters=self.by_parameters[instants])
+
+    def locked(self, held: Mask) -> Array:
+        """Return projections (P, m, m) of modal accelerations: what torques leave that hold joints (P, n_a)."""
+        both = held[:, :, None] & held[:, None, :]
+        mobility = np.where(both, self.rates @ self.response, np.eye(held.shape[1]))
+        torques = np.linalg.solve(mobility, held[:, :, None] * self.rates)
+        return np.asarray(np.eye(self.rates.shape[1]) - self.response @ torques)
+
+    def stopped(self, held: Mask, lost: Array) -> Array:
+        """Return what becomes (P, m, m) of modal rates where joints lose shares (P, n_a) of a change of theirs."""
+        share = lost.max(axis=1)[:, None, None]
+        return np.asarray((1 - share) * np.eye(self.rates.shape[1]) + share * self.locked(held | (lost > 0)))
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
@@ -263,10 +309,16 @@ def coefficients_along(
                 forces[:, :, column] += (equations.further_torque(varied) - further_torque) / step
             if nz:
                 rates[:, :, column] = (equations.state_rates(varied) - state_rates) / step
+    active, dry = chain.active, arm.has_dry_friction
+    if dry:  # its slope by the rate is the same in either direction
+        faster = motion._replace(v=motion.v + DIFFERENCE_STEP * np.sign(motion.v))
+        slope = (arm.friction_torques(faster.v) - arm.friction_torques(motion.v))[:, active] / DIFFERENCE_STEP
+        forces[:, active, m : 2 * m] += slope[:, :, None] * shapes[:, active]
     for k, step_z in enumerate(DIFFERENCE_STEP * np.eye(nz)):
         varied = motion._replace(z=motion.z + step_z)
         forces[:, :, 2 * m + k] = (equations.further_torque(varied) - further_torque) / DIFFERENCE_STEP
         rates[:, :, 2 * m + k] = (equations.state_rates(varied) - state_rates) / DIFFERENCE_STEP
+    friction_changes = np.zeros((len(motion.q), active.size, len(perturbed)))
     forcing: list[tuple[int, Array, Motions, Indices]] = []  # parameter, torques (I, nv, r) by accelerations, of joints
     # A motion that is given is kept up by a heavy armature: its inertia and its torque cancel where they are sampled
     # at the same instants only.
@@ -279,6 +331,11 @@ def coefficients_along(
         separate = indices if changed else added
         held = varied._replace(a=np.where(np.isin(indices, separate), 0.0, varied.a))
         nominal = (at_rest if changed else inertial, further_torque, state_rates)
+        if dry:
+            torques = moved.arm.friction_torques(varied.v)[:, np.delete(indices, added)] - arm.friction_torques(
+                motion.v
+            )
+            friction_changes[:, :, k] = torques[:, active] / moved.step
         change = _parameter_derivatives(equations, moved, held, nominal)
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
         if separate.size:
@@ -295,14 +352,30 @@ def coefficients_along(
         by_acceleration = np.asarray(np.linalg.solve(modal, transposed @ by_unit), dtype=float)
         accelerating = (values[:, joints] for values in (path.q, path.v, path.a))
         inertial_forcing.append(_InertialForcing(k, by_acceleration, *accelerating))
+    friction = (
+        [None] * len(bases)
+        if not dry
+        else [
+            _dry_friction(basis.shapes[active], modal[part], friction_changes[part])
+            for basis, part in zip(bases, motion.parts, strict=True)
+        ]
+    )
     return [
         Coefficients(
             lower[part, :, : 2 * m + nz],
             lower[part, :, 2 * m + nz :],
             tuple(term.during(part) for term in inertial_forcing),
+            of_joints,
         )
-        for part in motion.parts
+        for part, of_joints in zip(motion.parts, friction, strict=True)
     ]
+
+
+def _dry_friction(rates: Array, modal: Array, changes: Array) -> DryFrictionCoefficients:
+    """Return dry friction's coefficients from changes (I, n_a, p) of its torques by the parameters."""
+    response = np.asarray(np.linalg.solve(modal, np.broadcast_to(rates.T, (len(modal), *rates.T.shape))))
+    by_parameters = -np.swapaxes(response, 1, 2)[:, :, :, None] * changes[:, :, None, :]
+    return DryFrictionCoefficients(rates, response, by_parameters)
 
 
 def _parameter_derivatives(
@@ -392,32 +465,58 @@ def have_equal_links(chain: Chain, other: Chain, fields: Sequence[str]) -> bool:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def propagators(coefficients: Coefficients, interval: float) -> tuple[Array, Array]:
-    """Return transition matrices (K, d, d) of K intervals of three instants each, and the forcing's part (K, d, p).
+def propagators(coefficients: Coefficients, interval: float, pieces: Pieces | None = None) -> tuple[Array, Array]:
+    """Return transition matrices (P, d, d) of intervals of three instants each, and the forcing's part (P, d, p).
 
     An interval's matrix is its mean by Simpson's rule, its forcing the quadratic through the three instants. Inertial
     forcing follows accelerations that may have kinks, jumps or peaks, and cannot be interpolated. The unknowns of an
     interval are therefore the arm's motion and what these accelerations make of it since its beginning, at the inertia
     in its middle: in the sum, only changes of that inertia remain beside the accelerations.
+
+    Where joints stick, intervals are in pieces. A joint that is held takes no part in the motion. A small change of its
+    rate ends where it stops; where it turns round, the share of the acceleration that friction had been adding is lost.
+
+    Args:
+        coefficients: along the intervals.
+        interval: duration of an interval [s].
+        pieces: of the intervals, P in all; None where no joint sticks: the intervals themselves.
+
+    Source: M. di Bernardo et al., Piecewise-smooth Dynamical Systems, Springer 2008, section 2.5 (saltation matrices).
     """
-    state, forcing, inertial = coefficients
-    lower, size = state.shape[1:]
+    states, forcings = _sampled(coefficients.by_state, pieces), _sampled(coefficients.by_parameters, pieces)
+    inertial = [term.sampled(pieces) for term in coefficients.inertial]
+    count, lower, size = states[0].shape
     upper = size - lower  # modal coordinates, whose rates of change are unknowns themselves
-    L = np.zeros((len(state), size, size))
-    L[:, :upper, upper : 2 * upper] = np.eye(upper)
-    L[:, upper:] = state
-    first, middle, last = parts = [slice(k, len(L) - 2 + k, 2) for k in (0, 1, 2)]
-    F = np.zeros((3, len(L) // 2, size, forcing.shape[2]))
-    for values, part, elapsed in zip(F, parts, (0.0, interval / 2, interval), strict=True):
-        values[:, upper:] = forcing[part]
-        for term in inertial:
-            carried = term.carried(first, part, elapsed, term.inertia[middle])
-            values[:, upper:, term.column] -= _times(state[part, :, : 2 * upper], carried)
-            values[:, upper : 2 * upper, term.column] -= _times(term.inertia[part] - term.inertia[middle], term.a[part])
-    (L1, L2, L3), (F1, F2, F3) = (L[part] for part in parts), F
-    quadratic = F1, 4 * F2 - 3 * F1 - F3, 4 * (F1 - 2 * F2 + F3)
-    flow, response = flow_and_response((L1 + 4 * L2 + L3) / 6, interval, upper, quadratic)
+    shares = np.ones(count)
+    friction = coefficients.friction
+    if friction is not None and pieces is not None:
+        shares = pieces.end - pieces.start
+        friction = friction.at(slice(1, None, 2)).at(pieces.interval)
+        moving = np.zeros((count, lower, lower))
+        moving[:] = np.eye(lower)
+        moving[:, :upper, :upper] = friction.locked(pieces.held)
+        braked = np.einsum("kj,kjmp->kmp", pieces.direction, friction.by_parameters)
+        for values in forcings:
+            values[:, :upper] += braked
+        states, forcings = _product(moving, states), _product(moving, forcings)
+        by_joints = moving[:, :upper, :upper]
+        inertial = [[term._replace(inertia=by_joints @ term.inertia) for term in terms] for terms in inertial]
+    elapsed = [share * interval * shares for share in (0.0, 0.5, 1.0)]
+    L, F = np.zeros((3, count, size, size)), np.zeros((3, count, size, forcings[0].shape[2]))
+    L[:, :, :upper, upper : 2 * upper] = np.eye(upper)
+    for k in range(3):
+        L[k, :, upper:], F[k, :, upper:] = states[k], forcings[k]
+        for terms in inertial:
+            first, middle, now = terms[0], terms[1], terms[k]
+            carried = _carried(middle.inertia, first, now, elapsed[k])
+            F[k, :, upper:, now.column] -= _times(states[k][:, :, : 2 * upper], carried)
+            F[k, :, upper : 2 * upper, now.column] -= _times(now.inertia - middle.inertia, now.a)
+    L, F = L * shares[:, None, None], F * shares[:, None, None]
+    quadratic = F[0], 4 * F[1] - 3 * F[0] - F[2], 4 * (F[0] - 2 * F[1] + F[2])
+    flow, response = flow_and_response((L[0] + 4 * L[1] + L[2]) / 6, interval, upper, quadratic)
     forced = interval * response
-    for term in inertial:
-        forced[:, : 2 * upper, term.column] -= term.carried(first, last, interval, term.inertia[middle])
+    for first, middle, last in inertial:
+        forced[:, : 2 * upper, last.column] -= _carried(middle.inertia, first, last, elapsed[2])
+    if friction is not None and pieces is not None and pieces.lost.any():
+        flow[:, :, upper : 2 * upper] = flow[:, :, upper : 2 * upper] @ friction.stopped(pieces.held, pieces.lost)
     return flow, forced
