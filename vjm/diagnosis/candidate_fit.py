@@ -132,7 +132,7 @@ def refit(
     known = {effect.key for effect in start.effects}
     for share in (1.0, 0.5, 0.25, 0.125):  # a linear estimate may be too large to be simulated
         sized = [effect if effect.key in known else effect.scaled(share) for effect in effects]
-        problem = replace(start.point.problem, effects=tuple(sized), exact=False)
+        problem = replace(start.point.problem, effects=tuple(sized))
         chain = start.point.x[: len(problem.parametrisation.coordinates)]
         x = np.clip(np.concatenate([chain, *(effect.coordinates for effect in sized)]), *problem.bounds)
         # Longer steps than the default have been found short enough without an added joint, which may vibrate fast.
@@ -178,23 +178,19 @@ def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None
 def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     """Continue a fit that was stopped early until it has converged, if that lowers chi^2.
 
-    One with joints that stick is continued with exact derivatives: its others led it near to a minimum only. With them
-    its discretization shift is measured, which no refit beside the error of its many stops would show. After the
-    deadline, as of `StoppingRule`, it ends where it stands.
+    Of one with joints that stick the discretization shift is then measured, which no refit beside the error of its many
+    stops would show. After the deadline, as of `StoppingRule`, it ends where it stands.
     """
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
     if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
         return fit
-    problem = replace(point.problem, exact=sticking)
     try:
-        further = fit_trajectory(problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+        further = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
     except (SimulationDivergedError, InsufficientDataError):
         return fit
     if further.chi2 < fit.chi2:
         fit = replace(further, shift=fit.shift)
-    if not sticking or monotonic() > deadline:
-        return fit
-    shift = parameter_shift(replace(fit.point, problem=problem), rig)
+    shift = parameter_shift(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if shift is None else replace(fit, shift=shift)
 
 

@@ -23,7 +23,13 @@ from vjm.identification.parameters import NEAREST_TO_BOUND, Parametrisation, at_
 from vjm.model.modes import modes
 from vjm.records import REFERENCE, Array, Mask, Progress, Record, Recording
 from vjm.simulation.arm import Arm
-from vjm.simulation.initial_state import backtrack, fit_initial_states, refine_initial_states, simulate_from_best_states
+from vjm.simulation.initial_state import (
+    backtrack,
+    best_damped,
+    fit_initial_states,
+    refine_initial_states,
+    simulate_from_best_states,
+)
 from vjm.simulation.integrate import locked_joint_frequencies
 from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
@@ -56,7 +62,6 @@ class TrajectoryProblem(Record):
             typical ones, then shape parameters: logarithms, or linear where they may be zero.
         reference_effects: number of effects, the first ones, that act in the reference recordings too.
         simulated_held: True to hold the coordinates whose derivatives are from simulations.
-        exact: True for exact derivatives where joints stick, which lead to a minimum from nearby only (`linearize`).
     """
 
     parametrisation: Parametrisation
@@ -67,7 +72,6 @@ class TrajectoryProblem(Record):
     effects: tuple[Effect, ...] = ()
     reference_effects: int = 0
     simulated_held: bool = False
-    exact: bool = False
 
     def chain(self, x: Array) -> Chain:
         """Build the chain at coordinates x (p,), without effects."""
@@ -261,7 +265,7 @@ class Point(Record):
         moved = self.problem.perturbed_arms(self.x)
         return tuple(
             run.linearized(linearization)
-            for run, linearization in zip(self.runs, linearize(self.runs, moved, self.problem.exact), strict=True)
+            for run, linearization in zip(self.runs, linearize(self.runs, moved), strict=True)
         )
 
     def reduced(self, damping: float = 0.0) -> tuple[SquareRootInformation, tuple[SquareRootInformation, ...]]:
@@ -540,20 +544,28 @@ def _with_refined_states(point: Point, step: _TrajectoryStep, trial: Point) -> P
 
     The linear model is often wrong for the initial state of one among many segments. Damping the whole step would hold
     back the coordinates of all for its sake; instead this state alone is searched for, the coordinates being as the
-    step has them (variable projection: Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). With stick-slip
-    or play, which begin and end at other instants after the step, the search first backtracks towards the state before.
+    step has them (variable projection: Golub and Pereyra, SIAM Journal on Numerical Analysis 10, 1973). Where joints
+    stick, the state's step is shortened; with play, which begins and ends at other instants after the step, the search
+    backtracks towards the state before.
     """
     multiple, predicted = point.problem.step_multiple, step.predicted_decreases
-    nonsmooth = [k for k in _falling_short(point, step, trial) if is_nonsmooth(trial.runs[k].arm.effects)]
-    runs = backtrack([trial.runs[k] for k in nonsmooth], [step.own_changes[k] for k in nonsmooth], multiple)
-    trial = _with_runs(trial, nonsmooth, runs)
+    short = _falling_short(point, step, trial)
+    sticking = [k for k in short if trial.runs[k].arm.has_dry_friction]
+    linearized = [point.linearizations[k] for k in sticking]
+    trials, before = ([each.runs[k] for k in sticking] for each in (trial, point))
+    trial = _with_runs(trial, sticking, best_damped(trials, before, linearized, step.change, multiple))
+    playing = [k for k in short if is_nonsmooth(trial.runs[k].arm.effects) and k not in sticking]
+    runs = backtrack([trial.runs[k] for k in playing], [step.own_changes[k] for k in playing], multiple)
+    trial = _with_runs(trial, playing, runs)
     if point.cost - trial.cost >= step.predicted / 2:
         return trial
     # By a standard error of the state or more, where derivatives lead to the minimum.
     poor = [
         k
         for k in _falling_short(point, step, trial)
-        if predicted[k] - (point.runs[k].cost - trial.runs[k].cost) > 1.0 and is_followed([point.runs[k]])
+        if predicted[k] - (point.runs[k].cost - trial.runs[k].cost) > 1.0
+        and is_followed([point.runs[k]])
+        and k not in sticking
     ]
     # Where most fall short, the coordinates' step is wrong; but play's impacts upset the states of all recordings.
     if 2 * len(poor) > len(trial.runs) and not is_nonsmooth(point.problem.effects):

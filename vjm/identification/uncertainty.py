@@ -130,7 +130,7 @@ def trajectory_information(fit: TrajectoryFit, noise_known: bool) -> tuple[Infor
         return Information(normal, uncorrelated, point.held), whiteness
     sandwich, perturbed = np.zeros((count, count)), point.problem.perturbed_arms(point.x)
     for run, linearized, by_parameters in zip(
-        point.runs, point.linearizations, linearize(point.runs, perturbed, point.problem.exact), strict=True
+        point.runs, point.linearizations, linearize(point.runs, perturbed), strict=True
     ):
         scores = run.scores(by_parameters, linearized)
         frames = run.observed.frames  # summed from one camera frame to the next: an even rate

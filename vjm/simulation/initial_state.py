@@ -12,7 +12,7 @@ from vjm.effects.effect import is_nonsmooth
 from vjm.errors import SimulationDivergedError
 from vjm.records import Array
 from vjm.simulation.arm import Arm
-from vjm.simulation.least_squares import LevenbergMarquardt, Status, Step, minimise
+from vjm.simulation.least_squares import LevenbergMarquardt, SquareRootInformation, Status, Step, minimise
 from vjm.simulation.measurement import Observations
 from vjm.simulation.run import InitialStatePrior, Run, earlier_runs, linearize_by_states, simulate_runs, state_at
 from vjm.simulation.system import Trajectory
@@ -23,6 +23,9 @@ _COARSE_STEP_MULTIPLE = 4.0
 MOST_TRIALS = 20  # simulations of a search for an initial state that starts anywhere
 FEW_TRIALS = 4  # simulations by which a state comes near the most likely one, if it starts from near there
 _FEW_STEPS = 3  # a search that starts near its minimum arrives in so many, or shows that it hardly gains
+# Levenberg-Marquardt dampings that are tried together where joints stick, a factor of ten apart: from one that shortens
+# no more than what is hardly measured to one that shortens all.
+_DAMPINGS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 _RELATIVE_TOLERANCE = 1e-4  # relative decrease of chi^2 below which the search ends
 
 
@@ -99,6 +102,43 @@ def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: floa
     trials = _simulate_again([run for run in runs for _ in shares], states, step_multiple)
     groups = zip(runs, trials[0::2], trials[1::2], strict=True)
     return [min(group, key=lambda run: run.cost) for group in groups]
+
+
+def best_damped(
+    trials: Sequence[Run],
+    runs: Sequence[Run],
+    linearized: Sequence[SquareRootInformation],
+    change: Array,
+    step_multiple: float,
+) -> list[Run]:
+    """Return for each recording the best of a trial and of simulations from states to which damped steps lead.
+
+    A long motion that sticks follows its linear model over short steps only, and what hardly shows in it makes a step
+    long. Which damping that takes differs from one recording to the next; all are tried at once, which is faster than
+    one after another.
+
+    Args:
+        trials: with the step that was not damped.
+        runs: those from which the steps are taken.
+        linearized: problems of their initial states and coordinates there.
+        change: (p,) change of the coordinates, none where the problems are of initial states alone.
+        step_multiple: multiple of the integrator's default step.
+    """
+    states = [
+        run.state + run.basis.states @ problem.damped(damping).solve(problem.columns - change.size, change)
+        for run, problem in zip(runs, linearized, strict=True)
+        for damping in _DAMPINGS
+    ]
+    if not states:
+        return []
+    count = len(_DAMPINGS)
+    try:
+        damped = _simulate_again([trial for trial in trials for _ in _DAMPINGS], states, step_multiple)
+    except SimulationDivergedError:
+        return [*trials]
+    return [
+        min([trial, *damped[k * count : (k + 1) * count]], key=lambda run: run.cost) for k, trial in enumerate(trials)
+    ]
 
 
 def refine_initial_states(
@@ -240,11 +280,20 @@ def _states_by_long_steps(
 def _trial_runs(
     searches: Sequence[LevenbergMarquardt[Run, _InitialStateStep]], step_multiple: float
 ) -> list[Run | None]:
-    """Simulate each search's proposed step; None in place of a run that diverges."""
+    """Simulate each search's proposed step, shortened where joints stick; None in place of a run that diverges."""
     try:
         runs, states = [search.point for search in searches], [search.step.state for search in searches]
-        return [*_simulate_again(runs, states, step_multiple)]
+        trials = _simulate_again(runs, states, step_multiple)
     except SimulationDivergedError:
         if len(searches) == 1:
             return [None]
         return [_trial_runs([search], step_multiple)[0] for search in searches]
+    short = [
+        k
+        for k, (search, trial) in enumerate(zip(searches, trials, strict=True))
+        if trial.arm.has_dry_friction and search.point.cost - trial.cost < search.step.predicted / 2
+    ]
+    linearized = [runs[k].linearized_by_state for k in short]
+    best = best_damped([trials[k] for k in short], [runs[k] for k in short], linearized, np.zeros(0), step_multiple)
+    replaced = dict(zip(short, best, strict=True))
+    return [replaced.get(k, trial) for k, trial in enumerate(trials)]

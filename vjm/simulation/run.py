@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
@@ -21,13 +20,8 @@ from vjm.simulation.arm import Arm
 from vjm.simulation.given_motion import acceleration_errors
 from vjm.simulation.integrate import locked_joint_frequencies, simulate_trajectories, steps_per_half_interval
 from vjm.simulation.least_squares import SquareRootInformation
-from vjm.simulation.measurement import DIFFERENCE_STEP, Observations, principal_errors, sensor_readings
-from vjm.simulation.sensitivity import (
-    Linearization,
-    SimulatedLinearization,
-    VariationalLinearization,
-    with_coefficients,
-)
+from vjm.simulation.measurement import Observations, principal_errors, sensor_readings
+from vjm.simulation.sensitivity import Linearization, with_coefficients
 from vjm.simulation.system import Trajectory
 from vjm.simulation.timing_noise import TimingNoise
 from vjm.simulation.variational_equations import ModalBasis, PerturbedArm
@@ -37,7 +31,6 @@ _LARGEST_DERIVATIVE = 1e100  # of a weighted value, whose square is then still a
 _FREQUENCY_TOLERANCE = 0.1
 # Values that errors of a given motion make at once, 0.3 GB: the slowest, in a minute of five markers up to 5 Hz.
 _MOST_ERROR_VALUES = 40_000_000
-_MOST_COPIES = 300  # simulated at once for derivatives: a few tens of MB
 _INDEPENDENT_OF_PRIOR = ("timing_noise", "residual", "chi2", "stride", "basis")  # cached, and kept with another prior
 
 
@@ -210,7 +203,7 @@ class Run:
 
     def linearization(
         self, perturbed: Sequence[PerturbedArm] = (), simulated: Mapping[int, Array] | None = None
-    ) -> VariationalLinearization:
+    ) -> Linearization:
         """Return the linearization of the simulation by its initial state, and by the parameters of perturbed arms."""
         # Where the arm sticks, it is known when: dry friction needs not be gradual.
         arm, *others = (
@@ -219,9 +212,7 @@ class Run:
         )
         smooth = [perturbation._replace(arm=other) for perturbation, other in zip(perturbed, others, strict=True)]
         trajectory = self.trajectory
-        return VariationalLinearization.of(
-            self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {}
-        )
+        return Linearization.of(self.observed, arm, self.basis, smooth, trajectory, self.stride, simulated or {})
 
     def jacobian(self, linearization: Linearization) -> Iterator[tuple[Indices, Array]]:
         """Yield indices (r,) of values and derivatives (r, 2 slow + p) of their weighted and whitened predictions."""
@@ -379,97 +370,28 @@ def state_at(runs: Sequence[Run], observed: Observations) -> Array:
     return np.concatenate([values[0] for values in path.sample(instant)])
 
 
-def linearize(
-    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]], exact: bool = False
-) -> Iterator[Linearization]:
-    """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch.
-
-    Where a joint may stick it is of a friction that sets in gradually, which leads a search from afar, or if `exact` by
-    simulations, right for small steps only and several times as slow.
-    """
-    sticking = [k for k, run in enumerate(runs) if exact and run.arm.has_dry_friction]
-    by_simulation = _linearize_by_simulation([runs[k] for k in sticking], [perturbed[k] for k in sticking])
-    others = [k for k in range(len(runs)) if k not in sticking]
-    simulated = _slopes_by_simulated_arms([runs[k] for k in others], [perturbed[k] for k in others])
-    by_variation = with_coefficients(
-        [runs[k].linearization(perturbed[k], slopes) for k, slopes in zip(others, simulated, strict=True)]
-    )
-    for k in range(len(runs)):
-        if k in sticking:
-            yield next(by_simulation)
-        else:
-            yield next(by_variation)
+def linearize(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> Iterator[Linearization]:
+    """Yield each run's linearization by its perturbed arms; short runs of the same arms are computed in one batch."""
+    simulated = _simulate_perturbed(runs, perturbed)
+    triples = zip(runs, perturbed, simulated, strict=True)
+    yield from with_coefficients([run.linearization(arms, slopes) for run, arms, slopes in triples])
 
 
-def _linearize_by_simulation(
-    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
-) -> Iterator[SimulatedLinearization]:
-    """Yield runs' linearizations by simulations with each unknown changed a little, several runs at once."""
-    batch: list[int] = []
-    copies = 0
-    for k, run in enumerate(runs):
-        batch.append(k)
-        copies += 2 * run.basis.slow_count + len(perturbed[k])
-        if copies > _MOST_COPIES or k + 1 == len(runs):
-            changed = [_changed_a_little(runs[j], perturbed[j]) for j in batch]
-            slopes = iter(_simulated_slopes([change for changes in changed for change in changes]))
-            for j, changes in zip(batch, changed, strict=True):
-                columns = np.stack([next(slopes) for _ in changes], axis=1)
-                yield SimulatedLinearization(runs[j].observed, perturbed[j], columns)
-            batch, copies = [], 0
-
-
-class _ChangedRun(NamedTuple):
-    """A run with another arm and initial state (2 nv,), and the step by which one of its unknowns is changed."""
-
-    run: Run
-    arm: Arm
-    state: Array
-    step: float
-
-
-def _changed_a_little(run: Run, perturbed: Sequence[PerturbedArm]) -> list[_ChangedRun]:
-    """Return a run with each slow mode's initial coordinate and rate changed in turn, then with each perturbed arm."""
-    directions = run.basis.states.T
-    steps = DIFFERENCE_STEP / np.abs(directions).max(axis=1)  # small at every joint
-    by_state = [
-        _ChangedRun(run, run.arm, run.state + step * direction, step)
-        for direction, step in zip(directions, steps.tolist(), strict=True)
-    ]
-    return by_state + [_ChangedRun(run, arm, run.state, step) for arm, step, _ in perturbed]
-
-
-def _slopes_by_simulated_arms(
-    runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]
-) -> list[dict[int, Array]]:
+def _simulate_perturbed(runs: Sequence[Run], perturbed: Sequence[Sequence[PerturbedArm]]) -> list[dict[int, Array]]:
     """Return derivatives (N,) of runs' predictions by those perturbed arms that are to be simulated, by index."""
-    chosen = [
-        (j, k)
-        for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True))
-        for k, (arm, _, simulated) in enumerate(arms)
-        if simulated and arm.effects != run.arm.effects  # else it is held, or absent from the recording
-    ]
-    changed = [_ChangedRun(runs[j], perturbed[j][k].arm, runs[j].state, perturbed[j][k].step) for j, k in chosen]
+    by_step: dict[float, list[tuple[int, int]]] = {}
+    for j, (run, arms) in enumerate(zip(runs, perturbed, strict=True)):
+        for k, (arm, _, simulated) in enumerate(arms):
+            if simulated and arm.effects != run.arm.effects:  # else it is held, or absent from the recording
+                by_step.setdefault(round(float(np.log(run.trajectory.step)), 9), []).append((j, k))
     slopes: list[dict[int, Array]] = [{} for _ in runs]
-    for (j, k), column in zip(chosen, _simulated_slopes(changed), strict=True):
-        slopes[j][k] = column
+    for pairs in by_step.values():
+        chosen, moved = [runs[j] for j, _ in pairs], [perturbed[j][k].arm for j, k in pairs]
+        observed, states = [run.observed for run in chosen], [run.state for run in chosen]
+        found = _trajectories(moved, observed, states, chosen[0].trajectory.step, 2.0)
+        for (j, k), arm, path in zip(pairs, moved, found, strict=True):
+            slopes[j][k] = (runs[j].observed.predicted(arm, path) - runs[j].predicted) / perturbed[j][k].step
     return slopes
-
-
-def _simulated_slopes(changed: Sequence[_ChangedRun]) -> list[Array]:
-    """Return derivatives (N,) of predictions, not weighted, by simulations; those of one arm and step in one batch."""
-    batches: dict[tuple[int, float], list[int]] = {}
-    for k, (run, arm, _, _) in enumerate(changed):
-        batches.setdefault((id(arm.chain), round(float(np.log(run.trajectory.step)), 9)), []).append(k)
-    slopes: dict[int, Array] = {}
-    for batch in batches.values():
-        arms, observed = [changed[k].arm for k in batch], [changed[k].run.observed for k in batch]
-        step = changed[batch[0]].run.trajectory.step
-        paths = _trajectories(arms, observed, [changed[k].state for k in batch], step, 2.0)
-        for k, arm, path in zip(batch, arms, paths, strict=True):
-            run = changed[k].run
-            slopes[k] = (run.observed.predicted(arm, path) - run.predicted) / changed[k].step
-    return [slopes[k] for k in range(len(changed))]
 
 
 def linearize_by_states(runs: Sequence[Run]) -> None:

@@ -1,11 +1,11 @@
-"""Derivatives of predicted measurements by initial states and parameters, by variational equations or simulations."""
+"""Derivatives of predicted measurements by initial states and parameters, by variational equations."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
@@ -28,24 +28,8 @@ _OF_CURVES = ("lengths", "cells", "rest_curvature")  # fields of links on which 
 _MOST_COEFFICIENTS = 400_000  # held in memory at once: 3 MB of doubles
 
 
-class Linearization(Protocol):
-    """Linearization of a run: derivatives of its predictions by initial state and parameters."""
-
-    @property
-    def perturbed(self) -> Sequence[PerturbedArm]:
-        """The p arms that each have one parameter changed."""
-
-    def jacobian(self) -> Iterator[tuple[Indices, Array]]:
-        """Yield weighted derivatives of the measured values, one chunk of the recording after another.
-
-        Yields:
-            (r,) indices of `observed.values` in the chunk, and the derivatives (r, 2 slow + p) of their predictions,
-            times their weights, by the slow modes' initial coordinates, initial rates, and by the parameters.
-        """
-
-
 @dataclass(frozen=True)
-class VariationalLinearization:
+class Linearization:
     """Linearization of a run by its variational equations.
 
     Attributes:
@@ -86,7 +70,12 @@ class VariationalLinearization:
         return cls(observed, arm, basis, perturbed, trajectory, stride, moved, simulated)
 
     def jacobian(self) -> Iterator[tuple[Indices, Array]]:
-        """Yield weighted derivatives, as `Linearization.jacobian`."""
+        """Yield weighted derivatives of the measured values, one chunk of the recording after another.
+
+        Yields:
+            (r,) indices of `observed.values` in the chunk, and the derivatives (r, 2 slow + p) of their predictions,
+            times their weights, by the slow modes' initial coordinates, initial rates, and by the parameters.
+        """
         observed, time = self.observed, self.observed.recording.time
         # With a late or early camera a frame may show the arm in the chunk before or the next.
         exposures = observed.arcs.exposure_times(self.arm, self.trajectory, time[observed.frames])
@@ -218,31 +207,9 @@ class VariationalLinearization:
         return slopes
 
 
-@dataclass(frozen=True)
-class SimulatedLinearization:
-    """Linearization of a run by simulations with each unknown changed a little.
-
-    Where a joint sticks, the instants at which it stops and starts move with the unknowns, which variational equations
-    of a gradual friction do not follow.
-
-    Attributes:
-        observed: the measurements.
-        perturbed: p arms, each with one parameter changed.
-        slopes: (N, 2 slow + p) derivatives of the predictions, not weighted.
-    """
-
-    observed: Observations
-    perturbed: Sequence[PerturbedArm]
-    slopes: Array
-
-    def jacobian(self) -> Iterator[tuple[Indices, Array]]:
-        """Yield weighted derivatives of all values at once, as `Linearization.jacobian`."""
-        yield np.arange(len(self.slopes)), self.observed.weights[:, None] * self.slopes
-
-
-def with_coefficients(linearizations: Sequence[VariationalLinearization]) -> Iterator[VariationalLinearization]:
+def with_coefficients(linearizations: Sequence[Linearization]) -> Iterator[Linearization]:
     """Yield linearizations with their coefficients; those of neighbouring short ones of the same arm in one batch."""
-    group: list[VariationalLinearization] = []
+    group: list[Linearization] = []
     for linearization in linearizations:
         if group and not _is_compatible(group, linearization):
             yield from _with_shared_coefficients(group)
@@ -251,7 +218,7 @@ def with_coefficients(linearizations: Sequence[VariationalLinearization]) -> Ite
     yield from _with_shared_coefficients(group)
 
 
-def _is_compatible(group: Sequence[VariationalLinearization], added: VariationalLinearization) -> bool:
+def _is_compatible(group: Sequence[Linearization], added: Linearization) -> bool:
     """Return True if a linearization has the arms of a group and its number of modes, and fits into memory with it."""
     first, (reference, recording) = group[0], (group[0].observed.recording, added.observed.recording)
     arms = [(first.arm, added.arm), *((a.arm, b.arm) for a, b in zip(first.perturbed, added.perturbed, strict=True))]
@@ -263,7 +230,7 @@ def _is_compatible(group: Sequence[VariationalLinearization], added: Variational
     )
 
 
-def _with_shared_coefficients(group: Sequence[VariationalLinearization]) -> Iterator[VariationalLinearization]:
+def _with_shared_coefficients(group: Sequence[Linearization]) -> Iterator[Linearization]:
     if len(group) < 2:
         yield from group
         return
@@ -271,7 +238,7 @@ def _with_shared_coefficients(group: Sequence[VariationalLinearization]) -> Iter
         yield replace(member, coefficients=coefficients)
 
 
-def _coefficients_of(group: Sequence[VariationalLinearization], rows: Sequence[Indices]) -> list[Coefficients]:
+def _coefficients_of(group: Sequence[Linearization], rows: Sequence[Indices]) -> list[Coefficients]:
     """Return the coefficients of linearizations of the same arm, each at some rows of its trajectory."""
     observed = [member.observed for member in group]
 
