@@ -13,7 +13,7 @@ import pytest
 import vjm
 from tests.hidden.rigs import write_hidden
 from tests.hidden.settings import Rig, setting_of
-from vjm.identification.discretization import DiscretizationBias, parameter_shift, refined
+from vjm.identification.discretization import DiscretizationBias, first_order_bias, refined
 from vjm.identification.records import Identification
 from vjm.records import Experiment
 
@@ -63,7 +63,7 @@ def test_one_step_finds_the_shift_that_several_do() -> None:
     fit = identified("hub", 1)
     assert fit.trajectory is not None
     bias = DiscretizationBias.of(fit.trajectory.point, fit.model.rig)
-    shift = parameter_shift(fit.trajectory.point, fit.model.rig)
+    shift = first_order_bias(fit.trajectory.point, fit.model.rig)
     assert bias is not None
     assert shift == pytest.approx(bias.shift, rel=0.3)
 

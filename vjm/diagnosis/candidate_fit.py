@@ -20,7 +20,7 @@ from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
 from vjm.identification.check import estimates
-from vjm.identification.discretization import parameter_shift
+from vjm.identification.discretization import first_order_bias
 from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryProblem, fit_trajectory, stays_above
 from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
@@ -190,8 +190,8 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
         return fit
     if further.chi2 < fit.chi2:
         fit = replace(further, shift=fit.shift)
-    shift = parameter_shift(fit.point, rig) if sticking and monotonic() <= deadline else None
-    return fit if shift is None else replace(fit, shift=shift)
+    bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
+    return fit if bias is None else replace(fit, shift=bias.shift)
 
 
 def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:

@@ -37,7 +37,7 @@ from vjm.diagnosis.workers import SERIAL, Workers
 from vjm.effects import Effect
 from vjm.effects.effect import Key, is_nonsmooth
 from vjm.errors import InsufficientDataError, SimulationDivergedError
-from vjm.identification.discretization import refined
+from vjm.identification.discretization import first_order_bias, refined
 from vjm.identification.trajectory_fit import TrajectoryFit
 from vjm.records import Array, Rig
 from vjm.simulation.run import all_followed
@@ -506,8 +506,10 @@ class Search:
             longer = fit_segments(fit, self.whole, duration, self.options.stop(max_chi2))
         except (SimulationDivergedError, InsufficientDataError):
             return None
-        if longer.chi2 > max_chi2:
-            return None
+        if longer.chi2 > max_chi2:  # without what its chain's discretization error adds, which grows with the duration
+            bias = first_order_bias(longer.point, self.rig)
+            if bias is None or longer.chi2 - bias.decrease > max_chi2:
+                return None
         return None if longer.misfit > INCOMPLETE_MISFIT * max(1.0, fit.misfit) else longer
 
     def _close_second(self, best: TrajectoryFit, fits: Fits) -> TrajectoryFit | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -23,11 +23,15 @@ from vjm.records import Array, Rig
 from vjm.simulation.run import Run, simulate_runs
 
 
-def parameter_shift(point: Point, rig: Rig) -> Array | None:
-    """Return the coordinates (p,) of a beam less those of a fitted uniform chain, to first order.
+class FirstOrderBias(NamedTuple):
+    """What a beam would change of a fitted chain, by one Gauss-Newton step beside the difference of predictions."""
 
-    One Gauss-Newton step beside the difference that more joints make of the predictions. None where the finer chain
-    cannot be simulated.
+    shift: Array  # (p,) the beam's coordinates less the chain's
+    decrease: float  # of the cost, by what the chain's predictions lack
+
+
+def first_order_bias(point: Point, rig: Rig) -> FirstOrderBias | None:
+    """Compare a fitted uniform chain with a finer one, to first order; None where that cannot be simulated.
 
     Args:
         point: where the chain fits best.
@@ -37,13 +41,15 @@ def parameter_shift(point: Point, rig: Rig) -> Array | None:
     try:
         predicted = _predictions(_finer(coarse, rig, _refinement(point)), coarse)
         offset = [fine - run.predicted for fine, run in zip(predicted, coarse.runs, strict=True)]
-        corrected = with_offset(coarse, offset)
-        change, free = np.zeros(point.x.size), ~point.held
-        for sign, shifted in ((1, corrected), (-1, coarse)):
-            change[free] += sign * shifted.reduced()[0].of_unknowns(free).best()
+        free, change, decrease = ~point.held, np.zeros(point.x.size), 0.0
+        for sign, shifted in ((1, with_offset(coarse, offset)), (-1, coarse)):
+            problem = shifted.reduced()[0].of_unknowns(free)
+            change[free] += sign * problem.best()
+            decrease -= sign * problem.least
     except (SimulationDivergedError, InsufficientDataError):
         return None
-    return _extrapolation(point) * change
+    factor = _extrapolation(point)
+    return FirstOrderBias(factor * change, factor * decrease)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from vjm.identification.check import (
     stopped_remedy,
 )
 from vjm.identification.comparison import compare_recordings
-from vjm.identification.discretization import parameter_shift
+from vjm.identification.discretization import first_order_bias
 from vjm.identification.mistakes import refuse_mistakes
 from vjm.identification.parameters import PARAMETRISATIONS, Parameters
 from vjm.identification.records import METHODS, Identification, Method, ModeComparison, Whiteness
@@ -108,9 +108,9 @@ def identify(
     fit, notes = search.select_joints(first)
     information, whiteness = trajectory_information(fit, data.rig.marker_noise is not None)
     uniform = fit.point.problem.parametrisation.kind == "uniform"
-    shift = parameter_shift(fit.point, data.rig) if uniform else None
+    bias = first_order_bias(fit.point, data.rig) if uniform else None
     data = replace(search.data, joints=search.joint_choices(fit))
-    parts = notes, whiteness, search.torque, shift
+    parts = notes, whiteness, search.torque, None if bias is None else bias.shift
     result = _result(experiment, method, data, fit, information, baselines, progress, *parts)
     return replace(result, warnings=(*likely, *result.warnings))
 

@@ -46,6 +46,11 @@ class SquareRootInformation:
         length: Array = np.linalg.norm(self.R[:, :-1], axis=0)
         return length
 
+    @property
+    def least(self) -> float:
+        """Least value of |J x - r|^2."""
+        return float(self.R[-1, -1] ** 2)
+
     def with_rows(self, jacobian: Array, residual: Array) -> SquareRootInformation:
         """Return the problem with more rows."""
         if not len(residual):
