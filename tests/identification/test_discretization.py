@@ -63,9 +63,10 @@ def test_one_step_finds_the_shift_that_several_do() -> None:
     fit = identified("hub", 1)
     assert fit.trajectory is not None
     bias = DiscretizationBias.of(fit.trajectory.point, fit.model.rig)
-    shift = first_order_bias(fit.trajectory.point, fit.model.rig)
+    first_order = first_order_bias(fit.trajectory.point, fit.model.rig)
     assert bias is not None
-    assert shift == pytest.approx(bias.shift, rel=0.3)
+    assert first_order is not None
+    assert first_order.shift == pytest.approx(bias.shift, rel=0.3)
 
 
 def test_twice_the_joints_fit_better_and_are_nearer_to_the_beam() -> None:
