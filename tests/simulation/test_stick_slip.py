@@ -1,0 +1,73 @@
+"""When dry friction stops, holds and releases joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from vjm.simulation.stick_slip import FrictionHistory, under_friction
+
+Array = NDArray[np.float64]
+HALF = 0.01  # s
+
+
+def pushed(seed: int, joints: int, halves: int = 24) -> FrictionHistory:
+    """Joints under pushes that change from one half step to the next, beside friction that often holds them."""
+    rng = np.random.default_rng(seed)
+    rate, history = rng.normal(0.0, 0.02, joints), []
+    braking = rng.uniform(0.0, 2.0, joints)
+    for push in rng.normal(0.0, 1.5, (halves, joints)):
+        history.append(under_friction(rate, push, braking, HALF))
+        rate = history[-1].after
+    return FrictionHistory.of(history)
+
+
+def rate_at(history: FrictionHistory, instant: float, joint: int) -> float:
+    """The rate at a number of half steps, by the accelerations before and after a stop."""
+    half, share = int(instant), instant - int(instant)
+    before, _, stop, slipping, restarted = (float(values[half, joint]) for values in history)
+    return before + HALF * share * slipping if share < stop else HALF * (share - stop) * restarted
+
+
+@given(st.integers(0, 10_000), st.integers(1, 3), st.sampled_from([2, 4, 6]))
+def test_pieces_are_where_joints_are_held_or_slip_in_one_direction(seed: int, joints: int, width: int) -> None:
+    history, edges = pushed(seed, joints), np.arange(0, 25, width)
+    pieces = history.pieces(edges)
+    shares = np.bincount(pieces.interval, pieces.end - pieces.start)
+    assert shares == pytest.approx(np.ones(edges.size - 1))
+    assert (pieces.end > pieces.start).all()
+    assert pieces.interval[pieces.at_edges[:-1]].tolist() == list(range(edges.size - 1))
+    for piece, (interval, start, end) in enumerate(zip(pieces.interval, pieces.start, pieces.end, strict=True)):
+        for share in (0.01, 0.5, 0.99):
+            instant = edges[interval] + width * (start + share * (end - start))
+            for joint in range(joints):
+                rate = rate_at(history, instant, joint)
+                if pieces.held[piece, joint]:
+                    assert rate == 0.0
+                else:
+                    assert np.sign(rate) in (pieces.direction[piece, joint], 0.0)
+
+
+@given(st.integers(0, 10_000))
+def test_what_is_lost_of_a_small_change_of_a_rate_is_what_a_simulation_loses(seed: int) -> None:
+    """A joint that slips in one half step, and stops or turns round in it, with its rate changed a little."""
+    rng = np.random.default_rng(seed)
+    rate, push, braking = rng.normal(0.0, 0.02, 1), rng.normal(0.0, 2.0, 1), rng.uniform(0.1, 2.0, 1)
+    step = 1e-7 * rate
+    one, other = (under_friction(each, push, braking, HALF) for each in (rate, rate + step))
+    if np.isfinite(one.stop) != np.isfinite(other.stop):
+        return  # it stops at the very end
+    kept = float(((other.after - one.after) / step)[0])
+    pieces = FrictionHistory.of([one]).pieces(np.array([0, 1]))
+    assert 1.0 - pieces.lost.sum() == pytest.approx(kept, abs=1e-6)
+
+
+def test_a_joint_without_friction_is_never_held() -> None:
+    with np.errstate(invalid="ignore"):
+        history = FrictionHistory.of([under_friction(np.zeros(2), np.zeros(2), np.array([0.0, 1.0]), HALF)])
+    pieces = history.pieces(np.array([0, 1]))
+    assert pieces.held.tolist() == [[False, True]]
+    assert pieces.lost.tolist() == [[0.0, 1.0]]
