@@ -24,7 +24,7 @@ from vjm.simulation.run import Run, simulate_runs
 
 
 class FirstOrderBias(NamedTuple):
-    """What a beam would change of a fitted chain, by one Gauss-Newton step beside the difference of predictions."""
+    """Difference between a beam and a fitted chain, by one Gauss-Newton step beside that of their predictions."""
 
     shift: Array  # (p,) the beam's coordinates less the chain's
     decrease: float  # of the cost, by what the chain's predictions lack

@@ -1,4 +1,4 @@
-"""What dry friction does to active joints: when it stops, holds and releases them."""
+"""Dry friction of active joints: when it stops, holds and releases them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from vjm.records import Array, Indices, Mask
 
 
 class FrictionHistory(NamedTuple):
-    """How dry friction has stopped and held active joints, in each half of a motion's H / 2 steps.
+    """Record of when dry friction has stopped and held active joints, for each half of a motion's H / 2 steps.
 
     Attributes:
         before, after: (H, ..., n_a) rates at the beginning and at the end of the half step [rad/s].

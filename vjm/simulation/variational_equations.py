@@ -245,7 +245,7 @@ class Coefficients(NamedTuple):
 
 
 class DryFrictionCoefficients(NamedTuple):
-    """What dry friction of n_a active joints makes of the variational equations along a motion of I instants."""
+    """Dry friction of n_a active joints in the variational equations, along a motion of I instants."""
 
     rates: Array  # (n_a, m) the joints' rates by modal rates
     response: Array  # (I, m, n_a) modal accelerations by torques on the joints
@@ -293,32 +293,11 @@ def coefficients_along(
     state_rates = equations.state_rates(motion)
     lengths = [len(path.time) for path in motion.paths]
     shapes = np.repeat(np.stack([basis.shapes for basis in bases]), lengths, axis=0)  # (I, nv, m)
-    # Steps small at every joint: those of fast modes, whose shapes are large, must not take a force across its kink.
-    steps = DIFFERENCE_STEP / np.abs(shapes).max(axis=1)
     m, nz = shapes.shape[2], motion.z.shape[1]
     forces = np.zeros((len(motion.q), chain.size, 2 * m + nz + len(perturbed)))
     rates = np.zeros((len(motion.q), nz, 2 * m + nz + len(perturbed)))
-    by_angle, by_rate, inertia = equations.mechanism.derivatives(motion.q, motion.v, motion.a)
-    forces[:, :, :m] = by_angle @ shapes + chain.stiffness[:, None] * shapes
-    forces[:, :, m : 2 * m] = by_rate @ shapes + chain.damping[:, None] * shapes
-    for j in range(m) if nz or equations.force is not None else ():
-        shape, step = shapes[:, :, j], steps[:, j, None]
-        turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
-        for column, varied in ((j, turned), (m + j, sped)):
-            if equations.force is not None:
-                forces[:, :, column] += (equations.further_torque(varied) - further_torque) / step
-            if nz:
-                rates[:, :, column] = (equations.state_rates(varied) - state_rates) / step
-    active, dry = chain.active, arm.has_dry_friction
-    if dry:  # its slope by the rate is the same in either direction
-        faster = motion._replace(v=motion.v + DIFFERENCE_STEP * np.sign(motion.v))
-        slope = (arm.friction_torques(faster.v) - arm.friction_torques(motion.v))[:, active] / DIFFERENCE_STEP
-        forces[:, active, m : 2 * m] += slope[:, :, None] * shapes[:, active]
-    for k, step_z in enumerate(DIFFERENCE_STEP * np.eye(nz)):
-        varied = motion._replace(z=motion.z + step_z)
-        forces[:, :, 2 * m + k] = (equations.further_torque(varied) - further_torque) / DIFFERENCE_STEP
-        rates[:, :, 2 * m + k] = (equations.state_rates(varied) - state_rates) / DIFFERENCE_STEP
-    friction_changes = np.zeros((len(motion.q), active.size, len(perturbed)))
+    by_state = _state_derivatives(equations, motion, shapes)
+    forces[:, :, : 2 * m + nz], rates[:, :, : 2 * m + nz], inertia = by_state
     forcing: list[tuple[int, Array, Motions, Indices]] = []  # parameter, torques (I, nv, r) by accelerations, of joints
     # A motion that is given is kept up by a heavy armature: its inertia and its torque cancel where they are sampled
     # at the same instants only.
@@ -331,11 +310,6 @@ def coefficients_along(
         separate = indices if changed else added
         held = varied._replace(a=np.where(np.isin(indices, separate), 0.0, varied.a))
         nominal = (at_rest if changed else inertial, further_torque, state_rates)
-        if dry:
-            torques = moved.arm.friction_torques(varied.v)[:, np.delete(indices, added)] - arm.friction_torques(
-                motion.v
-            )
-            friction_changes[:, :, k] = torques[:, active] / moved.step
         change = _parameter_derivatives(equations, moved, held, nominal)
         forces[:, :, 2 * m + nz + k], rates[:, :, 2 * m + nz + k] = change
         if separate.size:
@@ -352,14 +326,7 @@ def coefficients_along(
         by_acceleration = np.asarray(np.linalg.solve(modal, transposed @ by_unit), dtype=float)
         accelerating = (values[:, joints] for values in (path.q, path.v, path.a))
         inertial_forcing.append(_InertialForcing(k, by_acceleration, *accelerating))
-    friction = (
-        [None] * len(bases)
-        if not dry
-        else [
-            _dry_friction(basis.shapes[active], modal[part], friction_changes[part])
-            for basis, part in zip(bases, motion.parts, strict=True)
-        ]
-    )
+    friction = _dry_friction(arm, bases, perturbed, motion, others, modal)
     return [
         Coefficients(
             lower[part, :, : 2 * m + nz],
@@ -371,11 +338,62 @@ def coefficients_along(
     ]
 
 
-def _dry_friction(rates: Array, modal: Array, changes: Array) -> DryFrictionCoefficients:
-    """Return dry friction's coefficients from changes (I, n_a, p) of its torques by the parameters."""
-    response = np.asarray(np.linalg.solve(modal, np.broadcast_to(rates.T, (len(modal), *rates.T.shape))))
-    by_parameters = -np.swapaxes(response, 1, 2)[:, :, :, None] * changes[:, :, None, :]
-    return DryFrictionCoefficients(rates, response, by_parameters)
+def _state_derivatives(equations: _EquationsOfMotion, motion: Motions, shapes: Array) -> tuple[Array, Array, Array]:
+    """Return derivatives of torques (I, nv, 2 m + nz) and internal states' rates (I, nz, 2 m + nz), and the inertia.
+
+    They are by coordinates and rates of modes of shapes (I, nv, m), and by internal states. The inertia is (I, nv, nv).
+    """
+    arm, chain, further_torque = equations.arm, equations.arm.chain, equations.further_torque(motion)
+    state_rates = equations.state_rates(motion)
+    # Steps small at every joint: those of fast modes, whose shapes are large, must not take a force across its kink.
+    steps = DIFFERENCE_STEP / np.abs(shapes).max(axis=1)
+    m, nz = shapes.shape[2], motion.z.shape[1]
+    forces, rates = np.zeros((len(motion.q), chain.size, 2 * m + nz)), np.zeros((len(motion.q), nz, 2 * m + nz))
+    by_angle, by_rate, inertia = equations.mechanism.derivatives(motion.q, motion.v, motion.a)
+    forces[:, :, :m] = by_angle @ shapes + chain.stiffness[:, None] * shapes
+    forces[:, :, m : 2 * m] = by_rate @ shapes + chain.damping[:, None] * shapes
+    for j in range(m) if nz or equations.force is not None else ():
+        shape, step = shapes[:, :, j], steps[:, j, None]
+        turned, sped = motion._replace(q=motion.q + step * shape), motion._replace(v=motion.v + step * shape)
+        for column, varied in ((j, turned), (m + j, sped)):
+            if equations.force is not None:
+                forces[:, :, column] += (equations.further_torque(varied) - further_torque) / step
+            if nz:
+                rates[:, :, column] = (equations.state_rates(varied) - state_rates) / step
+    if arm.has_dry_friction:  # its slope by the rate is the same in either direction
+        faster = motion.v + DIFFERENCE_STEP * np.sign(motion.v)
+        slope = (arm.friction_torques(faster) - arm.friction_torques(motion.v))[:, :, None] / DIFFERENCE_STEP
+        forces[:, :, m : 2 * m] += slope * shapes
+    for k, step_z in enumerate(DIFFERENCE_STEP * np.eye(nz)):
+        varied = motion._replace(z=motion.z + step_z)
+        forces[:, :, 2 * m + k] = (equations.further_torque(varied) - further_torque) / DIFFERENCE_STEP
+        rates[:, :, 2 * m + k] = (equations.state_rates(varied) - state_rates) / DIFFERENCE_STEP
+    return forces, rates, inertia
+
+
+def _dry_friction(
+    arm: Arm,
+    bases: Sequence[ModalBasis],
+    perturbed: Sequence[PerturbedArm],
+    motion: Motions,
+    others: Sequence[Motions],
+    modal: Array,
+) -> list[DryFrictionCoefficients | None]:
+    """Return dry friction's coefficients along each motion, from modal mass matrices (I, m, m); None without any."""
+    if not arm.has_dry_friction:
+        return [None] * len(bases)
+    chain, torques = arm.chain, arm.friction_torques(motion.v)
+    changes = np.zeros((len(motion.v), chain.active.size, len(perturbed)))
+    for k, ((other_arm, step, _), varied) in enumerate(zip(perturbed, others, strict=True)):
+        shared = np.delete(np.arange(varied.v.shape[1]), _added_joints(chain, other_arm.chain))
+        changes[:, :, k] = (other_arm.friction_torques(varied.v)[:, shared] - torques)[:, chain.active] / step
+    coefficients: list[DryFrictionCoefficients | None] = []
+    for basis, part in zip(bases, motion.parts, strict=True):
+        rates = basis.shapes[chain.active]
+        response = np.asarray(np.linalg.solve(modal[part], np.tile(rates.T, (len(modal[part]), 1, 1))))
+        by_parameters = -np.swapaxes(response, 1, 2)[:, :, :, None] * changes[part, :, None, :]
+        coefficients.append(DryFrictionCoefficients(rates, response, by_parameters))
+    return coefficients
 
 
 def _parameter_derivatives(
