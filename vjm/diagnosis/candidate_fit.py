@@ -25,10 +25,10 @@ from vjm.identification.trajectory_fit import Point, TrajectoryFit, TrajectoryPr
 from vjm.identification.trajectory_method import hides_fast_modes, search_step_multiple
 from vjm.identification.uncertainty import Information, trajectory_information
 from vjm.records import NOT_NOISE, Array, Rig
-from vjm.simulation.initial_state import FEW_TRIALS, fit_initial_states
+from vjm.simulation.initial_state import FEW_TRIALS, damped_states, fit_initial_states
 from vjm.simulation.measurement import Observations, PrecedingMotion
 from vjm.simulation.model import Model
-from vjm.simulation.run import Run, by_recording, earlier_runs, is_followed, state_at
+from vjm.simulation.run import Run, by_recording, earlier_runs, is_followed, linearize_by_states, state_at
 from vjm.simulation.system import Trajectory
 
 INCOMPLETE_MISFIT = 1.5  # RMS residual over noise from which a model certainly lacks something, misjudged noise or not
@@ -184,12 +184,15 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
     if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
         return fit
-    try:
-        further = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
-    except (SimulationDivergedError, InsufficientDataError):
-        return fit
-    if further.chi2 < fit.chi2:
-        fit = replace(further, shift=fit.shift)
+    gained = np.inf
+    while gained > max(fit.misfit, 1.0) ** 2 and monotonic() <= deadline:
+        try:
+            further = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
+        except (SimulationDivergedError, InsufficientDataError):
+            break
+        gained, fit = fit.chi2 - further.chi2, min(fit, replace(further, shift=fit.shift), key=lambda each: each.chi2)
+        point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True)) if sticking else fit.point
+        gained = max(gained, fit.chi2 - point.chi2) if sticking else 0.0
     bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
 
@@ -285,8 +288,8 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         if not nonsmooth and fit.chi2 > stop.max_chi2:
             return fit
         # The last multistart was at nearly the same coordinates where the steps since then have hardly gained.
-        repeated = before - fit.chi2 < _stall_decrease(fit.point)
-        point = fit.point if nonsmooth and repeated else replace(fit.point, runs=_multistart(fit.point))
+        repeated = nonsmooth and before - fit.chi2 < _stall_decrease(fit.point)
+        point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=repeated))
         gained = before - point.chi2 if nonsmooth else fit.chi2 - point.chi2
         hopeless = stays_above(point, gained, stop.max_chi2)  # as each round of steps and multistart gains less
         if gained < _stall_decrease(point) or hopeless or monotonic() > stop.deadline:
@@ -294,19 +297,25 @@ def _fit_multistart(problem: TrajectoryProblem, x: Array, states: Sequence[Array
         before, x, states = point.chi2, point.x, point.states
 
 
-def _multistart(point: Point) -> tuple[Run, ...]:
+def _multistart(point: Point, only_at_kinks: bool = False) -> tuple[Run, ...]:
     """Return a point's runs, those of poorly fitted segments from the best of several initial states.
 
     Tried are the present state; the same with the active joints at rest; the final state of the preceding segment or,
-    for the first one, the arm at rest; and states that effects propose, such as either flank of a play.
+    for the first one, the arm at rest; and states that effects propose, such as either flank of a play. Where a joint
+    only just sticks the likelihood has a kink, at which a search ends though its derivatives promise more than a unit
+    of chi^2: states beyond the kink are tried too, to which steps lead that overshoot it.
+
+    Args:
+        point: where the search has ended.
+        only_at_kinks: True to leave out all but the last.
     """
-    best, trials = [*point.runs], []
+    best, trials = [*point.runs], _states_beyond_kinks(point)
     # With wrong parameters all segments fit poorly: the reduced chi^2 that the best quarter stays below is the measure.
     usual = max(1.0, float(np.quantile([run.chi2 / max(run.expected_chi2, 1) for run in point.runs], 0.25)))
     poor = [k for k, run in enumerate(point.runs) if run.chi2 > usual * stats.chi2.isf(NOT_NOISE, run.expected_chi2)]
     if not is_nonsmooth(point.problem.effects) and 2 * len(poor) > len(point.runs):
         return point.runs  # the model is wrong, not initial states
-    for k in poor:
+    for k in () if only_at_kinks else poor:
         run = point.runs[k]
         resting, before = run.state.copy(), earlier_runs(point.runs, run.observed)
         resting[run.chain.size + run.chain.active] = 0.0
@@ -331,6 +340,18 @@ def _multistart(point: Point) -> tuple[Run, ...]:
     for k, (run, _) in zip(indices, likely, strict=True):
         best[k] = min(best[k], run, key=lambda run: run.cost)
     return tuple(best)
+
+
+def _states_beyond_kinks(point: Point) -> list[tuple[int, Array]]:
+    """Return other states for runs, by index, that stick and whose derivatives promise more than a unit of chi^2."""
+    sticking = [k for k, run in enumerate(point.runs) if run.arm.has_dry_friction]
+    linearize_by_states([point.runs[k] for k in sticking])
+    states, unit = [], max(point.misfit, 1.0) ** 2
+    for k in sticking:
+        run, linearized = point.runs[k], point.runs[k].linearized_by_state
+        if linearized.decrease(linearized.best()) > unit:
+            states += [(k, state) for state in damped_states(run, linearized, np.zeros(0))[:2]]
+    return states
 
 
 def fit_segments(

@@ -104,6 +104,13 @@ def backtrack(runs: Sequence[Run], changes: Sequence[Array], step_multiple: floa
     return [min(group, key=lambda run: run.cost) for group in groups]
 
 
+def damped_states(run: Run, linearized: SquareRootInformation, change: Array) -> list[Array]:
+    """Return the states (2 nv,) to which damped steps lead, the longest first; arguments as of `best_damped`."""
+    count = linearized.columns - change.size
+    steps = [linearized.damped(damping).solve(count, change) for damping in _DAMPINGS]
+    return [run.state + run.basis.states @ step for step in steps]
+
+
 def best_damped(
     trials: Sequence[Run],
     runs: Sequence[Run],
@@ -124,13 +131,10 @@ def best_damped(
         change: (p,) change of the coordinates, none where the problems are of initial states alone.
         step_multiple: multiple of the integrator's default step.
     """
-    states = [
-        run.state + run.basis.states @ problem.damped(damping).solve(problem.columns - change.size, change)
-        for run, problem in zip(runs, linearized, strict=True)
-        for damping in _DAMPINGS
-    ]
-    if not states:
+    if not trials:
         return []
+    pairs = zip(runs, linearized, strict=True)
+    states = [state for run, problem in pairs for state in damped_states(run, problem, change)]
     count = len(_DAMPINGS)
     try:
         damped = _simulate_again([trial for trial in trials for _ in _DAMPINGS], states, step_multiple)
