@@ -188,7 +188,7 @@ def test_a_fit_beside_dry_friction_ends_in_its_minimum(seed: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 4, 7])
 def test_whole_recordings_that_stick_are_followed_from_segments(seed: int) -> None:
-    """They tell much more of friction, and chi^2 is as low as from the truth, though the state ends at kinks (2, 4, 7)."""
+    """They tell much more of friction, and chi^2 is as low as from the truth; three searches end at kinks at first."""
     truth = CoulombFriction(link=0, torque=0.008)
     recordings = recorded(Arm.of(chain_of(), (truth,)), seed, duration=4.0)
     whole = point_of(chain_of(), (), recordings).problem.observed

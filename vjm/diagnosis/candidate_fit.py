@@ -184,15 +184,14 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
     if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
         return fit
-    gained = np.inf
-    while gained > max(fit.misfit, 1.0) ** 2 and monotonic() <= deadline:
+    for _ in range(2 if sticking else 1):  # the second time from beyond the kinks at which the first has ended
         try:
             further = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
         except (SimulationDivergedError, InsufficientDataError):
             break
-        gained, fit = fit.chi2 - further.chi2, min(fit, replace(further, shift=fit.shift), key=lambda each: each.chi2)
-        point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True)) if sticking else fit.point
-        gained = max(gained, fit.chi2 - point.chi2) if sticking else 0.0
+        fit = min(fit, replace(further, shift=fit.shift), key=lambda each: each.chi2)
+        if sticking and monotonic() <= deadline:
+            point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True))
     bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
 
