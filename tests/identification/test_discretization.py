@@ -67,6 +67,9 @@ def test_one_step_finds_the_shift_that_several_do() -> None:
     assert bias is not None
     assert first_order is not None
     assert first_order.shift == pytest.approx(bias.shift, rel=0.3)
+    corrected = bias.corrected(fit.trajectory, np.inf)
+    assert corrected is not None
+    assert first_order.decrease == pytest.approx(fit.trajectory.chi2 - corrected.chi2, rel=0.3)
 
 
 def test_twice_the_joints_fit_better_and_are_nearer_to_the_beam() -> None:

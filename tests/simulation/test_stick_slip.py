@@ -14,6 +14,10 @@ Array = NDArray[np.float64]
 HALF = 0.01  # s
 
 
+def concatenated(halves: list[FrictionHistory]) -> FrictionHistory:
+    return FrictionHistory(*(np.stack(values) for values in zip(*halves, strict=True)))
+
+
 def pushed(seed: int, joints: int, halves: int = 24) -> FrictionHistory:
     """Joints under pushes that change from one half step to the next, beside friction that often holds them."""
     rng = np.random.default_rng(seed)
@@ -22,7 +26,7 @@ def pushed(seed: int, joints: int, halves: int = 24) -> FrictionHistory:
     for push in rng.normal(0.0, 1.5, (halves, joints)):
         history.append(under_friction(rate, push, braking, HALF))
         rate = history[-1].after
-    return FrictionHistory.of(history)
+    return concatenated(history)
 
 
 def rate_at(history: FrictionHistory, instant: float, joint: int) -> float:
@@ -51,6 +55,16 @@ def test_pieces_are_where_joints_are_held_or_slip_in_one_direction(seed: int, jo
                     assert np.sign(rate) in (pieces.direction[piece, joint], 0.0)
 
 
+@given(st.integers(0, 10_000), st.integers(1, 5))
+def test_pieces_of_a_stretch_are_those_of_the_whole(seed: int, first: int) -> None:
+    history, edges = pushed(seed, 2), np.arange(0, 25, 4)
+    whole, part = history.pieces(edges), history.pieces(edges[first:])
+    chosen = whole.interval >= first
+    assert part.interval.tolist() == (whole.interval[chosen] - first).tolist()
+    for one, other in zip(part[1:], whole[1:], strict=True):
+        assert np.allclose(one, other[chosen], atol=1e-12)
+
+
 @given(st.integers(0, 10_000))
 def test_what_is_lost_of_a_small_change_of_a_rate_is_what_a_simulation_loses(seed: int) -> None:
     """A joint that slips in one half step, and stops or turns round in it, with its rate changed a little."""
@@ -61,13 +75,13 @@ def test_what_is_lost_of_a_small_change_of_a_rate_is_what_a_simulation_loses(see
     if np.isfinite(one.stop) != np.isfinite(other.stop):
         return  # it stops at the very end
     kept = float(((other.after - one.after) / step)[0])
-    pieces = FrictionHistory.of([one]).pieces(np.array([0, 1]))
+    pieces = concatenated([one]).pieces(np.array([0, 1]))
     assert 1.0 - pieces.lost.sum() == pytest.approx(kept, abs=1e-6)
 
 
 def test_a_joint_without_friction_is_never_held() -> None:
     with np.errstate(invalid="ignore"):
-        history = FrictionHistory.of([under_friction(np.zeros(2), np.zeros(2), np.array([0.0, 1.0]), HALF)])
+        history = concatenated([under_friction(np.zeros(2), np.zeros(2), np.array([0.0, 1.0]), HALF)])
     pieces = history.pieces(np.array([0, 1]))
     assert pieces.held.tolist() == [[False, True]]
     assert pieces.lost.tolist() == [[0.0, 1.0]]

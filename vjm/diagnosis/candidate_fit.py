@@ -178,8 +178,8 @@ def _transferred_shift(start: TrajectoryFit, fit: TrajectoryFit) -> Array | None
 def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     """Continue a fit that was stopped early until it has converged, if that lowers chi^2.
 
-    Of one with joints that stick the discretization shift is then measured, which no refit beside the error of its many
-    stops would show. After the deadline, as of `StoppingRule`, it ends where it stands.
+    Of one with joints that stick the discretization shift is then measured, by one step: a refit beside the difference
+    takes several times as long. After the deadline, as of `StoppingRule`, it ends where it stands.
     """
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
     if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
@@ -349,7 +349,8 @@ def _states_beyond_kinks(point: Point) -> list[tuple[int, Array]]:
     for k in sticking:
         run, linearized = point.runs[k], point.runs[k].linearized_by_state
         if linearized.decrease(linearized.best()) > unit:
-            states += [(k, state) for state in damped_states(run, linearized, np.zeros(0))[:2]]
+            longest = damped_states(run, linearized, np.zeros(0))[:2]  # those that overshoot a kink
+            states += [(k, state) for state in longest]
     return states
 
 

@@ -557,7 +557,7 @@ class Search:
     def _corrected(self, fit: TrajectoryFit) -> TrajectoryFit | None:
         """Refit a model with its chain's discretization error corrected; None where that cannot be measured.
 
-        Models with stick-slip or play are returned as they are: the correction needs derivatives.
+        Models with stick-slip or play are returned as they are: of stick-slip it is measured at the end (`continued`).
         """
         if is_nonsmooth(fit.effects):
             return fit

@@ -153,7 +153,7 @@ class Effect:
     link: int | None = field(default=None, kw_only=True)
     # Length [m], mass [kg] and time [s] of its place, which scale `coordinates`; None: on no rig yet.
     rig_units: tuple[float, float, float] | None = field(default=None, kw_only=True, compare=False, repr=False)
-    # True in an arm whose derivatives are taken: what sticks or touches then does so gradually.
+    # True in an arm whose derivatives are taken: what touches, or sticks only in a changed arm, then does so gradually.
     smooth: bool = field(default=False, kw_only=True, repr=False)
 
     id: ClassVar[str] = ""  # the class's name in snake case where it is not given

@@ -197,7 +197,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
     accelerations, internal = system.accelerations(), z.size > 0
     # Neither a law of control or of an effect nor the linear part at an elbow's angle is asked at what is not finite.
     unchecked = 1 if propagator.elbows.size or has_further_forces else _STEPS_BETWEEN_CHECKS
-    active, friction = system.active, _StickSlip(system, step) if system.has_dry_friction else None
+    active, friction = system.active, _StickSlip(system, step, count) if system.has_dry_friction else None
 
     def record(k: int, q: Array, v: Array, a: Array, z: Array) -> None:
         path.q[k], path.v[k], path.a[k], path.z[k] = q, v, a, z
@@ -254,7 +254,7 @@ def _integrate(system: System, q: Array, v: Array, z: Array, drive: Drive) -> Tr
         torque[:, active] += friction.torque
     a, _ = accelerate(count, x, z, springs, torque)
     record(count, x[:, :n], x[:, n:], a, z)
-    return path if friction is None else replace(path, friction=FrictionHistory.of(friction.halves))
+    return path if friction is None else replace(path, friction=friction.history)
 
 
 def _require_finite(q: Array, steps: range, drive: Drive) -> None:
@@ -309,13 +309,15 @@ class _StickSlip:
 
     Attributes:
         torque: (C, n_a) over the second half of the last step [N m].
-        halves: what has happened in each half step so far.
+        history: of all half steps, as far as they have been advanced.
     """
 
-    def __init__(self, system: System, step: float) -> None:
+    def __init__(self, system: System, step: float, count: int) -> None:
         self.system, self.step = system, step
         self.torque = np.zeros((len(system.arms), system.active.size))
-        self.halves: list[FrictionHistory] = []
+        # Arrays of the whole motion: those of single steps would take ten times the memory in a long recording.
+        self.history = FrictionHistory(*np.empty((len(FrictionHistory._fields), 2 * count, *self.torque.shape)))
+        self._half = 0  # the next one
         self._free: Array | None = None  # (C, n_a) accelerations without friction at the last step's start [rad/s^2]
 
     def over_step(self, v: Array, a: Array, response: Array) -> tuple[Array, tuple[Array, Array, Array]]:
@@ -334,24 +336,22 @@ class _StickSlip:
         middle[:, active] = np.where(rate * (rate + half * accelerated) > 0, rate + half * accelerated, 0.0)
         largest = self.system.friction_torques(middle)[:, active]
         first = self._over_half(rate, free + change, largest, mobility)
-        self.torque = self._over_half(self.halves[-1].after, free + 3 * change, largest, mobility)
+        self.torque = self._over_half(self.history.after[self._half - 1], free + 3 * change, largest, mobility)
         mean, lean = (first + self.torque) / 2, 0.75 * (self.torque - first)
         return first, (mean - lean, mean, mean + lean)
 
     def _over_half(self, rate: Array, push: Array, largest: Array, mobility: Array) -> Array:
         """Return mean friction torques (C, n_a), from rates and pushes (C, n_a), and note what happens."""
-        duration = self.step / 2
-        if rate.shape[1] == 1:
-            half = under_friction(rate, push, largest * mobility[:, 0], duration)
-            self.halves.append(half)
-            return np.asarray(((half.after - rate) / duration - push) / mobility[:, 0])
-        torque, joints = self.torque.copy(), list[FrictionHistory]()
+        duration, torque = self.step / 2, self.torque.copy()
         for j in range(rate.shape[1]):  # each under the latest friction of the others
-            own = mobility[:, j, j]
-            pushed = push[:, j] + _multiply(torque, mobility)[:, j] - own * torque[:, j]
-            joints.append(under_friction(rate[:, j], pushed, own * largest[:, j], duration))
-            torque[:, j] = ((joints[-1].after - rate[:, j]) / duration - pushed) / own
-        self.halves.append(FrictionHistory(*(np.stack(values, axis=1) for values in zip(*joints, strict=True))))
+            own, pushed = mobility[:, j, j], push[:, j]
+            if rate.shape[1] > 1:
+                pushed = pushed + _multiply(torque, mobility)[:, j] - own * torque[:, j]
+            found = under_friction(rate[:, j], pushed, own * largest[:, j], duration)
+            torque[:, j] = ((found.after - rate[:, j]) / duration - pushed) / own
+            for values, of_joint in zip(self.history, found, strict=True):
+                values[self._half, :, j] = of_joint
+        self._half += 1
         return torque
 
 

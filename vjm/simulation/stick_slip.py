@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,30 +25,28 @@ class FrictionHistory(NamedTuple):
     slipping: Array
     restarted: Array
 
-    @classmethod
-    def of(cls, halves: Sequence[FrictionHistory]) -> FrictionHistory:
-        """Concatenate the histories of single half steps, of (..., n_a) joints."""
-        return cls(*(np.stack(values) for values in zip(*halves, strict=True)))
-
     def of_copy(self, copy: int, steps: int) -> FrictionHistory:
         """Return the first steps of one of the copies."""
         return FrictionHistory(*(values[: 2 * steps, copy] for values in self))
 
     def pieces(self, edges: Indices) -> Pieces:
         """Cut intervals, of which the instants (K + 1,) between them are numbers of half steps, where joints change."""
-        holds = np.isfinite(self.stop) & (self.restarted == 0.0)
+        begin = max(int(edges[0]) - 1, 0)  # with the half step before, in which a joint may have been held
+        before, after, stop, slipping, restarted = (values[begin : edges[-1]] for values in self)
+        edges = edges - begin
+        holds = np.isfinite(stop) & (restarted == 0.0)
         held_before = np.concatenate([np.zeros_like(holds[:1]), holds[:-1]])
-        stops, released = np.isfinite(self.stop) & ~held_before, held_before & ~holds
-        half, joint = np.nonzero((stops | released)[edges[0] : edges[-1]])
+        stops, released = np.isfinite(stop) & ~held_before, held_before & ~holds
+        half, joint = np.nonzero((stops | released)[edges[0] :])
         half += edges[0]
-        change = half + np.where(stops[half, joint], self.stop[half, joint], 0.0)
+        change = half + np.where(stops[half, joint], stop[half, joint], 0.0)
         bounds = np.unique(np.concatenate([edges, change]))
         middle = (bounds[:-1] + bounds[1:]) / 2
         now, interval = middle.astype(int), np.searchsorted(edges, middle) - 1
-        changed = held_before[now] | (middle[:, None] - now[:, None] >= self.stop[now])
+        changed = held_before[now] | (middle[:, None] - now[:, None] >= stop[now])
+        slipped, left = slipping[half, joint], restarted[half, joint]
+        kept = np.divide(left, slipped, out=np.zeros(half.size), where=slipped != 0.0)
         lost = np.zeros(changed.shape)
-        slipping, restarted = self.slipping[half, joint], self.restarted[half, joint]
-        kept = np.divide(restarted, slipping, out=np.zeros(half.size), where=slipping != 0.0)
         lost[np.searchsorted(bounds, change), joint] = np.where(stops[half, joint], 1.0 - kept, 0.0)
         lengths = edges[interval + 1] - edges[interval]
         return Pieces(
@@ -57,7 +54,7 @@ class FrictionHistory(NamedTuple):
             (bounds[:-1] - edges[interval]) / lengths,
             (bounds[1:] - edges[interval]) / lengths,
             holds[now] & changed,
-            np.sign(np.where(changed, self.after[now], self.before[now])),
+            np.sign(np.where(changed, after[now], before[now])),
             lost,
         )
 
