@@ -184,16 +184,20 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
     if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
         return fit
-    for _ in range(2 if sticking else 1):  # the second time from beyond the kinks at which the first has ended
-        try:
-            further = fit_trajectory(point.problem, point.x, None, point.states, stop=lambda *_: monotonic() > deadline)
-        except (SimulationDivergedError, InsufficientDataError):
-            break
-        fit = min(fit, replace(further, shift=fit.shift), key=lambda each: each.chi2)
-        if sticking and monotonic() <= deadline:
-            point = replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True))
+    fit = _converged(fit, point, deadline)
+    if sticking and monotonic() <= deadline:
+        fit = _converged(fit, replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True)), deadline)
     bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
+
+
+def _converged(fit: TrajectoryFit, start: Point, deadline: float) -> TrajectoryFit:
+    """Return the fit that a start leads to, if its chi^2 is lower than that of a fit; else the latter."""
+    try:
+        further = fit_trajectory(start.problem, start.x, None, start.states, stop=lambda *_: monotonic() > deadline)
+    except (SimulationDivergedError, InsufficientDataError):
+        return fit
+    return replace(further, shift=fit.shift) if further.chi2 < fit.chi2 else fit
 
 
 def refit_other_frequencies(fit: TrajectoryFit, deadline: float = np.inf) -> TrajectoryFit:
