@@ -106,14 +106,14 @@ def changed(chain: Chain, by: float) -> dict[str, Chain]:
 
 def by_differences(run: Run, moved: list[tuple[Array, Chain, Array, Chain]], seen: Observations) -> Array:
     """(N, C) central differences of the weighted predictions."""
-    columns = []
-    for ahead, one, behind, other in moved:
-        values = [
-            seen.weights * seen.predicted(Arm(chain), run_of(chain, seen.recording, state).trajectory)
-            for state, chain in ((ahead, one), (behind, other))
-        ]
-        columns.append((values[0] - values[1]) / (2 * STEP))
-    return np.stack(columns, axis=1)
+    chains = [chain for _, one, _, other in moved for chain in (one, other)]
+    states = [state for ahead, _, behind, _ in moved for state in (ahead, behind)]
+    arms = {id(chain): Arm(chain) for chain in chains}
+    copies = [arms[id(chain)] for chain in chains]
+    priors = [InitialStatePrior.of(arm, seen.recording) for arm in copies]
+    runs = simulate_runs(copies, [seen] * len(copies), priors, states, 1.0)
+    values = [seen.weights * seen.predicted(each.arm, each.trajectory) for each in runs]
+    return np.stack([(ahead - behind) / (2 * STEP) for ahead, behind in zip(values[::2], values[1::2], strict=True)], 1)
 
 
 def of_one_stretch(run: Run, moved: list[PerturbedArm]) -> Array:
@@ -265,12 +265,13 @@ def test_derivatives_of_what_sticks_are_differences_of_simulations(name: str) ->
         held.append(stopped.mean(axis=0))
         found = of_one_stretch(run, [PerturbedArm(other, step) for other, step in moved.values()])
         slow = run.basis.slow_count
-        unknowns = [(arm, 1e-6 * run.basis.states[:, k], 1e-6) for k in (0, 1, slow, slow + 1)]
+        unknowns = [(arm, 0 * run.state, 0.0)]  # as it is, but rounded as the others are
+        unknowns += [(arm, 1e-6 * run.basis.states[:, k], 1e-6) for k in (0, 1, slow, slow + 1)]
         unknowns += [(other, 0 * run.state, step) for other, step in moved.values()]
-        columns = [
-            (run.residual - simulate_runs([other], [seen], [run.prior], [run.state + off], 1.0)[0].residual) / step
-            for other, off, step in unknowns
-        ]
+        arms, offsets, steps = zip(*unknowns, strict=True)
+        states = [run.state + off for off in offsets]
+        same, *others = simulate_runs(arms, [seen] * len(arms), [run.prior] * len(arms), states, 1.0)
+        columns = [(same.residual - each.residual) / step for each, step in zip(others, steps[1:], strict=True)]
         chosen = np.r_[0, 1, slow, slow + 1, 2 * slow : found.shape[1]]
         expected = np.stack(columns, axis=1)
         errors.append(np.linalg.norm(found[:, chosen] - expected, axis=0) / np.linalg.norm(expected, axis=0))
