@@ -624,7 +624,7 @@ def test_a_search_does_not_report_a_fit_that_was_stopped() -> None:
     assert stopped is not None
     assert not stopped.converged
     search = selection.Search(RIG, start, [BaseCompliance()], selection.SearchOptions(), lambda text: None)
-    found = search._converged(stopped)
+    found = search._continued(stopped)
     assert found.converged
     assert found.chi2 < stopped.chi2 - 5
     assert found.misfit == pytest.approx(1.0, abs=0.05)

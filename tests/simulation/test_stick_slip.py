@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from vjm.simulation.stick_slip import FrictionHistory, under_friction
+from vjm.simulation.variational_equations import DryFrictionCoefficients
 
 Array = NDArray[np.float64]
 HALF = 0.01  # s
@@ -85,3 +86,21 @@ def test_a_joint_without_friction_is_never_held() -> None:
     pieces = history.pieces(np.array([0, 1]))
     assert pieces.held.tolist() == [[False, True]]
     assert pieces.lost.tolist() == [[0.0, 1.0]]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_joints_that_stop_at_once_lose_their_own_shares(seed: int) -> None:
+    """By the impulses of their friction alone, which leave rates that these do not reach."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(4, 4))
+    rates = rng.normal(size=(2, 4))
+    response = np.linalg.solve(root @ root.T, rates.T)
+    held = np.array([[False, False], [True, False], [False, False], [True, True]])
+    lost = np.array([[0.3, 0.8], [0.0, 0.5], [0.0, 1.0], [0.0, 0.0]])
+    friction = DryFrictionCoefficients(rates, np.repeat(response[None], 4, axis=0), np.zeros((4, 2, 4, 0)))
+    after = friction.stopped(held, lost)
+    left = np.where(held, 0.0, 1.0 - lost)[:, :, None] * rates
+    assert (rates @ after)[[0, 1, 3]] == pytest.approx(left[[0, 1, 3]], abs=1e-12)
+    assert (rates @ after)[2, 1] == pytest.approx(np.zeros(4), abs=1e-12)  # the other joint is free, and feels it
+    unreached = np.linalg.svd(rates)[2][2:] @ (root @ root.T)  # momenta that no torque on the joints changes
+    assert unreached @ after == pytest.approx(np.repeat(unreached[None], 4, axis=0), abs=1e-9)

@@ -184,14 +184,14 @@ def continued(fit: TrajectoryFit, rig: Rig, deadline: float) -> TrajectoryFit:
     point, sticking = fit.point, any(run.arm.has_dry_friction for run in fit.point.runs)
     if not sticking and (fit.converged or is_nonsmooth(fit.effects)):
         return fit
-    fit = _converged(fit, point, deadline)
+    fit = _better_from(point, fit, deadline)
     if sticking and monotonic() <= deadline:
-        fit = _converged(fit, replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True)), deadline)
+        fit = _better_from(replace(fit.point, runs=_multistart(fit.point, only_at_kinks=True)), fit, deadline)
     bias = first_order_bias(fit.point, rig) if sticking and monotonic() <= deadline else None
     return fit if bias is None else replace(fit, shift=bias.shift)
 
 
-def _converged(fit: TrajectoryFit, start: Point, deadline: float) -> TrajectoryFit:
+def _better_from(start: Point, fit: TrajectoryFit, deadline: float) -> TrajectoryFit:
     """Return the fit that a start leads to, if its chi^2 is lower than that of a fit; else the latter."""
     try:
         further = fit_trajectory(start.problem, start.x, None, start.states, stop=lambda *_: monotonic() > deadline)

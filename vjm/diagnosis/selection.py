@@ -176,7 +176,7 @@ class Search:
                 break
         if family is None:
             best, fits, family = self._select_small(stages)
-        best = fits[best.effect_keys] = self._converged(best)
+        best = fits[best.effect_keys] = self._continued(best)
         again = corrected_again(best, self.rig, self.options.deadline) if whole and best.new_effects else None
         if again is not None:  # fits beside another discretization error are not to be compared with it
             best, fits = again, {again.effect_keys: again}
@@ -186,7 +186,7 @@ class Search:
             best, family = justified, self.screen(justified)
         return SearchResult(best, self._first_tests or family, family, self.p_values, fits, segment_fits)
 
-    def _converged(self, fit: TrajectoryFit) -> TrajectoryFit:
+    def _continued(self, fit: TrajectoryFit) -> TrajectoryFit:
         if not fit.new_effects or self.options.exhausted:
             return fit
         self.report("converging")

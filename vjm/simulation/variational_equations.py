@@ -255,17 +255,19 @@ class DryFrictionCoefficients(NamedTuple):
         """Return the coefficients at some of the instants."""
         return self._replace(response=self.response[instants], by_parameters=self.by_parameters[instants])
 
-    def locked(self, held: Mask) -> Array:
-        """Return projections (P, m, m) of modal accelerations: what torques leave that hold joints (P, n_a)."""
+    def locked(self, held: Mask, share: Array | float = 1.0) -> Array:
+        """Return projections (P, m, m) of modal accelerations: what torques leave that hold joints (P, n_a).
+
+        Of rates, if impulses do so. A share (P, n_a) below one is what each of the joints loses of its acceleration.
+        """
         both = held[:, :, None] & held[:, None, :]
         mobility = np.where(both, self.rates @ self.response, np.eye(held.shape[1]))
-        torques = np.linalg.solve(mobility, held[:, :, None] * self.rates)
+        torques = np.linalg.solve(mobility, (held * share)[:, :, None] * self.rates)
         return np.asarray(np.eye(self.rates.shape[1]) - self.response @ torques)
 
     def stopped(self, held: Mask, lost: Array) -> Array:
         """Return what becomes (P, m, m) of modal rates where joints lose shares (P, n_a) of a change of theirs."""
-        share = lost.max(axis=1)[:, None, None]
-        return np.asarray((1 - share) * np.eye(self.rates.shape[1]) + share * self.locked(held | (lost > 0)))
+        return self.locked(held | (lost > 0), np.where(held, 1.0, lost))
 
 
 # Unbounded growth is noticed by `Run.linearized`, which refuses derivatives that are not finite.
