@@ -21,9 +21,7 @@ settings.load_profile("vjm")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let slow tests take their time, and keep on one core those that share what takes long: a file's, the report's."""
+    """Let slow tests take their time."""
     for item in items:
-        report = item.path.parent.name == "report"
-        item.add_marker(pytest.mark.xdist_group(item.path.parent.name if report else item.nodeid.split("::")[0]))
         if "slow" in item.keywords:
             item.add_marker(pytest.mark.timeout(0))
