@@ -108,10 +108,8 @@ def write_text(path: Path | str, text: str) -> None:
     Raises:
         FolderError: the file cannot be written.
     """
-    target = Path(path)
+    target = check_no_folder(path)
     try:
-        if target.is_dir():
-            raise FolderError(target, "this is a folder", "name a file, such as one in it")
         if target.exists() and not target.is_file():
             target.write_bytes(_encoded(text))
             return
@@ -126,6 +124,17 @@ def write_text(path: Path | str, text: str) -> None:
             os.replace(temporary, target)
     except OSError as error:
         raise _unwritable(target, error) from error
+
+
+def check_no_folder(path: Path | str) -> Path:
+    """Return where a file shall stand as a path.
+
+    Raises:
+        FolderError: it is a folder.
+    """
+    if os.path.isdir(path):
+        raise FolderError(path, "this is a folder", "name a file, such as one in it")
+    return Path(path)
 
 
 def check_folder(directory: Path | str) -> Path:

@@ -6,6 +6,7 @@ import argparse
 import io
 import json
 import re
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -295,9 +296,37 @@ def test_places_that_cannot_be_written(tmp_path: Path, model: Path, capsys: pyte
             assert err.startswith("vjm: ")
             assert len(err.splitlines()) == 1
     assert run(capsys, "urdf", model, "-o", tmp_path)[0] == 2
+    for place in (".", tmp_path.anchor):
+        assert "this is a folder" in run(capsys, "urdf", model, "--for", "pinocchio", "-o", place)[2]
     assert run(capsys, "urdf", model, "-o", tmp_path / "missing" / "arm.urdf")[0] == 2
     assert file.read_text() == "mine"
     assert {path.name for path in tmp_path.iterdir()} == {"file", "model.json"}
+
+
+def test_a_urdf_replaces_urdfs_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for each in DEMO.parent.glob("*.*"):
+        shutil.copy(each, tmp_path)
+    experiment, robot, link = tmp_path / DEMO.name, tmp_path / "robot.urdf", tmp_path / "link.urdf"
+    flexify = "flexify", robot, "--joint", "beam_virtual_1", "--stiffness", "6", "--rotor-inertia", "7", "-o"
+    for earlier in ("", "\ufeff\n<robot/>"):
+        robot.write_text(earlier, encoding="utf-8")
+        assert run(capsys, "urdf", experiment, "-o", robot)[0] == 0
+    link.symlink_to(robot)
+    script = tmp_path / "first_mode.py"
+    script.write_text("import numpy\n", encoding="utf-8")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    for command in (
+        *(("urdf", experiment, "-o", place) for place in (experiment, tmp_path / "first_mode.csv")),
+        ("urdf", experiment, "--for", "pinocchio", "-o", script.with_suffix(".urdf")),
+        *((*flexify, place) for place in (robot, link, experiment)),
+    ):
+        status, out, err = run(capsys, *command)
+        assert (status, out) == (2, "")
+        assert "choose another file" in err
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert run(capsys, *flexify, tmp_path / "flexible.urdf")[0] == 0
+    for _ in range(2):  # what was made so may be made again
+        assert run(capsys, "urdf", experiment, "--for", "pinocchio", "-o", tmp_path / "made.urdf")[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -175,6 +175,10 @@ REFUSED = [  # what is built, words of the message
         ["a.csv: 9 usable frames; expected at least 10"],
     ),
     (
+        lambda: vjm.Experiment(link(), recording(time=[], markers=MARKERS[:0], file="a.csv")),
+        ["a.csv: 0 usable frames; expected at least 10"],
+    ),
+    (
         lambda: vjm.Experiment(link(), [recording(repeat="a"), recording(repeat="a", payload=0.1)]),
         ["recording[2] recording_2", "'payload'", "0.1", "recording[1] recording_1", "label 'a'"],
     ),

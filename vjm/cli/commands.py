@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import codecs
 import inspect
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator
@@ -22,13 +23,14 @@ from vjm.cli.init import init, stdin_is_terminal
 from vjm.diagnosis import Diagnosis, diagnose
 from vjm.errors import MistakeError, ModelFileError, printable
 from vjm.experiment.load import load_experiment
-from vjm.files import check_file, check_folder, json_text, write_folder, write_text
+from vjm.files import FolderError, check_file, check_folder, json_text, read_file, write_folder, write_text
 from vjm.identification import identify
 from vjm.identification.check import Check, check
 from vjm.identification.comparison import compare
 from vjm.identification.records import Comparison
 from vjm.identification.training_data import JointChoice
 from vjm.model.flexify import flexify
+from vjm.model.urdf import simulator_path
 from vjm.model.urdf_document import UrdfDocument, springs_of
 from vjm.records import Progress
 from vjm.report.figures.check import check_picture
@@ -177,10 +179,12 @@ def _check(arguments: argparse.Namespace) -> None:
 
 def _urdf(arguments: argparse.Namespace) -> None:
     model, file, simulator = _model(arguments.source), arguments.out, arguments.simulator
+    simulator_file = None if simulator is None else simulator_path(file, simulator)
+    for replaced in (file, simulator_file):
+        _check_replaced(replaced, arguments.source)
     chain, text = model.arm.chain, model.arm.urdf()
-    simulator_file = None
     if simulator is not None:
-        _, simulator_file = model.export(file, simulator)
+        model.export(file, simulator)
     elif file is not None:
         write_text(file, text)
     left_out = model.arm.not_in_simulators if simulator else ()
@@ -200,6 +204,7 @@ def _urdf(arguments: argparse.Namespace) -> None:
 def _flexify(arguments: argparse.Namespace) -> None:
     options = {key: value for key, value in vars(arguments).items() if key in inspect.signature(flexify).parameters}
     file, text = arguments.out, flexify(**options)
+    _check_replaced(file, arguments.urdf)
     if file is not None:
         write_text(file, text)
     document = UrdfDocument.read(text)
@@ -211,6 +216,24 @@ def _flexify(arguments: argparse.Namespace) -> None:
         _print(text)
     elif not arguments.quiet:
         print(printable(f"{file}: {counted(len(springs), 'joint')} with a spring"))
+
+
+_ANOTHER = "choose another file, or remove this one"
+
+
+def _check_replaced(file: Path | None, source: Path) -> None:
+    """Refuse to replace the source by what is made of it, or a file that was not made so, such as a recording."""
+    if file is None or not os.path.isfile(file):
+        return
+    if file.samefile(source):
+        raise FolderError(file, "this file is what is read", "choose another file")
+    try:
+        content = read_file(file).lstrip(codecs.BOM_UTF8 + b" \t\r\n")
+    except OSError as error:
+        raise FolderError(file, f"this file exists, and cannot be read ({error.strerror})", _ANOTHER) from error
+    kind, start = ("script of vjm", b"# Simulates ") if file.suffix == ".py" else ("XML", b"<")
+    if content and not content.startswith(start):
+        raise FolderError(file, f"this file exists, and is no {kind}", _ANOTHER)
 
 
 def _model(source: Path) -> Model:

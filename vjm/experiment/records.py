@@ -501,7 +501,6 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
         raise RecordingError(name, None, "input", "the motion of no joint is given: every link is clamped", expected)
     measured = np.isfinite(recording.markers)
     signals = [measured.any(axis=(1, 2)), *np.isfinite(recording.theta).T, *np.isfinite(recording.tau).T]
-    check_rate(name, recording.time, (recording.time[rows] for rows in signals))
     usable = measured[:, :, 1]
     for link, marker_slice in zip(rig.links, rig.marker_slices, strict=True):
         if link.markers_frame == "base":
@@ -510,6 +509,7 @@ def _check_recording(rig: Rig, recording: Recording) -> None:
     if count < MIN_FRAMES:
         expected = f"at least {MIN_FRAMES} rows with a measured marker"
         raise RecordingError(name, None, None, counted(count, "usable frame"), expected)
+    check_rate(name, recording.time, (recording.time[rows] for rows in signals))
 
 
 def _check_fields(record: object, name: object) -> None:

@@ -17,6 +17,7 @@ from markupsafe import Markup
 
 from vjm.chain.virtual_links import Chain, LinkChain
 from vjm.errors import ChoiceError, ShapeError, printable
+from vjm.files import check_no_folder
 from vjm.model.dynamics import Mechanism
 from vjm.records import Array
 
@@ -273,6 +274,22 @@ class _Site(NamedTuple):
     name: str
     body: str
     x: float
+
+
+def simulator_path(path: Path | str, simulator: str) -> Path:
+    """Return where the file that a simulator reads stands: beside the URDF `path`, with a suffix of its own.
+
+    Raises:
+        ChoiceError: another simulator.
+        FolderError: `path` is a folder.
+        ShapeError: `path` ends as the file beside it does.
+    """
+    if simulator not in SIMULATORS:
+        raise ChoiceError("simulator", simulator, SIMULATORS)
+    file, suffix = check_no_folder(path), SIMULATORS[simulator]
+    if file.suffix == suffix:
+        raise ShapeError("path", str(file), f"a file that does not end in {suffix}, as the one beside it does")
+    return file.with_suffix(suffix)
 
 
 def simulator_file(

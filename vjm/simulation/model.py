@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.chain.virtual_links import Chain
 from vjm.effects.effect import Effect
-from vjm.errors import ChoiceError, ShapeError
+from vjm.errors import ShapeError
 from vjm.experiment.checks import DEFAULT_NOISE
 from vjm.experiment.records import as_rig, for_rig
 from vjm.files import write_text
 from vjm.model.dynamics import Mechanism
 from vjm.model.flexible import FlexibleModel
 from vjm.model.modes import Modes, modes
-from vjm.model.urdf import SIMULATORS
+from vjm.model.urdf import simulator_path
 from vjm.records import REFERENCE, Array, Estimate, Link, Record, Recording, Rig, SimulatedRecording, Simulation
 from vjm.simulation.arm import Arm
 from vjm.simulation.control import ControlLaw, simulate_motion
@@ -223,15 +223,10 @@ class Model(Record):
         Raises:
             ChoiceError: another simulator.
             FolderError: a file cannot be written.
-            ShapeError: a path that ends as the file beside it does; as of `chain_to_urdf`; a base under load without a
-                spring; drives whose inertia the simulator has no place for.
+            ShapeError: as of `simulator_path` and `chain_to_urdf`; a base under load without a spring; drives whose
+                inertia the simulator has no place for.
         """
-        file = Path(path)
-        if simulator not in SIMULATORS:
-            raise ChoiceError("simulator", simulator, SIMULATORS)
-        simulator_file = file.with_suffix(SIMULATORS[simulator])
-        if simulator_file == file:
-            raise ShapeError("path", str(file), f"a file that does not end in {file.suffix}, as the one beside it does")
+        file, simulator_file = Path(path), simulator_path(path, simulator)
         markers = [link.markers for link in self.rig.links]
         text = self.arm.simulator_file(simulator, file.name, markers)
         self.to_urdf(file)
