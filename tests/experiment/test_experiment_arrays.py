@@ -300,6 +300,26 @@ def test_names_of_recordings_are_their_own() -> None:
     assert any("listed 2 times" in text for text in vjm.Experiment(link(), [recording(file="a")] * 2).warnings)
 
 
+def test_a_part_of_a_recording_is_no_other_one() -> None:
+    time = 0.01 * np.arange(100)
+
+    def recorded(seed: int, rows: slice = np.s_[:], **changed: Any) -> vjm.Recording:
+        random = np.random.default_rng(seed)
+        places = 0.01 * np.sin(9 * time)[:, None] * [1, 2] + 1e-4 * random.standard_normal((100, 2))
+        markers = np.stack([np.broadcast_to([0.5, 1.0], (100, 2)), places], axis=2)[rows]
+        return vjm.Recording(**{"time": time[rows] + 7 * seed, "markers": markers, "kind": "decay", **changed})
+
+    def said(*recordings: vjm.Recording) -> tuple[str, ...]:
+        return vjm.Experiment(link(markers=[0.5, 1.0]), recordings).warnings
+
+    assert said(recorded(0), recorded(1, role="holdout")) == ()
+    (text,) = said(recorded(0, file="a"), recorded(1), recorded(0, np.s_[30:70], role="holdout", file="b"))
+    assert text == "b: 100 % of its frames are those of a, a copy: it predicts nothing that was not fitted"
+    (text,) = said(recorded(0, np.s_[:60], file="a"), recorded(0, np.s_[20:], file="b"))
+    assert text == "b: 67 % of its frames are those of a, a copy: it counts twice"
+    assert said(recorded(0, np.s_[:50]), recorded(0, np.s_[50:])) == ()  # cut in two
+
+
 def test_dates_are_no_seconds() -> None:
     dates = np.datetime64("2026-01-01") + (1e9 * TIME).astype("timedelta64[ns]")
     for time in (dates, dates - dates[0], pd.Series(dates)):

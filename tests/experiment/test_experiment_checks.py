@@ -50,7 +50,7 @@ def load_changed(
 ) -> Experiment:
     """The small experiment with the numbers of one recording changed in place, NaN for empty."""
     columns = FREE if name == "free" else DRIVEN
-    table = np.array([[float(cell) if cell else np.nan for cell in line] for line in rows(columns, 100)])
+    table = np.array([[float(cell) if cell else np.nan for cell in line] for line in rows(columns, 100, seed=9)])
     change(table, columns)
     cells = [["" if np.isnan(x) else repr(float(x)) for x in line] for line in table]
     return load_experiment(write_experiment(folder, toml, **{name: csv_text(columns, cells)}))

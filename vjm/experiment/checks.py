@@ -36,6 +36,7 @@ def experiment_warnings(rig: Rig, recordings: Sequence[Recording], conventions: 
     for file, count in Counter(recording.file for recording in recordings).items():
         if count > 1:  # it would count as independent measurements
             yield f"{file}: listed {count} times"
+    yield from _copy_warnings(recordings)
 
 
 def cleaned(rig: Rig, recording: Recording) -> Recording:
@@ -440,6 +441,26 @@ def moves(values: Array, noise: float | None, unit: float = 1.0) -> bool:
     # The range of a sinusoid of the same variance; the plain range would grow with the number of samples.
     spread = 2.0 * np.sqrt(2.0) * (measured - measured[0]).std()  # from the first: a constant has exactly none
     return bool(spread > 4.0 * noise)  # pure noise spreads over 2.8 sigma
+
+
+def _copy_warnings(recordings: Sequence[Recording]) -> Iterator[str]:
+    """Yield files most of whose frames are those of another.
+
+    Rounded frames of an arm at rest are the same by chance.
+    """
+    earlier: list[tuple[Recording, set[bytes]]] = []
+    for recording in recordings:
+        if recording.kind in ("quiet", "static"):
+            continue
+        frames = {row.tobytes() for row in recording.markers[recording.frames]}
+        for other, others in earlier:
+            share = len(frames & others) / min(len(frames), len(others))
+            if share > 0.5 and recording.file != other.file:
+                effect = (
+                    "it counts twice" if recording.role == other.role else "it predicts nothing that was not fitted"
+                )
+                yield f"{recording.file}: {100 * share:.0f} % of its frames are those of {other.file}, a copy: {effect}"
+        earlier.append((recording, frames))
 
 
 def _repeat_warnings(recordings: Sequence[Recording]) -> Iterator[str]:

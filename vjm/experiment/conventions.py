@@ -72,7 +72,7 @@ class Camera:
     origin: Annotated[
         tuple[_Offset, _Offset], "two finite numbers, the camera's origin in the base frame [m], at most 1e6"
     ] = (0.0, 0.0)
-    rotation: Annotated[float, Ge(-1e6), Le(1e6), "a finite number [rad], at most 1e6"] = 0.0
+    rotation: Annotated[float, Ge(-2 * pi), Le(2 * pi), "an angle in radians, at most 2 pi = 6.28"] = 0.0
     axes: Annotated[tuple[_Axis, _Axis], 'two of "x", "y", "z", "-x", "-y", "-z", as ["x", "-z"]'] = ("x", "y")
 
     def __post_init__(self) -> None:

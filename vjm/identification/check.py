@@ -28,6 +28,7 @@ from vjm.text import counted, listed, millimetres, number, ratio
 # Practical significance of residuals: the model's own error is as large as the noise, or widens standard errors by a
 # fifth. What is certain but smaller needs no warning.
 _LARGE_RESIDUAL = 1.5  # RMS over noise
+_MOTION = 10.0  # over noise: of less, a stiffness is right to no better than some per cent
 _MIN_FRAMES_PER_PERIOD = 2.5  # Nyquist's two, and a margin
 
 
@@ -115,6 +116,11 @@ def check(experiment: Experiment) -> Check:
             raise
         expected = np.empty(0)  # of numbers that are absurd
     overviews = tuple(overview(rig, recording) for recording in experiment.recordings)
+    findings += [
+        f"{one.recording.file}: it moves by {one.motion:.3g} × its noise, though the recording is of kind 'quiet'"
+        for one in overviews
+        if one.recording.kind == "quiet" and one.motion > _MOTION
+    ]
     if problem:
         return Check(experiment, tuple(findings), expected, (), {}, problem, overviews)
     try:
@@ -265,7 +271,7 @@ def data_warnings(data: TrainingData) -> list[str]:
             frames = f"{angles.unsolved} of {len(angles.time)} frames"
             warnings.append(f"{name}: {frames} have no solution for the joint angles and were left out")
         motion = float(np.max(np.nanstd(angles.q, axis=0) / np.sqrt(np.maximum(np.diag(angles.covariance), 1e-300))))
-        if motion < 10.0:  # a stiffness is right to no better than some per cent
+        if motion < _MOTION:
             warnings.append(
                 f"{name}: the motion is only {motion:.1f} × the noise of the joint angles; it determines little"
             )

@@ -9,6 +9,7 @@ import numpy as np
 from vjm.errors import MistakeError
 from vjm.identification.mistakes.evidence import Mistake
 from vjm.identification.mistakes.geometry import (
+    coincidence_mistakes,
     distance_mistakes,
     heading_mistakes,
     length_mistake,
@@ -28,7 +29,9 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     with np.errstate(all="ignore"), catch_warnings():  # of absurd numbers, which are what is looked for
         simplefilter("ignore", RuntimeWarning)
         lengths = [mistake for link in experiment.rig.links if (mistake := length_mistake(link))]
-        geometric = [*lengths, *distance_mistakes(experiment), *sideways_mistakes(experiment)]
+        coincident = tuple(coincidence_mistakes(experiment))
+        skipped = {file for mistake in coincident for file in mistake.files}
+        geometric = [*lengths, *coincident, *distance_mistakes(experiment, skipped), *sideways_mistakes(experiment)]
         wrong_files = {file for mistake in geometric for file in mistake.files}
         if lengths or len(wrong_files) == len({recording.file for recording in experiment.recordings}):
             return tuple(geometric)

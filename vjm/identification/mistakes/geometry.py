@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import combinations, product
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from vjm.identification.mistakes.evidence import (
     unit_factors,
 )
 from vjm.records import Array, Experiment, Indices, Link, Mask
+from vjm.text import listed
 
 # What is off by less is a scale, a marker or a pose to be found by a diagnosis, and no mistake of another kind: the
 # slack of vjm.experiment.checks, and five times the everyday misalignment of a camera that somebody aligned.
@@ -39,14 +40,40 @@ class _Hypothesis(NamedTuple):
     source: str = ""  # of the numbers in that unit: `recordings` or `rig`
 
 
-def distance_mistakes(experiment: Experiment) -> list[Mistake]:
+def coincidence_mistakes(experiment: Experiment) -> Iterator[Mistake]:
+    """Yield recordings in most of whose frames two of a link's markers, or one and the base, are exactly at one place.
+
+    No camera measures that: it is what some programs write of markers that they did not see.
+    """
+    for recording in experiment.recordings:
+        for index, (link, marker_slice) in enumerate(
+            zip(experiment.rig.links, experiment.rig.marker_slices, strict=True)
+        ):
+            points = recording.markers[recording.frames, marker_slice]
+            names = [f"{link.name}.m{k}" for k in range(1, len(link.markers) + 1)]
+            if index == 0 and link.markers_frame == "base":
+                points, names = np.concatenate([points, np.zeros_like(points[:, :1])], axis=1), [*names, "the base"]
+            first, second = np.triu_indices(len(names), 1)
+            seen = np.isfinite(points[:, first] + points[:, second]).all(axis=2).sum(axis=0)
+            same = (points[:, first] == points[:, second]).all(axis=2).sum(axis=0) > 0.5 * seen
+            if same.any():
+                together = listed([names[k] for k in np.unique([first[same], second[same]])])
+                text = f"{together} are at exactly one place in most frames, as where markers were not tracked"
+                remedy = "leave their cells empty there, or leave the recording out"
+                yield Mistake(f"{text}; {remedy}", np.inf, (recording.file,))
+                break
+
+
+def distance_mistakes(experiment: Experiment, skipped: Collection[str]) -> list[Mistake]:
     """Return mistakes in the unit of length and the order of the markers, seen in distances, which no bending changes.
 
     Each hypothesis, a unit and an order, predicts the distances between a link's markers and, of the first link, to the
-    base, unless that is elsewhere; they are compared by their likelihoods.
+    base, unless that is elsewhere; they are compared by their likelihoods. Files in `skipped` show no distances.
     """
     evidence: dict[tuple[int, _Hypothesis], list[tuple[str, float, float]]] = {}
     for recording in experiment.recordings:
+        if recording.file in skipped:
+            continue
         rows = chosen_frames(recording)
         for index, marker_slice in enumerate(experiment.rig.marker_slices):
             key, gain, scale = _best_hypothesis(experiment, index, recording.markers[rows, marker_slice])
@@ -332,10 +359,9 @@ def _heading_text(
         description += f"{theta} has them" if slope is not None else "a link along x has them"
         unit = conventions.units.angle
         alternative = f", or add {offset / FACTORS['angle'][unit]:.3g} {unit} to {theta}" if slope is not None else ""
-        return (
-            f"{description}: the camera's frame is turned; set [camera] rotation = "
-            f"{conventions.camera.rotation - offset:.3g}{alternative}"
-        )
+        rotation = np.angle(np.exp(1j * (conventions.camera.rotation - offset)))
+        remedy = f"set [camera] rotation = {rotation:.3g} (radians){alternative}"
+        return f"{description}: the camera's frame is turned; {remedy}"
     direction = {1: "along +y", 2: "along -x", 3: "along -y"}[quarter] if quarter else "along +x"
     likely = {1: "x and y look swapped", 2: "x looks as if it pointed the other way", 3: "x and y look swapped"}
     finding = f"the link lies {direction} of the camera's frame where it should lie along +x: {likely.get(quarter, '')}"

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import norm
 
 from vjm.chain.layout import nominal_chain, rig_layouts
 from vjm.errors import VjmError
 from vjm.experiment.spectrum import measured_noise
-from vjm.identification.mistakes.evidence import CERTAIN, LIKELY, Mistake, seen_modes, unit_factors
+from vjm.identification.mistakes.evidence import CERTAIN, EARTH, LIKELY, Mistake, seen_modes, unit_factors
 from vjm.model.modes import linearise, modes_of
-from vjm.records import Array, Experiment, Link
+from vjm.records import Array, Experiment, Link, Recording
 from vjm.simulation.integrate import locked_joint_frequencies
 
 # Medians and standard deviations of logarithms, of rigs that somebody might build (Ashby, Materials Selection in
@@ -28,6 +29,8 @@ _SPECIFIC_STIFFNESS = 3e6, np.log(20.0)  # m^2/s^2, E over density
 _MASS = 0.5, np.log(6.0)  # kg
 _RATE = 100.0, np.log(4.0)  # Hz, of cameras
 _FREQUENCY = np.log(1.5)  # of a ratio of frequencies: EI is known within a factor of two or so
+_HIGHER = 2.0  # cost in log-likelihood of supposing that the slowest mode seen is not the first, but so many on
+_SURPRISING = 0.5 * norm.isf(0.005) ** 2  # log-likelihood that is lost by chance once in a hundred times
 _SLENDERNESS = 0.3, np.log(1.5)  # of thickness over length, above which a link is hardly a beam
 _NOISE = np.log(2.7)  # of a noise that somebody wrote down over the one that the recordings have
 _CURVED = 0.01  # of the length: what a link may be off straight, or its camera off level by half a degree, at rest
@@ -56,6 +59,11 @@ def _hypotheses(experiment: Experiment, link: Link) -> list[_Numbers]:
             if value is not None and unit != "in":
                 text, remedy = f"'{key}' looks like {unit}", f"give '{key}' of {table} in metres, {value * factor:.4g}"
                 hypotheses.append(_Numbers(key, text, remedy, **{key: factor}))
+    if link.width and link.thickness and link.width != link.thickness:
+        ratio = link.thickness / link.width
+        remedy = f"exchange 'width' and 'thickness' of {table}"
+        text = "'width' and 'thickness' look exchanged: the thickness is in the bending plane"
+        hypotheses.append(_Numbers("section", text, remedy, width=ratio, thickness=1 / ratio))
     if link.youngs_modulus is not None:
         for unit, factor in (("GPa", 1e9), ("MPa", 1e6)):
             value = link.youngs_modulus * factor
@@ -99,10 +107,7 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
         else:
             deviation = np.log(measured / factors["time"] / expected)
             # A hub's own inertia does not scale with the link's mass: good to the factor that is allowed anyway.
-            costs = 2.0 * np.arange(
-                expected.size
-            )  # of supposing that the slowest mode seen is not the first, but so many on
-            fit += float(np.max(-0.5 * (deviation / _FREQUENCY) ** 2 - costs))
+            fit += float(np.max(-0.5 * (deviation / _FREQUENCY) ** 2 - _HIGHER * np.arange(expected.size)))
         return float(fit)
 
     results: dict[tuple[_Numbers, ...], float] = {(): likelihood()} | {
@@ -112,8 +117,24 @@ def rig_mistakes(experiment: Experiment) -> list[Mistake]:
     best = max(results, key=lambda key: results[key])
     gain = results[best] - results[()]
     if gain < LIKELY:
-        return []
+        return [] if measured is None else _frequency_mistakes(link, measured, nominal, file)
     return [Mistake(_rig_text(link, best, rate, measured, nominal, file), gain)]
+
+
+def _frequency_mistakes(link: Link, measured: float, nominal: Array, file: str) -> list[Mistake]:
+    """Return that the slowest frequency that a clamped link shows [Hz] is far from what the rig's numbers make of it.
+
+    That of a driven one depends on its hub's inertia, which is often a guess, and is masked by the drive.
+    """
+    loss = float(np.min(0.5 * (np.log(measured / nominal) / _FREQUENCY) ** 2 + _HIGHER * np.arange(nominal.size)))
+    if link.joint != "clamped" or loss < _SURPRISING:
+        return []
+    text = (
+        f"{link.name}'s first natural frequency would be {nominal[0]:.3g} Hz, and {file} shows {measured:.3g} Hz: "
+        f"masses, payloads, lengths or what gives the bending stiffness of [[link]] {link.name} are far off; check "
+        "them, for an identified stiffness is as wrong as the masses"
+    )
+    return [Mistake(text, min(loss, CERTAIN))]
 
 
 def _rig_text(
@@ -212,39 +233,57 @@ def noise_mistakes(experiment: Experiment) -> list[Mistake]:
 
 
 def sag_mistakes(experiment: Experiment) -> list[Mistake]:
-    """Return that a clamped link rests as it would under its own weight, although no gravity is declared."""
+    """Return that a clamped link rests where another gravity than is declared would bend it: the earth's, or none."""
     rig = experiment.rig
     link = rig.links[0]
+    if len(rig.links) > 1 or link.joint != "clamped" or link.markers_frame != "base" or not link.markers:
+        return []
     # A decay shows where it ends up if its second half holds a whole swing, here by the nominal first frequency.
     period = 2 * np.pi / 1.875**2 * (link.mass * link.length**3 / link.bending_stiffness) ** 0.5
-    chosen = [
-        recording
-        for recording in experiment.recordings
-        if not any(recording.gravity)
-        and (recording.kind == "quiet" or (recording.kind == "decay" and np.ptp(recording.time) > 2 * period))
-    ]
-    if len(rig.links) > 1 or link.joint != "clamped" or link.markers_frame != "base" or not chosen or not link.markers:
-        return []
+    groups: dict[tuple[float, float], list[Recording]] = {}
+    for recording in experiment.recordings:
+        x, y = recording.gravity
+        if abs(x) <= abs(y) and (  # a link that stands or hangs rests straight
+            recording.kind == "quiet" or (recording.kind == "decay" and np.ptp(recording.time) > 2 * period)
+        ):
+            groups.setdefault((x, y), []).append(recording)
+    found = [_other_sag(link, gravity, recordings) for gravity, recordings in groups.items()]
+    return [mistake for mistake in found if mistake]
+
+
+def _other_sag(link: Link, gravity: tuple[float, float], recordings: Sequence[Recording]) -> Mistake | None:
+    """Return that recordings of a clamped link with one declared gravity [m/s^2] show another; None if they do not."""
     # Half of a decay is over by then; what is left of the motion is on both sides of the rest.
-    rest_positions = [
-        np.nanmedian(recording.markers[recording.frames[recording.frames.size // 2 :], -1, 1]) for recording in chosen
+    rests = [
+        float(np.nanmedian(recording.markers[recording.frames[recording.frames.size // 2 :], -1, 1]))
+        for recording in recordings
     ]
-    sag = link.mass * 9.81 * link.length**3 / (8 * link.bending_stiffness)  # Euler-Bernoulli, uniform load
-    known = [value for value in rest_positions if np.isfinite(value)]
-    sag = min(sag, 0.5 * link.length)  # no longer proportional
-    if not known or sag < _CURVED * link.length:
-        return []
-    ratio = abs(float(np.median(known))) / sag
-    expected = (link.markers[-1] / link.length) ** 2  # of the tip's, nearly
-    without_gravity = -0.5 * (ratio * sag / (_CURVED * link.length)) ** 2
-    with_gravity = -0.5 * (np.log(max(ratio, 1e-300) / expected) / np.log(1.5)) ** 2 - np.log(2.0)
-    gain = float(with_gravity - without_gravity)
+    payloads = np.array([link.payload + recording.payload for recording in recordings])
+    across = np.array([gravity[1], 0.0, -EARTH, EARTH])
+    # Euler-Bernoulli, a uniform load and one on the tip; of half the length, it is no longer proportional.
+    sags = np.outer(across, (link.mass / 8 + payloads / 3) * link.length**3 / link.bending_stiffness)
+    sags = np.clip(sags, -0.5 * link.length, 0.5 * link.length)
+    sags *= (link.markers[-1] / link.length) ** 2  # of the outermost marker, nearly
+    known = np.isfinite(rests)
+    if not known.any():
+        return None
+    rest, sag = (np.median(np.asarray(values)[..., known], axis=-1) for values in (rests, sags))
+    curved = _CURVED * link.length
+    bent = np.log(np.maximum(rest / np.where(sag == 0.0, 1.0, sag), 1e-300)) / np.log(1.5)
+    likelihoods = -0.5 * np.where(np.abs(sag) < curved, rest / curved, bent) ** 2
+    best = int(np.argmax(likelihoods))
+    gain = float(likelihoods[best] - likelihoods[0]) - np.log(2.0)
     if gain < LIKELY:
-        return []
-    down = "-9.81" if np.median(known) < 0 else "9.81"
-    text = (
-        f"the outermost marker of {link.name} rests {1e3 * abs(float(np.median(known))):.3g} mm beside the clamp's "
-        f"direction, about as far as its own weight would bend it, and no gravity is declared; if the plane is "
-        f"vertical, set [base] gravity = [0.0, {down}]"
-    )
-    return [Mistake(text, min(gain, CERTAIN), tuple(recording.file for recording in chosen))]
+        return None
+    finding = f"the outermost marker of {link.name} rests {1e3 * abs(rest):.3g} mm beside the clamp's direction"
+    other = f"gravity = [{gravity[0]:.3g}, {across[best]:.3g}]"
+    if not gravity[1]:
+        finding += (
+            ", about as far as its own weight would bend it, and no gravity is declared; if the plane is vertical"
+        )
+    elif best == 1:
+        finding += f", and the declared gravity would bend it by {1e3 * abs(sag[0]):.3g} mm; if the plane is horizontal"
+    else:
+        finding += ", to the other side than the declared gravity bends it; if the signs of x and y are right"
+    files = tuple(recording.file for recording in recordings)
+    return Mistake(f"{finding}, set [base] {other}", min(gain, CERTAIN), files)

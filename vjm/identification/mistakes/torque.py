@@ -14,22 +14,33 @@ from typing import NamedTuple
 import numpy as np
 
 from vjm.experiment.conventions import FACTORS
-from vjm.identification.mistakes.evidence import LIKELY, Mistake, angle_at, negated, root_headings, seen_markers
+from vjm.identification.mistakes.evidence import (
+    CERTAIN,
+    EARTH,
+    LIKELY,
+    Mistake,
+    angle_at,
+    negated,
+    root_headings,
+    seen_markers,
+)
 from vjm.records import Array, Experiment, Link, Recording, Rig
 
 _GRAM = 1e-3  # kg
 _HUB_UNITS = {1e-4: "kg cm^2", 1e-6: "kg mm^2", 1e-7: "g cm^2"}  # as motors' data sheets have them, by size [kg m^2]
 _ROUGHLY = np.geomspace(0.1, 10.0, 5)  # of a hub's inertia that is given
 _UNKNOWN = np.array([0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])  # of the link's, where none is given
+_SEVERALFOLD = 0.1, 10.0  # of masses that are no unit's: of the right order of magnitude if that is wrong
 _SHORTEST = 16  # samples of a window: its second derivative is then sampled well
 
 
 class _Scales(NamedTuple):
-    """Hypothesis: true torque and the rig's inertias over those that are given; by default none is wrong."""
+    """Hypothesis: true torque, inertias and gravity over those that are given; by default none is wrong."""
 
     torque: float = 1.0
     mass: float = 1.0  # of the link and of what it carries
     hub: float = 1.0
+    gravity: complex = 1.0  # x + i y: none of it, or turned
 
 
 @dataclass(frozen=True)
@@ -47,6 +58,10 @@ class _Balance:
     link_noise: float  # the same without the hub's part
     turning_noise: float  # and of `turning`
     independent: float  # number of windows that do not overlap
+
+    def weight(self, gravity: complex) -> Array:
+        """Return projections (N,) of the moment of a gravity x + i y [m/s^2]."""
+        return np.asarray(self.lever @ np.array([gravity.real, gravity.imag]))
 
 
 def balances(experiment: Experiment) -> list[list[_Balance]]:
@@ -143,7 +158,8 @@ def torque_gains(experiment: Experiment, recordings: list[list[_Balance]]) -> di
     current = FACTORS["torque"][experiment.conventions.units.torque]
     sizes = [size / current for size in FACTORS["torque"].values()]
     scales = [_Scales(), _Scales(-1.0), *(_Scales(sign * size) for size in sizes if size != 1.0 for sign in (1, -1))]
-    scales += [_Scales(mass=_GRAM), *(_Scales(hub=size) for size in _HUB_UNITS)]
+    scales += [*(_Scales(mass=size) for size in (_GRAM, *_SEVERALFOLD)), *(_Scales(hub=size) for size in _HUB_UNITS)]
+    scales += [_Scales(gravity=turn) for turn in (0.0, -1.0, 1.0j, -1.0j)]
     link = experiment.rig.links[0]
     gains = np.sum([_gains(link, recording, scales) for recording in _driven(recordings, silent=False)], axis=0)
     return dict(zip(scales, np.broadcast_to(gains, len(scales)).tolist(), strict=True))
@@ -162,17 +178,13 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
     Each may suppose another hub: its inertia is known roughly, if at all, and much may be the motor's behind a gear.
     """
     gains = [np.zeros(len(scales))]
-    link_inertia = link.length**2 * (link.mass / 3 + link.payload)
-    hubs = [
-        scale.hub * link.hub_inertia * _ROUGHLY if link.hub_inertia > 0 else scale.mass * link_inertia * _UNKNOWN
-        for scale in scales
-    ]
+    hubs = [_possible_hubs(link, scale) for scale in scales]
     for balance in recording:
-        weight = balance.lever @ np.array(balance.gravity)
-        if np.median((balance.momentum - weight) ** 2) > 9 * balance.noise**2:
+        declared = complex(*balance.gravity)
+        if np.median((balance.momentum - balance.weight(declared)) ** 2) > 9 * balance.noise**2:
             misfits = []
             for scale, hub in zip(scales, hubs, strict=True):
-                torque = scale.torque * balance.torque
+                torque, weight = scale.torque * balance.torque, balance.weight(scale.gravity * declared)
                 motion = scale.mass * (balance.momentum - link.hub_inertia * balance.turning - weight)
                 motion = motion + hub[:, None] * balance.turning
                 noise = (scale.mass * balance.link_noise) ** 2 + (hub * balance.turning_noise) ** 2
@@ -183,11 +195,18 @@ def _gains(link: Link, recording: list[_Balance], scales: list[_Scales]) -> Arra
     return np.asarray(np.mean(gains[1:] or gains, axis=0))
 
 
+def _possible_hubs(link: Link, scale: _Scales) -> Array:
+    """Return inertias (h,) that a hub may have [kg m^2]."""
+    if link.hub_inertia > 0:
+        return scale.hub * link.hub_inertia * _ROUGHLY
+    return scale.mass * link.length**2 * (link.mass / 3 + link.payload) * _UNKNOWN
+
+
 def _moving_gain(recording: list[_Balance]) -> float:
     """Return the log-likelihood of a motion over that of rest, in a recording whose torque is zero throughout."""
     gains = []
     for balance in recording:
-        motion = np.median((balance.momentum - balance.lever @ np.array(balance.gravity)) ** 2)
+        motion = np.median((balance.momentum - balance.weight(complex(*balance.gravity))) ** 2)
         gains.append(0.5 * balance.independent * float(np.log1p(0.5 * motion / balance.noise**2)))
     return float(np.mean(gains))
 
@@ -202,13 +221,15 @@ def torque_sign(gains: dict[_Scales, float]) -> float | None:
 def torque_mistakes(
     experiment: Experiment, recordings: list[list[_Balance]], gains: dict[_Scales, float]
 ) -> list[Mistake]:
-    """Return mistakes in sign, unit or presence of the torque or in inertias, else a gravity that was not declared."""
+    """Return mistakes in sign, unit or presence of the torque, in inertias or in gravity."""
     link, conventions = experiment.rig.links[0], experiment.conventions
     best = max(gains, key=lambda scales: gains[scales])
     driven = _driven(recordings, silent=False)
     files = tuple(recording[0].file for recording in driven)
     gravity = _gravity_mistake(experiment, recordings)
     tau = conventions.name_in_files(f"{link.name}.tau")
+    motion = f"than the torque that the motion takes with the inertias of [[link]] {link.name}"
+    payload = link.payload or any(recording.payload for recording in experiment.recordings)
     silent = {recording[0].file: _moving_gain(recording) for recording in _driven(recordings, silent=True)}
     unexplained = {file: gain for file, gain in silent.items() if gain > LIKELY}
     if unexplained and not gravity:
@@ -229,16 +250,31 @@ def torque_mistakes(
             f'{" and of the wrong sign" if negative else ""}; set [units] torque = "{unit}"'
             f"{f', and {negated(tau)}' if negative else ''}"
         )
+    elif best.gravity != 1.0:
+        declared = next(complex(*recording[0].gravity) for recording in driven if any(recording[0].gravity))
+        other = best.gravity * declared
+        finding = f"as if it were {_vector(other)}" if other else "as if there were none in its plane"
+        text = f"gravity = {_vector(declared)} is declared, and the link moves {finding}; set [base] gravity = "
+        return [Mistake(f"{text}{_vector(other)}", min(gains[best], CERTAIN), files)]
+    elif best.mass in _SEVERALFOLD:
+        less, wrong = ("less", "large") if best.mass < 1 else ("more", "small")
+        masses = "'mass' or 'payload'" if payload else "'mass'"
+        text = f"{tau} is several times {less} {motion}: {masses} is too {wrong}, unless the torque is wrong"
+        return [Mistake(text, min(gains[best], CERTAIN), files)]
     else:
-        key, unit, value = "mass", "kg", link.mass * best.mass
-        unit_name = "grams"
+        text = f"{tau} is far less {motion}: "
         if best.hub != 1.0:
-            key, unit, value, unit_name = "hub_inertia", "kg m^2", link.hub_inertia * best.hub, _HUB_UNITS[best.hub]
-        text = (
-            f"{tau} is far less than the torque that the motion takes with the inertias of [[link]] {link.name}: "
-            f"'{key}' looks like {unit_name}; give it in {unit}, {value:.4g}"
-        )
+            remedy = f"give it in kg m^2, {link.hub_inertia * best.hub:.4g}"
+            text += f"'hub_inertia' looks like {_HUB_UNITS[best.hub]}; {remedy}"
+        elif payload:
+            text += "'mass' or 'payload' looks like grams; give both in kg"
+        else:
+            text += f"'mass' looks like grams; give it in kg, {link.mass * best.mass:.4g}"
     return [Mistake(text, gains[best], files)]
+
+
+def _vector(gravity: complex) -> str:
+    return f"[{gravity.real + 0.0:.3g}, {gravity.imag + 0.0:.3g}]"  # no negative zero
 
 
 def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -> Mistake | None:
@@ -258,7 +294,7 @@ def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -
         return None
     fitted_gravity = np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0]
     size = float(np.hypot(*fitted_gravity))
-    gravity = fitted_gravity / max(size, 1e-300) * 9.81  # a base that is tilted a little has less in its plane
+    gravity = fitted_gravity / max(size, 1e-300) * EARTH  # a base that is tilted a little has less in its plane
     for recording in chosen:
         for balance in recording:
             motion = balance.momentum - balance.torque
@@ -271,6 +307,6 @@ def _gravity_mistake(experiment: Experiment, recordings: list[list[_Balance]]) -
         return None
     text = (
         f"the link falls as if gravity of {size:.3g} m/s^2 acted on it in its plane, and none is declared; set [base] "
-        f"gravity = [{gravity[0]:.3g}, {gravity[1]:.3g}]"
+        f"gravity = {_vector(complex(*gravity))}"
     )
     return Mistake(text, gain, tuple(recording[0].file for recording in chosen))
